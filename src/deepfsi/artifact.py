@@ -1,0 +1,286 @@
+"""A finished design: masks, classifier and provenance, in one file that holds no code."""
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as to_bytes
+from torch import Tensor, nn
+
+from deepfsi import constraints
+from deepfsi.classifiers import Mlp
+from deepfsi.constraints import Light
+from deepfsi.errors import InputError
+from deepfsi.scanner import Scanner, subtract
+
+SCHEMA = 1
+
+
+@dataclass
+class Design:
+    """Masks and the classifier that reads them.
+
+    Attributes
+    ----------
+    name : str
+        Which design, a key of `coding.DESIGNS`.
+    rails : tensor, shape (2 or 1, m, N)
+        M⁺ and M⁻, or the one rail; shares of each pixel's photons.
+    classifier : nn.Module
+        Standardised features (..., m) to logits (..., C).
+    centre, spread : tensor, shape (m,)
+        Statistics of the features y / Φ, fixed at the end of training.
+    shares : tensor, shape (m,)
+        Share of the budget that each mask's rails count together, in the training mean.
+    mean_light : float
+        s, the training scenes' mean summed reflectance; λ = Φ x / s.
+    light : str
+        Light constraint that the rails obey.
+    image_shape : tuple of int
+    classes : tuple of str
+    info : dict
+        Provenance: how it was trained, on which data, with which versions. JSON types only.
+    """
+
+    name: str
+    rails: Tensor
+    classifier: nn.Module
+    centre: Tensor
+    spread: Tensor
+    shares: Tensor
+    mean_light: float
+    light: Light
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    info: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Sensing matrix M (m, N), float32: the share of each pixel's photons, signed by rail."""
+        return constraints.combine(self.rails)[0].cpu().numpy()
+
+    @property
+    def masks(self) -> int:
+        """m, number of masks."""
+        return self.rails.shape[1]
+
+    @property
+    def pixels(self) -> int:
+        """N, number of pixels."""
+        return self.rails.shape[2]
+
+    def scanner(self, noise: str = "poisson", sigma: float = 1.0) -> Scanner:
+        """The optical front end, with a noise of your choice."""
+        return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
+
+    def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
+        """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`."""
+        scaled = (features / photons - self.centre) / self.spread
+        return self.classifier(scaled)  # type: ignore[no-any-return]
+
+    def classify(self, counts: Any, photons: Any) -> np.ndarray:
+        """Class probabilities of one or many exposures.
+
+        Parameters
+        ----------
+        counts : array, shape (..., 2, m) for dual-rail designs, (..., m) for single-rail ones
+            Counts of each readout, first the positive rails, then the negative ones. A dark rail
+            reads 0.
+        photons : float or array, shape (...)
+            Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
+
+        Returns
+        -------
+        array, shape (..., C)
+            Probabilities that sum to 1.
+
+        Raises
+        ------
+        InputError
+            If shapes do not match the design, counts are not finite or the budget is not above 0.
+        """
+        read = torch.as_tensor(np.asarray(counts, dtype=np.float32))
+        budget = torch.as_tensor(np.asarray(photons, dtype=np.float32))
+        dual = len(self.rails) == 2
+        wanted = (2, self.masks) if dual else (self.masks,)
+        if tuple(read.shape[-len(wanted) :]) != wanted:
+            raise InputError(
+                f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
+                f"{', '.join(map(str, wanted))})"
+            )
+        if not bool(torch.isfinite(read).all()):
+            raise InputError("counts hold NaN or infinity: give finite counts")
+        if not bool((torch.isfinite(budget) & (budget > 0)).all()):
+            raise InputError("photons must be a finite number above 0 for every exposure")
+        device = self.rails.device
+        features = subtract(read) if dual else read
+        try:
+            budget = budget.expand(features.shape[:-1]).unsqueeze(-1)
+        except RuntimeError:
+            raise InputError(
+                f"photons of shape {tuple(budget.shape)} do not fit counts of shape "
+                f"{tuple(read.shape)}: give one number, or one for each exposure"
+            ) from None
+        with torch.no_grad():
+            logits = self.logits(features.to(device), budget.to(device))
+        return logits.softmax(dim=-1).cpu().numpy()
+
+    def to(self, device: str | torch.device) -> "Design":
+        """Move to a device; returns self."""
+        self.rails = self.rails.to(device)
+        self.centre, self.spread = self.centre.to(device), self.spread.to(device)
+        self.shares = self.shares.to(device)
+        self.classifier = self.classifier.to(device)
+        return self
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one safetensors file, all or nothing.
+
+        Raises
+        ------
+        InputError
+            If the classifier is not an `Mlp`: a module of your own cannot be rebuilt from a file.
+        """
+        if not isinstance(self.classifier, Mlp):
+            raise InputError(
+                f"a design with a {type(self.classifier).__name__} classifier cannot be saved: only "
+                "Mlp can; save its state_dict() yourself"
+            )
+        tensors = {
+            "rails": self.rails,
+            "centre": self.centre,
+            "spread": self.spread,
+            "shares": self.shares,
+        }
+        for key, value in self.classifier.state_dict().items():
+            tensors[f"classifier.{key}"] = value
+        header = {
+            "schema": SCHEMA,
+            "name": self.name,
+            "light": self.light,
+            "mean_light": self.mean_light,
+            "image_shape": list(self.image_shape),
+            "classes": list(self.classes),
+            "classifier": {
+                "kind": "mlp",
+                "hidden": list(self.classifier.hidden),
+                "dropout": self.classifier.dropout,
+            },
+            "info": self.info,
+        }
+        whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
+        return write_atomically(path, to_bytes(whole, metadata={"deepfsi": json.dumps(header)}))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], device: str | torch.device = "cpu") -> "Design":
+        """Read a design file.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, damaged, truncated, not a design, or of a newer schema.
+        """
+        header, tensors = read_design(path)
+        try:
+            classifier = Mlp(
+                inputs=tensors["rails"].shape[1],
+                classes=len(header["classes"]),
+                hidden=header["classifier"]["hidden"],
+                dropout=header["classifier"]["dropout"],
+            )
+            classifier.load_state_dict(
+                {
+                    key.removeprefix("classifier."): torch.from_numpy(value)
+                    for key, value in tensors.items()
+                    if key.startswith("classifier.")
+                }
+            )
+            design = cls(
+                name=header["name"],
+                rails=torch.from_numpy(tensors["rails"]),
+                classifier=classifier.eval(),
+                centre=torch.from_numpy(tensors["centre"]),
+                spread=torch.from_numpy(tensors["spread"]),
+                shares=torch.from_numpy(tensors["shares"]),
+                mean_light=header["mean_light"],
+                light=header["light"],
+                image_shape=tuple(header["image_shape"]),
+                classes=tuple(header["classes"]),
+                info=header["info"],
+            )
+            sound = (
+                design.rails.ndim == 3
+                and {design.centre.shape, design.spread.shape, design.shares.shape}
+                == {(design.masks,)}
+                and np.prod(design.image_shape) == design.pixels
+                and all(bool(torch.isfinite(torch.from_numpy(t)).all()) for t in tensors.values())
+            )
+        except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
+            raise _damaged(path) from error
+        if not sound:
+            raise _damaged(path)
+        return design.to(device)
+
+
+def read_design(
+    path: str | os.PathLike[str],
+) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
+    """Header and numpy tensors of a design file, without building a network.
+
+    Raises
+    ------
+    InputError
+        As `Design.load`.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = json.loads((file.metadata() or {})["deepfsi"])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        schema = int(header["schema"])
+    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
+        raise _damaged(path) from error
+    if schema > SCHEMA:
+        raise InputError(
+            f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
+        )
+    return header, tensors
+
+
+def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write a file so that it is either whole or not there; parent folders are made."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, draft = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(draft, 0o666 & ~_umask())
+        os.replace(draft, target)
+    except BaseException:
+        Path(draft).unlink(missing_ok=True)
+        raise
+    return target
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current
+
+
+def _damaged(path: str | os.PathLike[str]) -> InputError:
+    return InputError(
+        f"{path} is not a whole deepfsi design file: give a .safetensors file that `deepfsi design` "
+        "or Design.save wrote"
+    )

@@ -1,0 +1,266 @@
+"""The named designs: which sensing matrix each of them means, before any light constraint.
+
+Matrices are numpy arrays (m, N), one mask a row, signed unless the design has one rail. Their scale
+is arbitrary here (`constraints.fit` brings it to a light constraint) but for `impulse` and
+`raster`, whose scale is what defines them.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError, closest
+
+
+@dataclass(frozen=True)
+class Code:
+    """What is known of a named design before any data.
+
+    Attributes
+    ----------
+    label : str
+        The paper's abbreviation.
+    title : str
+        For tables and figures.
+    specific : bool
+        Feature-specific, that is, made from training data (drawn as a circle, others as a square).
+    learned : bool
+        Masks are optimised together with the classifier.
+    fixed_count : bool
+        The number of masks follows from the scene's shape and cannot be chosen.
+    single_rail : bool
+        Has no negative entries by definition.
+    """
+
+    label: str
+    title: str
+    specific: bool = False
+    learned: bool = False
+    fixed_count: bool = False
+    single_rail: bool = False
+
+
+DESIGNS: dict[str, Code] = {
+    "impulse": Code("II", "impulse imaging", fixed_count=True, single_rail=True),
+    "raster": Code("RS", "raster scan", fixed_count=True, single_rail=True),
+    "hadamard": Code("HB", "Hadamard basis", fixed_count=True),
+    "truncated-hadamard": Code("TH", "truncated Hadamard"),
+    "pca": Code("FSI", "PCA (FSI)", specific=True),
+    "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
+    "control": Code("CG", "control group", specific=True),
+    "random": Code("RND", "random ±1"),
+    "lda": Code("LDA", "linear discriminants", specific=True),
+    "s-matrix": Code("S", "S-matrix", fixed_count=True, single_rail=True),
+    "custom": Code("USER", "own matrix"),
+}
+
+
+def check_design(name: str) -> str:
+    """Return the name of a design, or raise `InputError` that names the closest."""
+    if name not in DESIGNS:
+        raise InputError(f"unknown design {name!r}: {closest(name, DESIGNS)}")
+    return name
+
+
+def mask_count(ratio: float, pixels: int) -> int:
+    """Number of masks at a compression ratio, max(1, round(ratio · N)).
+
+    Parameters
+    ----------
+    ratio : float
+        m / N, above 0 and at most 1.
+    pixels : int
+        N, the scene's own pixels, before any Hadamard padding.
+    """
+    if not 0 < ratio <= 1:
+        raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")
+    return max(1, round(ratio * pixels))
+
+
+def count_allowed(name: str, data: Dataset) -> tuple[int, int]:
+    """Smallest and largest number of masks that a design can have on a data set."""
+    pixels = data.pixels
+    if name in ("impulse", "raster"):
+        return pixels, pixels
+    if name == "hadamard":
+        order = int(np.prod(padded_shape(data.image_shape)))
+        return order, order
+    if name == "s-matrix":
+        order = s_matrix_order(pixels)
+        return order, order
+    if name == "truncated-hadamard":
+        return 1, int(np.prod(padded_shape(data.image_shape)))
+    if name == "lda":
+        return 1, min(len(data.classes) - 1, pixels)
+    return 1, pixels
+
+
+def check_count(name: str, masks: int, data: Dataset) -> int:
+    """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
+    low, high = count_allowed(name, data)
+    whole = not isinstance(masks, bool) and float(masks).is_integer()
+    if not whole or not low <= masks <= high:
+        allowed = f"exactly {low}" if low == high else f"a whole number from {low} to {high}"
+        raise InputError(f"{masks} masks are not allowed for {name} on {data.name}: give {allowed}")
+    return int(masks)
+
+
+def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
+    """Sensing matrix of a fixed design.
+
+    Parameters
+    ----------
+    name : str
+        A key of `DESIGNS` that is neither learned nor custom.
+    masks : int
+        m.
+    data : Dataset
+        Gives the scene's shape, and the training scenes for `pca` and `lda`.
+    seed : int
+        For `random` only.
+
+    Returns
+    -------
+    array, shape (m, N)
+        float64, signed.
+
+    Raises
+    ------
+    InputError
+        If the design cannot have that many masks.
+    """
+    check_count(name, masks, data)
+    pixels = data.pixels
+    if name == "impulse":
+        return np.eye(pixels)
+    if name == "raster":
+        return np.eye(pixels) / pixels
+    if name in ("hadamard", "truncated-hadamard"):
+        return hadamard_masks(data.image_shape, masks)
+    if name == "pca":
+        return principal_components(data.x_train, masks)
+    if name == "lda":
+        return discriminants(data.x_train, data.y_train, masks)
+    if name == "s-matrix":
+        return s_matrix(pixels)
+    if name == "random":
+        return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, pixels))
+    raise ValueError(f"{name} has no fixed sensing matrix")
+
+
+def padded_shape(image_shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Shape with each axis padded (dark) to a power of two, as Hadamard codes need."""
+    return tuple(1 << (side - 1).bit_length() for side in image_shape)
+
+
+def sequency_hadamard(order: int) -> np.ndarray:
+    """Walsh functions: rows of the Hadamard matrix by their number of sign changes.
+
+    Returns
+    -------
+    array, shape (order, order)
+        ±1; row k changes sign k times.
+    """
+    rows = scipy.linalg.hadamard(order).astype(np.float64)
+    return rows[np.argsort((np.diff(rows, axis=1) != 0).sum(axis=1))]
+
+
+def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
+    """The `masks` lowest sequencies of the Hadamard basis.
+
+    For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
+    most one mask lacks its transpose; for spectra 1-D sequencies. Sides that are no power of two
+    are padded; the padding is dark and carries no light.
+
+    Returns
+    -------
+    array, shape (masks, N)
+        ±1.
+    """
+    padded = padded_shape(image_shape)
+    axes = [sequency_hadamard(side)[:, :own] for side, own in zip(padded, image_shape, strict=True)]
+    if len(axes) == 1:
+        return axes[0][:masks]
+    height, width = padded
+    order = sorted(
+        ((i, j) for i in range(height) for j in range(width)),
+        key=lambda ij: (ij[0] + ij[1], max(ij), ij[0]),
+    )
+    return np.stack([np.outer(axes[0][i], axes[1][j]).ravel() for i, j in order[:masks]])
+
+
+def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
+    """Leading principal components of the training scenes (conventional FSI).
+
+    The largest entry of each component is positive. Where the data has fewer directions than
+    masks are asked for, pixels' own directions complete the basis, those least explained first.
+
+    Parameters
+    ----------
+    x : array, shape (n, N)
+
+    Returns
+    -------
+    array, shape (masks, N)
+        Orthonormal rows.
+    """
+    centred = x.astype(np.float64) - x.mean(axis=0, dtype=np.float64)
+    power, directions = scipy.linalg.eigh(centred.T @ centred / len(x))
+    known = power > x.shape[1] * np.finfo(np.float64).eps * power[-1]
+    rows = directions[:, known].T[::-1][:masks]
+    rows = rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
+    if len(rows) == masks:
+        return rows
+    unexplained = np.eye(x.shape[1]) - rows.T @ rows
+    basis, _, _ = scipy.linalg.qr(unexplained, pivoting=True)
+    rest = basis[:, : masks - len(rows)].T
+    rest = rest * np.sign(rest[np.arange(len(rest)), np.abs(rest).argmax(axis=1)])[:, None]
+    return np.concatenate([rows, rest])
+
+
+def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
+    """Linear discriminant directions, the supervised linear baseline that PCA is not.
+
+    Returns
+    -------
+    array, shape (masks, N)
+        Unit rows, at most one fewer than there are classes.
+    """
+    from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+
+    model = LinearDiscriminantAnalysis(solver="eigen", shrinkage="auto").fit(x, y)
+    rows = model.scalings_.T[:masks]
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+@lru_cache
+def s_matrix_order(pixels: int) -> int:
+    """Smallest prime p ≡ 3 (mod 4) that is at least `pixels`: an S-matrix of that order exists."""
+    order = max(pixels, 3)
+    while order % 4 != 3 or any(order % k == 0 for k in range(3, int(order**0.5) + 1, 2)):
+        order += 1
+    return order
+
+
+def s_matrix(pixels: int) -> np.ndarray:
+    """Cyclic S-matrix from quadratic residues, the non-negative Hadamard code of spectroscopy.
+
+    Its order p is `s_matrix_order`; pixels beyond the scene's own are dark.
+
+    Returns
+    -------
+    array, shape (p, pixels)
+        0 or 1; every full row holds (p + 1) / 2 ones.
+
+    References
+    ----------
+    M. Harwit and N. J. A. Sloane, *Hadamard Transform Optics*, Academic Press, 1979, appendix A.
+    """
+    order = s_matrix_order(pixels)
+    row = np.zeros(order)
+    row[np.arange(order) ** 2 % order] = 1
+    index = np.arange(order)
+    return row[(index[:, None] + index[None, :]) % order][:, :pixels]

@@ -1,0 +1,210 @@
+"""Light constraints: what a set of masks may do with a pixel's photons, and what realises it.
+
+    column       max_j Σ_i |M_ij| ≤ 1            optics that split each pixel's light (paper)
+    equal-dwell  M⁺_ij, M⁻_ij ≤ 1/F              one DMD, one detector, equal times for F frames
+    free-dwell   Σ_frames max_j(frame) ≤ 1       one DMD, one detector, each frame its own time
+    two-arm      M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1  one DMD, a detector on each arm
+
+A set of masks is its *rails*: an array (..., 2, m, N) of M⁺ and M⁻ for signed masks, or
+(..., 1, m, N) where there is one rail. The physics needs two combinations of them, the difference
+M⁺ − M⁻ (which gives the mean of a feature) and the total M⁺ + M⁻ (which gives its photon noise).
+"""
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi.errors import InputError, closest
+
+Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
+Rails = Literal["dual", "single"]
+
+SLACK = 1e-5
+"""Relative excess that float32 rounding may cause and `check` forgives."""
+
+
+def check_light(light: str, rails: str) -> None:
+    """Raise `InputError` unless the constraint exists and can be had with these rails."""
+    if light not in get_args(Light):
+        raise InputError(f"unknown light constraint {light!r}: {closest(light, get_args(Light))}")
+    if rails not in get_args(Rails):
+        raise InputError(f"unknown rails {rails!r}: {closest(rails, get_args(Rails))}")
+    if light == "two-arm" and rails == "single":
+        raise InputError(
+            "two-arm with a single rail is not allowed: each arm is a rail; use --rails dual"
+        )
+
+
+def split(matrix: Tensor) -> Tensor:
+    """Rails (..., 2, m, N) of a signed matrix (..., m, N): its positive and its negative part."""
+    return torch.stack([matrix.clamp(min=0), (-matrix).clamp(min=0)], dim=-3)
+
+
+def frames(rails: Tensor) -> Tensor:
+    """Frames of a design (F, N): every rail of every mask that is not dark, mask by mask."""
+    every = rails.transpose(0, 1).flatten(0, 1)
+    return every[every.amax(dim=-1) > 0]
+
+
+def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
+    """Bring a matrix to a light constraint, using as much light as it allows.
+
+    `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
+    `two-arm` each mask's own peak.
+
+    Parameters
+    ----------
+    matrix : tensor, shape (m, N)
+        Any scale; non-negative if `rails` is "single".
+
+    Returns
+    -------
+    tensor, shape (2 or 1, m, N)
+        Rails that obey the constraint.
+    """
+    check_light(light, rails)
+    if light == "two-arm":
+        share = matrix / (_peak(matrix.abs()) * len(matrix))
+        return torch.stack([1 / len(matrix) + share, 1 / len(matrix) - share]) / 2
+    parts = split(matrix) if rails == "dual" else matrix.unsqueeze(0)
+    if light == "column":
+        return parts / parts.sum(dim=(0, 1)).max()
+    if light == "free-dwell":
+        return parts / parts.amax(dim=-1).sum()
+    return parts / (_peak(parts) * len(frames(parts)))
+
+
+def excess(rails: Tensor, light: Light) -> float:
+    """How far rails (2 or 1, m, N) break a constraint: 0 or less if they obey it."""
+    if light == "column":
+        return float(rails.sum(dim=(0, 1)).max()) - 1
+    if light == "free-dwell":
+        return float(rails.amax(dim=-1).sum()) - 1
+    if light == "equal-dwell":
+        return float(rails.max()) * max(len(frames(rails)), 1) - 1
+    dwell = rails.sum(dim=0)
+    return max(
+        float(dwell.amax(dim=-1).sum()) - 1,
+        float((dwell.amax(dim=-1) - dwell.amin(dim=-1)).max()) * len(dwell),
+    )
+
+
+def check(rails: Tensor, light: Light) -> Tensor:
+    """Return rails, or raise `InputError` if they are negative or break their constraint."""
+    if float(rails.min()) < 0:
+        raise InputError("the matrix has negative entries: use --rails dual, or give frames ≥ 0")
+    over = excess(rails, light)
+    if over > SLACK:
+        raise InputError(
+            f"the matrix breaks the {light} constraint by {over:.3g} of its limit: scale it down, "
+            "or choose another constraint with --light"
+        )
+    return rails
+
+
+class Fixed(nn.Module):
+    """Masks that do not learn; `forward` gives difference and total, each (..., m, N)."""
+
+    difference: Tensor
+    total: Tensor
+
+    def __init__(self, rails: Tensor) -> None:
+        super().__init__()
+        difference, total = combine(rails)
+        self.register_buffer("difference", difference)
+        self.register_buffer("total", total)
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        """Difference M⁺ − M⁻ and total M⁺ + M⁻."""
+        return self.difference, self.total
+
+
+class Learned(nn.Module):
+    """Masks as a differentiable function of free weights that cannot break their constraint.
+
+    Parameters
+    ----------
+    start : tensor, shape (..., m, N)
+        Matrix to start from, any scale; leading axes are replicas that learn side by side. For a
+        single rail it must be non-negative.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    rails : {"dual", "single"}
+
+    Notes
+    -----
+    `column` divides each pixel's column by its sum where that exceeds 1. The others write a frame
+    as its dwell (a share of the time) times a pattern in [0, 1]: dwells are equal or, for
+    `free-dwell` and `two-arm`, a softmax. Weights are in units of the start's own rms, so that one
+    learning rate serves any number of masks.
+    """
+
+    unit: Tensor
+
+    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual") -> None:
+        super().__init__()
+        check_light(light, rails)
+        self.light, self.rails = light, rails
+        *replicas, masks, _ = start.shape
+        if light == "column":
+            fitted = start / start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
+            unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+            self.weight = nn.Parameter(fitted / unit)
+            self.register_buffer("unit", unit)
+            return
+        pattern = 0.9 * start / _peak(start.abs())
+        self.weight = nn.Parameter(
+            torch.atanh(pattern) if rails == "dual" else torch.logit(pattern.clamp(min=0.05))
+        )
+        if light != "equal-dwell":
+            per_mask = 2 if (light, rails) == ("free-dwell", "dual") else 1
+            self.dwell = nn.Parameter(start.new_zeros(*replicas, per_mask, masks))
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        """Difference M⁺ − M⁻ and total M⁺ + M⁻, each (..., m, N)."""
+        if self.light == "column":
+            matrix = self.weight * self.unit
+            matrix = matrix / matrix.abs().sum(dim=-2, keepdim=True).clamp(min=1)
+            return (matrix, matrix.abs()) if self.rails == "dual" else (matrix.abs(),) * 2
+        if self.rails == "single":
+            frame = torch.sigmoid(self.weight) * self._dwell()[..., 0, :, None]
+            return frame, frame
+        pattern = torch.tanh(self.weight)
+        dwell = self._dwell()
+        if self.light == "two-arm":
+            time = dwell[..., 0, :, None]
+            return time * pattern, time.expand_as(pattern)
+        if self.light == "equal-dwell":
+            matrix = pattern * dwell[..., 0, :, None]
+            return matrix, matrix.abs()
+        matrix = pattern * torch.where(
+            pattern > 0, dwell[..., 0, :, None], dwell[..., 1, :, None]
+        )
+        return matrix, matrix.abs()
+
+    def _dwell(self) -> Tensor:
+        if self.light == "equal-dwell":
+            masks = self.weight.shape[-2]
+            count = 2 * masks if self.rails == "dual" else masks
+            return self.weight.new_full((1, masks), 1 / count)
+        return self.dwell.flatten(-2).softmax(dim=-1).view_as(self.dwell)
+
+
+def combine(rails: Tensor) -> tuple[Tensor, Tensor]:
+    """Difference and total, each (..., m, N), of rails (..., 2 or 1, m, N)."""
+    if rails.shape[-3] == 1:
+        return rails[..., 0, :, :], rails[..., 0, :, :]
+    plus, minus = rails.unbind(dim=-3)
+    return plus - minus, plus + minus
+
+
+def separate(difference: Tensor, total: Tensor, rails: Rails) -> Tensor:
+    """Rails (..., 2 or 1, m, N) of a difference and a total; inverse of `combine`."""
+    if rails == "single":
+        return difference.unsqueeze(-3)
+    return torch.stack([total + difference, total - difference], dim=-3) / 2
+
+
+def _peak(parts: Tensor) -> Tensor:
+    peak = parts.amax(dim=-1, keepdim=True)
+    return torch.where(peak > 0, peak, 1.0)

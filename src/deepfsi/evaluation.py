@@ -1,0 +1,149 @@
+"""How well a design does: accuracy over budgets, with intervals that say what they cover."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepfsi.artifact import Design
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.noise import check_noise
+from deepfsi.photons import check_budget
+from deepfsi.scanner import subtract
+
+COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
+
+
+@dataclass(frozen=True)
+class Result:
+    """One design at one budget.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    accuracy, low, high : float
+        Mean over images and noise draws, and its 95 % interval.
+    covers : str
+        What the interval covers.
+    images, draws : int
+        Scenes, and independent noise draws of each.
+    rates : list of float
+        Accuracy of each class (recall).
+    confusion : list of list of int
+        Rows true classes, columns predicted ones, over all draws.
+    throughput : float
+        Share of the budget that the detectors count, in the training mean.
+    photons_per_mask : list of float
+        Expected counts of each mask's rails together, in the training mean.
+    """
+
+    photons: float
+    accuracy: float
+    low: float
+    high: float
+    covers: str
+    images: int
+    draws: int
+    rates: list[float]
+    confusion: list[list[int]]
+    throughput: float
+    photons_per_mask: list[float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return asdict(self)
+
+
+def evaluate(
+    design: Design,
+    data: Dataset,
+    photons: Sequence[float] | float,
+    *,
+    noise: str = "poisson",
+    sigma: float = 1.0,
+    draws: int = 3,
+    seed: int = 0,
+) -> list[Result]:
+    """Classify the test scenes of a data set under noise.
+
+    Parameters
+    ----------
+    design : Design
+    data : Dataset
+        Its test part is used; its pixels and classes must be the design's.
+    photons : float or sequence of float
+        Budgets Φ.
+    noise : {"poisson", "gaussian", "ml_gauss", "none"}
+    sigma : float
+        Read noise in counts per readout, for gaussian noise.
+    draws : int
+        Noise draws of each scene (1 is enough without noise).
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    list of Result
+        One for each budget.
+
+    Raises
+    ------
+    InputError
+        If the data does not fit the design, or a budget is not finite and above 0.
+    """
+    budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
+    if data.pixels != design.pixels:
+        raise InputError(
+            f"{data.name} has {data.pixels} pixels and the design {design.pixels}: use the data "
+            "(and --size) that it was made for"
+        )
+    if data.classes != design.classes:
+        raise InputError(
+            f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
+        )
+    if draws < 1:
+        raise InputError(f"{draws} noise draws are not allowed: give at least 1")
+    device = design.rails.device
+    scanner = design.scanner(check_noise(noise), sigma)
+    share = design.shares.tolist()
+    generators = [torch.Generator(device).manual_seed(seed) for _ in budgets]
+    confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
+    with torch.no_grad():
+        for scenes, truth in zip(
+            torch.from_numpy(data.x_test).split(1024), torch.from_numpy(data.y_test).split(1024), strict=True
+        ):
+            shares = scanner.rates(scenes.to(device) / design.mean_light)
+            for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
+                for _ in range(draws):
+                    counts = scanner.read(shares * budget, generator)
+                    guess = design.logits(subtract(counts), budget).argmax(dim=-1)
+                    np.add.at(confusion, (truth.numpy(), guess.cpu().numpy()), 1)
+    return [
+        _result(budget, confusion, draws, share)
+        for budget, confusion in zip(budgets, confusions, strict=True)
+    ]
+
+
+def _result(budget: float, confusion: np.ndarray, draws: int, share: list[float]) -> Result:
+    from scipy.stats import binomtest
+
+    images = int(confusion.sum()) // draws
+    accuracy = float(confusion.trace() / confusion.sum())
+    interval = binomtest(round(accuracy * images), images).proportion_ci(0.95, method="wilson")
+    return Result(
+        photons=budget,
+        accuracy=accuracy,
+        low=float(interval.low),
+        high=float(interval.high),
+        covers=COVERS,
+        images=images,
+        draws=draws,
+        rates=(confusion.diagonal() / confusion.sum(axis=1).clip(min=1)).tolist(),
+        confusion=confusion.tolist(),
+        throughput=sum(share),
+        photons_per_mask=[budget * part for part in share],
+    )

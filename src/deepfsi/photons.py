@@ -1,0 +1,102 @@
+"""Light budgets: from a number of photons to photons per pixel, and the paper's noise axis.
+
+The budget Φ is the number of photons that are expected to reach the coding device while masks are
+shown, averaged over the training set. Illumination is fixed, so a brighter scene sends more:
+
+    λ = Φ x / s,    s = mean over training scenes of Σ_j x_j
+
+with x the reflectance in [0, 1] and λ the expected photons of each pixel.
+"""
+
+import math
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from deepfsi.errors import InputError
+
+Array = TypeVar("Array")
+
+
+def check_budget(photons: float) -> float:
+    """Return a photon budget as a float, or raise `InputError` unless finite and positive."""
+    try:
+        budget = float(photons)
+    except (TypeError, ValueError):
+        budget = math.nan
+    if not math.isfinite(budget) or budget <= 0:
+        raise InputError(
+            f"photon budget {photons!r} is not allowed: give a finite number above zero, such as 1e4"
+        )
+    return budget
+
+
+def mean_light(x: np.ndarray) -> float:
+    """Mean over scenes of their summed reflectance, s.
+
+    Parameters
+    ----------
+    x : array, shape (n, N)
+        Reflectance of the training scenes, dimensionless, in [0, 1].
+
+    Returns
+    -------
+    float
+        s, in units of one fully reflecting pixel.
+    """
+    return float(x.sum(axis=1, dtype=np.float64).mean())
+
+
+def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
+    """Expected photons per pixel, λ = Φ x / s.
+
+    Parameters
+    ----------
+    x : array or tensor, shape (..., N)
+        Reflectance.
+    photons : float
+        Budget Φ, expected photons on the coding device.
+    light : float
+        s of the training set, from `mean_light`.
+
+    Returns
+    -------
+    array or tensor, shape (..., N)
+        Photons.
+    """
+    return x * (check_budget(photons) / light)  # type: ignore[operator, no-any-return]
+
+
+def impulse_imaging_error(
+    photons: float,
+    mean_reflectance: float,
+    pixels: int,
+    noise: Literal["poisson", "gaussian"],
+    sigma: float = 1.0,
+) -> float:
+    """Root mean square reconstruction error of impulse imaging, the paper's noise axis.
+
+    With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
+    x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise.
+
+    Parameters
+    ----------
+    photons : float
+        Budget Φ.
+    mean_reflectance : float
+        x̄, mean reflectance of the training set's pixels.
+    pixels : int
+        N.
+    noise : {"poisson", "gaussian"}
+    sigma : float
+        Standard deviation of the gaussian noise, counts per readout.
+
+    Returns
+    -------
+    float
+        In units of reflectance.
+    """
+    budget = check_budget(photons)
+    if noise == "poisson":
+        return mean_reflectance * math.sqrt(pixels / budget)
+    return sigma * mean_reflectance * pixels / budget

@@ -1,0 +1,124 @@
+"""The optical front end as a layer: photons per pixel in, noisy features out."""
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi import constraints
+from deepfsi.noise import Noise, readout, root, variance
+
+
+class Scanner(nn.Module):
+    """Masks, detectors and their noise: (..., N) photons → (..., m) feature counts y⁺ − y⁻.
+
+    An ordinary module: put it in front of any network and train both.
+
+    Parameters
+    ----------
+    masks : constraints.Fixed or constraints.Learned
+        Gives the difference and the total of the rails, each ([replicas,] m, N).
+    noise : {"poisson", "gaussian", "ml_gauss", "none"}
+        `ml_gauss` to train under photon noise, `poisson` to test.
+    sigma : float
+        Read noise in counts per readout, for gaussian noise.
+    """
+
+    def __init__(self, masks: nn.Module, noise: Noise = "poisson", sigma: float = 1.0) -> None:
+        super().__init__()
+        self.masks = masks
+        self.noise = noise
+        self.sigma = sigma
+
+    @classmethod
+    def from_rails(cls, rails: Tensor, noise: Noise = "poisson", sigma: float = 1.0) -> "Scanner":
+        """Scanner with fixed rails (2 or 1, m, N)."""
+        return cls(constraints.Fixed(rails), noise, sigma)
+
+    def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy features.
+
+        Parameters
+        ----------
+        photons : tensor, shape (..., N)
+            λ, expected photons of each pixel.
+        generator : torch.Generator, optional
+
+        Returns
+        -------
+        tensor, shape (..., [replicas,] m)
+            y⁺ − y⁻ in counts. Under every noise but `poisson` the two rails' noise is drawn at
+            once, which is the same in distribution and differentiable in the masks.
+        """
+        if self.noise == "poisson":
+            return subtract(self.counts(photons, generator))
+        difference, total = self.masks()
+        if self.noise == "none":
+            return project(photons, difference)
+        mean, light = project_pair(photons, difference, total, self.noise == "ml_gauss")
+        power = variance(light, lit(difference, total), self.noise, self.sigma)
+        return mean + root(power) * torch.randn(
+            mean.shape, generator=generator, device=mean.device, dtype=mean.dtype
+        )
+
+    def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy counts of each rail, as detectors report them.
+
+        Parameters
+        ----------
+        photons : tensor, shape (..., N)
+
+        Returns
+        -------
+        tensor, shape (..., [replicas,] rails, m)
+            A rail that is dark by construction reads 0.
+        """
+        return self.read(self.rates(photons), generator)
+
+    def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
+        shown = torch.stack(rails_lit(*self.masks()), dim=-2)[..., : rates.shape[-2], :]
+        return torch.where(shown, readout(rates, self.noise, self.sigma, generator), 0.0)
+
+    def rates(self, photons: Tensor) -> Tensor:
+        """Expected counts of each rail; shapes as `counts`."""
+        difference, total = self.masks()
+        rails = "single" if difference is total else "dual"
+        return project(photons, constraints.separate(difference, total, rails))
+
+
+def project(photons: Tensor, masks: Tensor) -> Tensor:
+    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m)."""
+    flat = masks.flatten(0, -2).to(photons.dtype)
+    return (photons @ flat.T).unflatten(-1, masks.shape[:-1])
+
+
+def project_pair(
+    photons: Tensor, difference: Tensor, total: Tensor, both: bool
+) -> tuple[Tensor, Tensor]:
+    """Products with difference and total; the second is left out (the first twice) if not `both`.
+
+    A single rail's difference is its total, and so is their product.
+    """
+    if difference is total or not both:
+        mean = project(photons, difference)
+        return mean, mean
+    both_rails = project(photons, torch.stack([difference, total]))
+    mean, light = both_rails.unbind(dim=-difference.ndim)
+    return mean, light
+
+
+def rails_lit(difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+    """Which masks have a positive and which a negative rail that is not dark, each (..., m)."""
+    return (total + difference > 0).any(dim=-1), (total - difference > 0).any(dim=-1)
+
+
+def lit(difference: Tensor, total: Tensor) -> Tensor:
+    """Number of rails that are read out for each mask, (..., m)."""
+    plus, minus = rails_lit(difference, total)
+    return plus.int() + minus.int()
+
+
+def subtract(counts: Tensor) -> Tensor:
+    """Feature y⁺ − y⁻ (..., m) of rail counts (..., 2 or 1, m)."""
+    if counts.shape[-2] == 1:
+        return counts[..., 0, :]
+    return counts[..., 0, :] - counts[..., 1, :]

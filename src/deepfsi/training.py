@@ -1,0 +1,453 @@
+"""Learn masks and classifier together, one design or several that share a shape.
+
+One step, for B scenes, R replicas and m masks: gather scenes, multiply them with all masks at once,
+draw noise, standardise, classify, descend. The scenes stay on the device, nothing is read back
+within an epoch, and the products of designs that do not learn are taken once before the first.
+
+Replicas that train together share their seed: the order of scenes, the initial weights, the noise
+and the dropout are the same draws for all, so that a difference between two budgets is not blurred
+by chance, and a design does not depend on which others it was trained with.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi import coding, constraints
+from deepfsi.artifact import Design
+from deepfsi.classifiers import Mlp
+from deepfsi.constraints import Light, Rails
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.noise import root, variance
+from deepfsi.photons import mean_light
+from deepfsi.scanner import lit, project_pair
+
+Precision = Literal["auto", "float32", "bfloat16"]
+Progress = Callable[[float], None]
+"""Called with the share of the work that is done, 0 to 1."""
+
+BFLOAT16_COUNTS = 2.0**14
+"""Largest mean count of a readout for which bfloat16 products may be used in training.
+
+Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
+"""
+
+
+class Training(BaseModel):
+    """How a design is trained; all that do so together share one."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    epochs: int = Field(40, ge=1)
+    batch: int = Field(500, ge=2)
+    lr: float = Field(5e-3, gt=0, description="peak of the one-cycle schedule")
+    mask_lr: float = Field(5e-3, gt=0, description="the same for masks, relative to their rms")
+    hidden: tuple[int, ...] = (40, 128)
+    dropout: float = Field(0.0, ge=0, lt=1)
+    scale: Literal["each", "common"] = Field("each", description="spread of features")
+    decay: float = Field(0.0, ge=0, description="decoupled weight decay of the classifier")
+    start: str = Field("pca", description="design that learned masks start from")
+    precision: Precision = "auto"
+
+
+class Job(BaseModel):
+    """One design to be trained: what it is, and the light and noise it is trained under."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    design: str = "deepfsi"
+    masks: int = Field(ge=1)
+    photons: float = Field(gt=0, allow_inf_nan=False)
+    noise: Literal["ml_gauss", "gaussian", "none"] = "ml_gauss"
+    sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    light: Light = "column"
+    rails: Rails = "dual"
+    seed: int = 0
+    training: Training = Training()
+
+    @property
+    def code(self) -> coding.Code:
+        """What is known of the named design."""
+        return coding.DESIGNS[self.design]
+
+    @property
+    def optics(self) -> tuple[Light, Rails]:
+        """Constraint and rails in force: designs with one rail by definition keep it.
+
+        Impulse imaging has a detector for each pixel, which is `column` whatever else is compared.
+        """
+        light: Light = "column" if self.design == "impulse" else self.light
+        return light, "single" if self.code.single_rail else self.rails
+
+    def companions(self, device: torch.device) -> tuple[Any, ...]:
+        """What jobs must have in common to be trained together: all but budget and sigma."""
+        apart = {"photons", "sigma"}
+        return (self.model_dump_json(exclude=apart), products(self, device))
+
+
+class Scenes:
+    """A data set on a device, with what several trainings on it share.
+
+    Parameters
+    ----------
+    data : Dataset
+    device : str
+        "auto" (a GPU if there is one), "cpu" or "cuda".
+    """
+
+    def __init__(self, data: Dataset, device: str = "auto") -> None:
+        self.data = data
+        self.device = find_device(device)
+        self.light = mean_light(data.x_train)
+        self.labels = torch.from_numpy(data.y_train).to(self.device)
+        self.full = torch.from_numpy(data.x_train).to(self.device)
+        self._matrices: dict[tuple[str, int, int], np.ndarray] = {}
+
+    @cached_property
+    def half(self) -> Tensor:
+        """Training scenes in bfloat16."""
+        return self.full.bfloat16()
+
+    def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
+        """Sensing matrix of a fixed design; principal components are computed once for all m."""
+        coding.check_count(name, masks, self.data)
+        whole = self.data.pixels if name == "pca" else masks
+        key = (name, whole, seed if name == "random" else 0)
+        if key not in self._matrices:
+            self._matrices[key] = coding.sensing_matrix(name, whole, self.data, seed)
+        return self._matrices[key][:masks]
+
+
+def find_device(name: str) -> torch.device:
+    """Device of that name, or `InputError` if it is not one or is not here."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {name!r}: choose auto, cpu or cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda is not here: use --device cpu or auto")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def products(job: Job, device: torch.device) -> torch.dtype:
+    """Type of the products of learned masks: bfloat16 where that stays under the readout noise.
+
+    See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise.
+    """
+    if job.training.precision != "auto":
+        return getattr(torch, job.training.precision)  # type: ignore[no-any-return]
+    fast = (
+        torch.cuda.is_bf16_supported(including_emulation=False)
+        if device.type == "cuda"
+        else torch.cpu.get_capabilities().get("avx512_bf16", False)
+    )
+    readouts = job.masks * (2 if job.rails == "dual" else 1)
+    counts = job.photons / readouts
+    limit = {"ml_gauss": BFLOAT16_COUNTS, "gaussian": job.sigma * BFLOAT16_COUNTS**0.5}
+    return torch.bfloat16 if fast and counts <= limit.get(job.noise, 0) else torch.float32
+
+
+def learn(
+    data: Dataset,
+    *,
+    photons: float,
+    masks: int,
+    matrix: np.ndarray | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Design:
+    """Train one design on all training scenes of a data set.
+
+    Parameters
+    ----------
+    data : Dataset
+    photons : float
+        Budget Φ: expected photons on the coding device, in the mean over training scenes.
+    masks : int
+        m.
+    matrix : array, shape (m, N), optional
+        Your own sensing matrix, for ``design="custom"``.
+    device : {"auto", "cpu", "cuda"}
+    progress : callable, optional
+        Called with the share of the work that is done.
+    **settings
+        Further fields of `Job` (`design`, `noise`, `sigma`, `light`, `rails`, `seed`) and of
+        `Training` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`, `decay`,
+        `start`, `precision`).
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    InputError
+        For any setting that is not allowed.
+    """
+    inner = {key: settings.pop(key) for key in list(settings) if key in Training.model_fields}
+    with reworded():
+        job = Job(photons=photons, masks=masks, training=Training(**inner), **settings)
+    return train(Scenes(data, device), [job], matrix=matrix, progress=progress)[0]
+
+
+def train(
+    scenes: Scenes,
+    jobs: Sequence[Job],
+    matrix: np.ndarray | None = None,
+    progress: Progress | None = None,
+) -> list[Design]:
+    """Train designs side by side that differ in their budget (or sigma) only.
+
+    Parameters
+    ----------
+    scenes : Scenes
+    jobs : sequence of Job
+        R jobs that agree in `Job.companions`.
+    matrix : array, shape (m, N), optional
+        Sensing matrix of "custom" designs.
+    progress : callable, optional
+
+    Returns
+    -------
+    list of Design
+        In the order of `jobs`.
+    """
+    began = time.perf_counter()
+    report = progress or (lambda share: None)
+    for job in jobs:
+        check_job(job, scenes.data, matrix)
+    first = jobs[0]
+    if any(job.companions(scenes.device) != first.companions(scenes.device) for job in jobs):
+        raise ValueError("jobs that train together may differ in photons and sigma only")
+
+    masks: constraints.Fixed | constraints.Learned
+    if first.design == "control":
+        changes = {"design": "deepfsi", "noise": "gaussian"}
+        optimised = train(
+            scenes,
+            [job.model_copy(update=changes) for job in jobs],
+            progress=lambda share: report(share / 2),
+        )
+        masks = constraints.Fixed(torch.stack([design.rails for design in optimised]))
+        classifier = _optimise(scenes, jobs, masks, lambda share: report(0.5 + share / 2))
+    else:
+        masks = _masks(scenes, jobs, matrix).to(scenes.device)
+        classifier = _optimise(scenes, jobs, masks, report)
+
+    with torch.no_grad():
+        centre, spread, shares = _statistics(scenes, jobs, masks)
+        difference, total = masks()
+    light, rails = first.optics
+    every = constraints.separate(difference, total, rails)
+    seconds = time.perf_counter() - began
+    return [
+        Design(
+            name=job.design,
+            rails=constraints.check(every[r % len(every)].clone(), light),
+            classifier=classifier.replica(r).to(scenes.device),
+            centre=centre[r],
+            spread=spread[r],
+            shares=shares[r],
+            mean_light=scenes.light,
+            light=light,
+            image_shape=scenes.data.image_shape,
+            classes=scenes.data.classes,
+            info={
+                "job": job.model_dump(mode="json"),
+                "data": {"name": scenes.data.name, "hash": scenes.data.hash},
+                "preprocessing": scenes.data.preprocessing,
+                "torch": torch.__version__,
+                "device": scenes.device.type,
+                "products": str(products(job, scenes.device)).removeprefix("torch."),
+                "seconds": seconds / len(jobs),
+            },
+        )
+        for r, job in enumerate(jobs)
+    ]
+
+
+def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
+    """Raise `InputError` for whatever a job asks that cannot be had on this data."""
+    coding.check_design(job.design)
+    constraints.check_light(job.light, job.optics[1])
+    start = coding.DESIGNS[coding.check_design(job.training.start)]
+    if start.learned or job.training.start in ("control", "custom"):
+        raise InputError(f"masks cannot start from {job.training.start}: name a fixed design")
+    if job.design == "hadamard" and job.rails == "single":
+        raise InputError("hadamard is signed: use --rails dual, or the s-matrix")
+    if (matrix is not None) != (job.design == "custom"):
+        raise InputError("a matrix goes with the design `custom`, and only with it")
+    if matrix is None:
+        coding.check_count(job.design, job.masks, data)
+        return
+    matrix = np.asarray(matrix)
+    if matrix.shape != (job.masks, data.pixels):
+        raise InputError(
+            f"a matrix of shape {matrix.shape} does not fit: give ({job.masks}, {data.pixels})"
+        )
+    if not np.issubdtype(matrix.dtype, np.number) or not np.isfinite(matrix).all():
+        raise InputError("the matrix holds something else than finite numbers")
+    if not matrix.any():
+        raise InputError("the matrix is zero everywhere: give at least one lit entry")
+
+
+def _masks(
+    scenes: Scenes, jobs: Sequence[Job], matrix: np.ndarray | None
+) -> constraints.Fixed | constraints.Learned:
+    job = jobs[0]
+    light, rails = job.optics
+    name = job.training.start if job.code.learned else job.design
+    if matrix is not None:
+        own = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
+        own_rails = constraints.split(own) if rails == "dual" else own.unsqueeze(0)
+        return constraints.Fixed(constraints.check(own_rails, light).unsqueeze(0))
+    if rails == "dual" or job.code.single_rail:
+        signed = torch.from_numpy(scenes.matrix(name, job.masks, job.seed)).float()
+    else:
+        signed = _frames(scenes, name, job.masks, job.seed)
+    if job.code.learned:
+        return constraints.Learned(signed.repeat(len(jobs), 1, 1), light, rails)
+    if job.design == "raster":
+        return constraints.Fixed(signed[None, None])
+    return constraints.Fixed(constraints.fit(signed, light, rails).unsqueeze(0))
+
+
+def _frames(scenes: Scenes, name: str, count: int, seed: int) -> Tensor:
+    """The first `count` lit rails of a design, mask by mask; the masks are as many as needed."""
+    _, most = coding.count_allowed(name, scenes.data)
+    for masks in range(min(-(-count // 2), most), most + 1):
+        signed = torch.from_numpy(scenes.matrix(name, masks, seed)).float()
+        lit_frames = constraints.frames(constraints.split(signed))
+        if len(lit_frames) >= count:
+            return lit_frames[:count]
+    raise InputError(f"{count} frames are not allowed for {name}: give at most {len(lit_frames)}")
+
+
+def _optimise(
+    scenes: Scenes,
+    jobs: Sequence[Job],
+    masks: constraints.Fixed | constraints.Learned,
+    report: Progress,
+) -> Mlp:
+    """Train the classifiers, and the masks where they learn; masks are changed in place."""
+    job, how, device = jobs[0], jobs[0].training, scenes.device
+    generator = torch.Generator(device).manual_seed(job.seed)
+    classifier = Mlp(
+        job.masks,
+        len(scenes.data.classes),
+        how.hidden,
+        how.dropout,
+        replicas=len(jobs),
+        generator=generator,
+    ).train()
+    learns = isinstance(masks, constraints.Learned)
+    groups: list[dict[str, Any]] = [
+        {"params": list(classifier.parameters()), "lr": how.lr, "weight_decay": how.decay}
+    ]
+    if learns:
+        groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
+        x = scenes.half if products(job, device) == torch.bfloat16 else scenes.full
+    else:
+        means, lights = _measure(scenes, masks)
+        centre, spread, _ = _statistics(scenes, jobs, masks)
+
+    count = len(scenes.labels)
+    batch = min(how.batch, count)
+    steps = count // batch
+    optimiser = torch.optim.AdamW(groups, fused=True)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, [group["lr"] for group in groups], total_steps=how.epochs * steps
+    )
+    for epoch in range(how.epochs):
+        order = torch.randperm(count, generator=generator, device=device)
+        for step in range(steps):
+            rows = order[step * batch : (step + 1) * batch]
+            if learns:
+                difference, total = masks()
+                both = job.noise == "ml_gauss"
+                products_ = project_pair(x.index_select(0, rows), difference, total, both)
+                mean, light = (product.float() / scenes.light for product in products_)
+                shown = lit(difference, total)
+            else:
+                mean, light = means.index_select(0, rows), lights.index_select(0, rows)
+                shown = lit(*masks())
+            epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
+            features = mean + root(_noise_variance(jobs, light, shown)) * epsilon
+            if learns:
+                features = _standardise(features, how.scale)
+            else:
+                features = (features - centre) / spread
+            logits = classifier(features.transpose(0, 1))
+            labels = scenes.labels.index_select(0, rows).repeat(len(jobs))
+            loss = functional.cross_entropy(logits.flatten(0, 1), labels) * len(jobs)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            schedule.step()
+        report((epoch + 1) / how.epochs)
+    return classifier.eval()
+
+
+def _standardise(features: Tensor, scale: str) -> Tensor:
+    """Centre and scale features (B, R, m) with the statistics of their batch."""
+    if scale == "each":
+        columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
+        return columns.view_as(features)
+    centred = features - features.mean(dim=0)
+    return centred / centred.square().mean(dim=(0, 2)).sqrt()[:, None]
+
+
+def _measure(scenes: Scenes, masks: constraints.Fixed | constraints.Learned) -> tuple[Tensor, ...]:
+    """Noiseless x D / s and x S / s of all training scenes, each (n, R, m)."""
+    difference, total = masks()
+    chunks = [
+        project_pair(x / scenes.light, difference, total, both=True) for x in scenes.full.split(4096)
+    ]
+    means = torch.cat([mean for mean, _ in chunks])
+    if difference is total:
+        return means, means
+    return means, torch.cat([light for _, light in chunks])
+
+
+def _noise_variance(jobs: Sequence[Job], light: Tensor, shown: Tensor) -> Tensor:
+    """Variance of y / Φ, (..., R, m), where the rails together see `light` = x S / s."""
+    budget = light.new_tensor([[job.photons] for job in jobs])
+    sigma = light.new_tensor([[job.sigma] for job in jobs])
+    return variance(light * budget, shown, jobs[0].noise, sigma) / budget.square()
+
+
+def _statistics(
+    scenes: Scenes, jobs: Sequence[Job], masks: constraints.Fixed | constraints.Learned
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean and spread of y / Φ over the training set and its noise, and counted shares: (R, m)."""
+    means, lights = _measure(scenes, masks)
+    shares = lights.mean(dim=0)
+    noise_power = _noise_variance(jobs, shares, lit(*masks()))
+    power = means.var(dim=0, correction=0) + noise_power
+    if jobs[0].training.scale == "common":
+        power = power.mean(dim=-1, keepdim=True).expand_as(power)
+    spread = torch.where(power > 0, power, 1.0).sqrt()
+    centre = means.mean(dim=0).expand_as(spread)
+    return centre.clone(), spread.clone(), shares.expand_as(spread).clone()
+
+
+@contextmanager
+def reworded() -> Iterator[None]:
+    """Turn pydantic's errors into one `InputError` that names every bad field."""
+    try:
+        yield
+    except ValidationError as error:
+        faults = [
+            f"{'.'.join(map(str, fault['loc'])) or 'settings'} = {fault['input']!r}: "
+            f"{fault['msg'][0].lower()}{fault['msg'][1:]}"
+            for fault in error.errors()
+        ]
+        raise InputError("; ".join(faults)) from None
