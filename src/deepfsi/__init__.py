@@ -1,0 +1,62 @@
+"""DeepFSI: learn the masks of a photon-limited single-pixel camera with the network that reads them.
+
+Implements and extends Y. Lu and A. Velten, *Deep Feature-specific Imaging*. Names are loaded when
+they are first used, so that importing the package costs little.
+"""
+
+import importlib
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deepfsi.artifact import Design as Design
+    from deepfsi.classifiers import Mlp as Mlp
+    from deepfsi.datasets import Dataset as Dataset
+    from deepfsi.datasets import from_arrays as from_arrays
+    from deepfsi.datasets import load_dataset as load_dataset
+    from deepfsi.errors import InputError as InputError
+    from deepfsi.evaluation import Result as Result
+    from deepfsi.evaluation import evaluate as evaluate
+    from deepfsi.photons import photons_per_pixel as photons_per_pixel
+    from deepfsi.scanner import Scanner as Scanner
+    from deepfsi.training import learn as learn
+
+__version__ = version("deepfsi")
+
+_HOMES = {
+    "Dataset": "datasets",
+    "Design": "artifact",
+    "InputError": "errors",
+    "Mlp": "classifiers",
+    "Result": "evaluation",
+    "Scanner": "scanner",
+    "evaluate": "evaluation",
+    "from_arrays": "datasets",
+    "learn": "training",
+    "load_dataset": "datasets",
+    "photons_per_pixel": "photons",
+}
+
+__all__ = [
+    "Dataset",
+    "Design",
+    "InputError",
+    "Mlp",
+    "Result",
+    "Scanner",
+    "evaluate",
+    "from_arrays",
+    "learn",
+    "load_dataset",
+    "photons_per_pixel",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'deepfsi' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -25,6 +25,8 @@ class Result:
     ----------
     photons : float
         Budget Φ.
+    noise : str
+        Of this test.
     accuracy, low, high : float
         Mean over images and noise draws, and its 95 % interval.
     covers : str
@@ -42,6 +44,7 @@ class Result:
     """
 
     photons: float
+    noise: str
     accuracy: float
     low: float
     high: float
@@ -123,12 +126,14 @@ def evaluate(
                     guess = design.logits(subtract(counts), budget).argmax(dim=-1)
                     np.add.at(confusion, (truth.numpy(), guess.cpu().numpy()), 1)
     return [
-        _result(budget, confusion, draws, share)
+        _result(budget, noise, confusion, draws, share)
         for budget, confusion in zip(budgets, confusions, strict=True)
     ]
 
 
-def _result(budget: float, confusion: np.ndarray, draws: int, share: list[float]) -> Result:
+def _result(
+    budget: float, noise: str, confusion: np.ndarray, draws: int, share: list[float]
+) -> Result:
     from scipy.stats import binomtest
 
     images = int(confusion.sum()) // draws
@@ -136,6 +141,7 @@ def _result(budget: float, confusion: np.ndarray, draws: int, share: list[float]
     interval = binomtest(round(accuracy * images), images).proportion_ci(0.95, method="wilson")
     return Result(
         photons=budget,
+        noise=noise,
         accuracy=accuracy,
         low=float(interval.low),
         high=float(interval.high),

@@ -86,9 +86,12 @@ class Scanner(nn.Module):
 
 
 def project(photons: Tensor, masks: Tensor) -> Tensor:
-    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m)."""
+    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m).
+
+    Multiplies in the type of the scenes and returns that of the masks.
+    """
     flat = masks.flatten(0, -2).to(photons.dtype)
-    return (photons @ flat.T).unflatten(-1, masks.shape[:-1])
+    return (photons @ flat.T).to(masks.dtype).unflatten(-1, masks.shape[:-1])
 
 
 def project_pair(
@@ -101,8 +104,7 @@ def project_pair(
     if difference is total or not both:
         mean = project(photons, difference)
         return mean, mean
-    both_rails = project(photons, torch.stack([difference, total]))
-    mean, light = both_rails.unbind(dim=-difference.ndim)
+    mean, light = project(photons, torch.stack([difference, total])).unbind(-difference.ndim)
     return mean, light
 
 

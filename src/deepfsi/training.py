@@ -48,7 +48,7 @@ class Training(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     epochs: int = Field(40, ge=1)
-    batch: int = Field(500, ge=2)
+    batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
     lr: float = Field(5e-3, gt=0, description="peak of the one-cycle schedule")
     mask_lr: float = Field(5e-3, gt=0, description="the same for masks, relative to their rms")
     hidden: tuple[int, ...] = (40, 128)
@@ -91,7 +91,13 @@ class Job(BaseModel):
     def companions(self, device: torch.device) -> tuple[Any, ...]:
         """What jobs must have in common to be trained together: all but budget and sigma."""
         apart = {"photons", "sigma"}
-        return (self.model_dump_json(exclude=apart), products(self, device))
+        return (self.model_dump_json(exclude=apart), products(self.masks_from(), device))
+
+    def masks_from(self) -> "Job":
+        """The job that makes the masks: for the control group DeepFSI under gaussian noise."""
+        if self.design != "control":
+            return self
+        return self.model_copy(update={"design": "deepfsi", "noise": "gaussian"})
 
 
 class Scenes:
@@ -230,10 +236,9 @@ def train(
 
     masks: constraints.Fixed | constraints.Learned
     if first.design == "control":
-        changes = {"design": "deepfsi", "noise": "gaussian"}
         optimised = train(
             scenes,
-            [job.model_copy(update=changes) for job in jobs],
+            [job.masks_from() for job in jobs],
             progress=lambda share: report(share / 2),
         )
         masks = constraints.Fixed(torch.stack([design.rails for design in optimised]))
@@ -243,21 +248,21 @@ def train(
         classifier = _optimise(scenes, jobs, masks, report)
 
     with torch.no_grad():
-        centre, spread, shares = _statistics(scenes, jobs, masks)
+        centre, spread, light = _statistics(scenes, jobs, masks)
         difference, total = masks()
-    light, rails = first.optics
+    constraint, rails = first.optics
     every = constraints.separate(difference, total, rails)
     seconds = time.perf_counter() - began
     return [
         Design(
             name=job.design,
-            rails=constraints.check(every[r % len(every)].clone(), light),
+            rails=constraints.check(every[r % len(every)].clone(), constraint),
             classifier=classifier.replica(r).to(scenes.device),
-            centre=centre[r],
-            spread=spread[r],
-            shares=shares[r],
+            centre=centre[r] / scenes.light,
+            spread=spread[r] / scenes.light,
+            shares=light[r] / scenes.light,
             mean_light=scenes.light,
-            light=light,
+            light=constraint,
             image_shape=scenes.data.image_shape,
             classes=scenes.data.classes,
             info={
@@ -356,11 +361,13 @@ def _optimise(
         groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
         x = scenes.half if products(job, device) == torch.bfloat16 else scenes.full
     else:
+        shown = masks()
         means, lights = _measure(scenes, masks)
-        centre, spread, _ = _statistics(scenes, jobs, masks)
+        centre, spread = _statistics(scenes, jobs, masks)[:2]
 
+    noise = _Noise(scenes, jobs)
     count = len(scenes.labels)
-    batch = min(how.batch, count)
+    batch = min(how.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -368,19 +375,14 @@ def _optimise(
     )
     for epoch in range(how.epochs):
         order = torch.randperm(count, generator=generator, device=device)
-        for step in range(steps):
-            rows = order[step * batch : (step + 1) * batch]
+        for rows in order[: steps * batch].split(batch):
             if learns:
-                difference, total = masks()
-                both = job.noise == "ml_gauss"
-                products_ = project_pair(x.index_select(0, rows), difference, total, both)
-                mean, light = (product.float() / scenes.light for product in products_)
-                shown = lit(difference, total)
+                shown = masks()
+                mean, light = project_pair(x.index_select(0, rows), *shown, noise.needs_light)
             else:
                 mean, light = means.index_select(0, rows), lights.index_select(0, rows)
-                shown = lit(*masks())
             epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
-            features = mean + root(_noise_variance(jobs, light, shown)) * epsilon
+            features = mean + root(noise.variance(light, shown)) * epsilon
             if learns:
                 features = _standardise(features, how.scale)
             else:
@@ -396,6 +398,28 @@ def _optimise(
     return classifier.eval()
 
 
+class _Noise:
+    """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts."""
+
+    def __init__(self, scenes: Scenes, jobs: Sequence[Job]) -> None:
+        self.kind = jobs[0].noise
+        gain = [[job.photons / scenes.light] for job in jobs]
+        self.gain = torch.tensor(gain, device=scenes.device)
+        self.sigma = torch.tensor([[job.sigma] for job in jobs], device=scenes.device)
+
+    @property
+    def needs_light(self) -> bool:
+        """Whether the noise depends on x S."""
+        return self.kind == "ml_gauss"
+
+    def variance(self, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
+        """Variance (..., R, m) where the rails together see `light` = x S, (..., R, m)."""
+        if self.kind == "ml_gauss":
+            return light / self.gain
+        counts = variance(light, lit(*masks), self.kind, self.sigma)
+        return counts / self.gain.square()
+
+
 def _standardise(features: Tensor, scale: str) -> Tensor:
     """Centre and scale features (B, R, m) with the statistics of their batch."""
     if scale == "each":
@@ -406,37 +430,26 @@ def _standardise(features: Tensor, scale: str) -> Tensor:
 
 
 def _measure(scenes: Scenes, masks: constraints.Fixed | constraints.Learned) -> tuple[Tensor, ...]:
-    """Noiseless x D / s and x S / s of all training scenes, each (n, R, m)."""
+    """Noiseless x D and x S of all training scenes, each (n, R, m)."""
     difference, total = masks()
-    chunks = [
-        project_pair(x / scenes.light, difference, total, both=True) for x in scenes.full.split(4096)
-    ]
+    chunks = [project_pair(x, difference, total, both=True) for x in scenes.full.split(4096)]
     means = torch.cat([mean for mean, _ in chunks])
     if difference is total:
         return means, means
     return means, torch.cat([light for _, light in chunks])
 
 
-def _noise_variance(jobs: Sequence[Job], light: Tensor, shown: Tensor) -> Tensor:
-    """Variance of y / Φ, (..., R, m), where the rails together see `light` = x S / s."""
-    budget = light.new_tensor([[job.photons] for job in jobs])
-    sigma = light.new_tensor([[job.sigma] for job in jobs])
-    return variance(light * budget, shown, jobs[0].noise, sigma) / budget.square()
-
-
 def _statistics(
     scenes: Scenes, jobs: Sequence[Job], masks: constraints.Fixed | constraints.Learned
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean and spread of y / Φ over the training set and its noise, and counted shares: (R, m)."""
+    """Mean and spread of the features over the training set and its noise, and mean x S: (R, m)."""
     means, lights = _measure(scenes, masks)
-    shares = lights.mean(dim=0)
-    noise_power = _noise_variance(jobs, shares, lit(*masks()))
-    power = means.var(dim=0, correction=0) + noise_power
+    light = lights.mean(dim=0)
+    power = means.var(dim=0, correction=0) + _Noise(scenes, jobs).variance(light, masks())
     if jobs[0].training.scale == "common":
         power = power.mean(dim=-1, keepdim=True).expand_as(power)
     spread = torch.where(power > 0, power, 1.0).sqrt()
-    centre = means.mean(dim=0).expand_as(spread)
-    return centre.clone(), spread.clone(), shares.expand_as(spread).clone()
+    return means.mean(dim=0).expand_as(spread), spread, light.expand_as(spread)
 
 
 @contextmanager

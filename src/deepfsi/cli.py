@@ -1,0 +1,497 @@
+"""The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import click
+import typer
+
+from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from deepfsi.datasets import Dataset
+
+app = typer.Typer(
+    name="deepfsi",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Design the masks of a photon-limited single-pixel camera with the network that reads them."
+    "\n\nStart with: deepfsi compare",
+)
+data_app = typer.Typer(
+    no_args_is_help=True,
+    help="Data sets by name: what there is, fetch it, check it.\n\nExample: deepfsi data list",
+)
+app.add_typer(data_app, name="data")
+
+DataOption = Annotated[
+    str, typer.Option("--data", help="digits, mnist, fashion-mnist, a folder of images or an .npz")
+]
+SizeOption = Annotated[
+    str | None, typer.Option(help="resize folder images to HEIGHTxWIDTH, or one number for both")
+]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+JsonOption = Annotated[bool, typer.Option("--json", help="print JSON and nothing else")]
+LightOption = Annotated[
+    str, typer.Option(help="light constraint: column, equal-dwell, free-dwell or two-arm")
+]
+RailsOption = Annotated[
+    str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
+]
+SigmaOption = Annotated[float, typer.Option(help="gaussian read noise, counts per readout")]
+MatrixOption = Annotated[
+    Path | None, typer.Option(help="your own sensing matrix, .npy of shape (m, N)")
+]
+EpochsOption = Annotated[int | None, typer.Option(help="training epochs")]
+
+
+@app.command()
+def compare(
+    context: typer.Context,
+    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/compare"),
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    designs: Annotated[str | None, typer.Option(help="names, separated by commas")] = None,
+    photons: Annotated[str | None, typer.Option(help="budgets, such as 1e3,1e4,1e5")] = None,
+    ratios: Annotated[
+        str | None, typer.Option(help="compression ratios m/N, such as 0.01,0.04,0.09")
+    ] = None,
+    masks: Annotated[str | None, typer.Option(help="mask counts, instead of ratios")] = None,
+    noise: Annotated[str | None, typer.Option(help="poisson, gaussian, none")] = None,
+    sigma: Annotated[float | None, typer.Option(help="gaussian noise, counts per readout")] = None,
+    light: Annotated[str | None, typer.Option(help="light constraints")] = None,
+    rails: Annotated[str | None, typer.Option(help="dual, single")] = None,
+    trials: Annotated[int | None, typer.Option(help="training seeds for each point")] = None,
+    epochs: EpochsOption = None,
+    matrix: MatrixOption = None,
+    recipe: Annotated[
+        Path | None, typer.Option(help="TOML file; options given here override it")
+    ] = None,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Train every design at every budget, and report which sees best.
+
+    The mask count of each design is chosen on validation data, and the test set is read once. A
+    stopped comparison goes on where it was when run again with the same output folder.
+
+    Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
+    """
+    from deepfsi import report, sweep
+
+    own = _matrix(matrix)
+    settings = _toml(recipe) if recipe else dict(_QUICK) if data == "digits" else {}
+    given = {
+        "data": data if recipe is None or _given(context, "data") else None,
+        "size": _size(size),
+        "designs": _list(designs),
+        "photons": _numbers("photons", photons),
+        "ratios": _numbers("ratios", ratios),
+        "masks": _numbers("masks", masks, whole=True),
+        "noise": _list(noise),
+        "sigma": sigma,
+        "light": _list(light),
+        "rails": _list(rails),
+        "trials": trials,
+    }
+    settings |= {key: value for key, value in given.items() if value is not None}
+    if masks is not None:
+        settings.pop("ratios", None)
+    if ratios is not None:
+        settings.pop("masks", None)
+    if epochs is not None:
+        settings["training"] = {**settings.get("training", {}), "epochs": epochs}
+    from deepfsi.training import reworded
+
+    with reworded():
+        chosen = sweep.Recipe.model_validate(settings)
+        if own is not None and "custom" not in chosen.designs:
+            chosen = chosen.model_copy(update={"designs": (*chosen.designs, "custom")})
+    scenes = _load(chosen.data, chosen.size)
+    _writable(out)
+    with _progress("compare", quiet=as_json) as tell:
+        results = sweep.compare(
+            chosen,
+            scenes,
+            out,
+            command=_command(),
+            matrix=own,
+            device=device,
+            report=tell,
+        )
+    page = report.build(out)
+    if as_json:
+        _print_json(results)
+        return
+    _print_points(results)
+    print(f"report: {page}")
+
+
+@app.command()
+def design(
+    photons: Annotated[str, typer.Option(help="budget: expected photons on the coding device")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")],
+    masks: Annotated[str | None, typer.Option(help="number of masks, m")] = None,
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    name: Annotated[str, typer.Option("--design", help="which design")] = "deepfsi",
+    noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
+    sigma: SigmaOption = 1.0,
+    light: LightOption = "column",
+    rails: RailsOption = "dual",
+    epochs: EpochsOption = None,
+    seed: Annotated[int, typer.Option(help="repeats exactly on one device")] = 0,
+    matrix: MatrixOption = None,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Learn masks and classifier for one budget, and save them as one file.
+
+    Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
+    """
+    from deepfsi import coding, sweep
+    from deepfsi.evaluation import evaluate as test
+    from deepfsi.training import learn
+
+    own = _matrix(matrix)
+    budget = _one("photons", photons)
+    scenes = _load(data, _size(size))
+    if noise not in sweep.TRAINING_NOISE:
+        from deepfsi.errors import closest
+
+        raise InputError(f"unknown noise {noise!r}: {closest(noise, sweep.TRAINING_NOISE)}")
+    kind = "custom" if own is not None else coding.check_design(name)
+    if own is not None:
+        count: float = len(own)
+    elif masks is not None:
+        count = _one("masks", masks)
+    elif coding.DESIGNS[kind].fixed_count:
+        count = coding.count_allowed(kind, scenes)[1]
+    else:
+        raise InputError(f"{kind} needs a number of masks: add --masks, for instance --masks 10")
+    coding.check_count(kind, count, scenes)
+    _writable(out.parent)
+    settings = {} if epochs is None else {"epochs": epochs}
+    with _progress(f"{kind}, {count:g} masks", quiet=as_json) as tell:
+        made = learn(
+            scenes,
+            photons=budget,
+            masks=int(count),
+            design=kind,
+            noise=sweep.TRAINING_NOISE[noise],
+            sigma=sigma,
+            light=light,
+            rails=rails,
+            seed=seed,
+            matrix=own,
+            device=device,
+            progress=lambda share: tell(share, ""),
+            **settings,
+        )
+    result = test(made, scenes, budget, noise=noise, sigma=sigma)[0]
+    made.save(out)
+    if as_json:
+        _print_json({"design": str(out), "info": made.info, "test": result.as_dict()})
+        return
+    print(
+        f"{kind} with {made.masks} masks at {budget:g} photons: test accuracy "
+        f"{result.accuracy:.4f} [{result.low:.4f}, {result.high:.4f}], "
+        f"light throughput {result.throughput:.3f}\nsaved: {out}"
+    )
+
+
+@app.command()
+def evaluate(
+    file: Annotated[Path, typer.Argument(help="design file")],
+    photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    noise: Annotated[str, typer.Option(help="poisson, gaussian, ml_gauss or none")] = "poisson",
+    sigma: SigmaOption = 1.0,
+    draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
+    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Test a design at any budgets, under exact photon noise.
+
+    Example: deepfsi evaluate digits.safetensors --data mnist --photons 1e2,1e3,1e4
+    """
+    from deepfsi.artifact import Design
+    from deepfsi.evaluation import evaluate as test
+    from deepfsi.training import find_device
+
+    budgets = _numbers("photons", photons) or []
+    made = Design.load(file, find_device(device))
+    scenes = _load(data, _size(size))
+    results = test(made, scenes, budgets, noise=noise, sigma=sigma, draws=draws, seed=seed)
+    if as_json:
+        _print_json({"design": str(file), "results": [result.as_dict() for result in results]})
+        return
+    rows = [
+        (
+            f"{r.photons:g}",
+            f"{r.accuracy:.4f}",
+            f"{r.low:.4f} to {r.high:.4f}",
+            f"{min(r.rates):.3f} ({made.classes[r.rates.index(min(r.rates))]})",
+            f"{r.throughput:.3f}",
+            f"{r.photons * r.throughput / made.masks:.3g}",
+        )
+        for r in results
+    ]
+    heads = ("photons", "accuracy", "95 % interval", "worst class", "throughput", "counts per mask")
+    _print_table(f"{made.name}, {made.masks} masks, {noise} noise", heads, rows)
+    print(f"interval: {results[0].covers}")
+
+
+@app.command()
+def show(
+    file: Annotated[Path, typer.Argument(help="design file")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="picture: .png, .svg or .pdf")],
+    count: Annotated[int, typer.Option(help="at most this many masks")] = 24,
+) -> None:
+    """Draw the masks of a design.
+
+    Example: deepfsi show digits.safetensors -o masks.png
+    """
+    from deepfsi import report
+    from deepfsi.artifact import Design
+
+    if out.suffix not in (".png", ".svg", ".pdf"):
+        raise InputError(f"cannot draw to {out}: end the name in .png, .svg or .pdf")
+    if count < 1:
+        raise InputError(f"{count} masks cannot be drawn: give at least 1")
+    made = Design.load(file)
+    _writable(out.parent)
+    budget = made.info.get("job", {}).get("photons")
+    title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
+    figure = report.masks_figure(made.matrix, made.image_shape, title=title, count=count)
+    figure.savefig(out, dpi=160)
+    print(f"drawn: {out}")
+
+
+@data_app.command("list")
+def data_list(as_json: JsonOption = False) -> None:
+    """List the data sets that have a name, and where they are.
+
+    Example: deepfsi data list --json
+    """
+    from deepfsi.datasets import list_datasets
+
+    known = list_datasets()
+    if as_json:
+        _print_json([entry._asdict() for entry in known])
+        return
+    rows = [
+        (entry.name, str(entry.images), str(entry.pixels), str(entry.classes), str(entry.where))
+        for entry in known
+    ]
+    _print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
+
+
+@data_app.command("download")
+def data_download(name: Annotated[str, typer.Argument(help="name of a data set")]) -> None:
+    """Fetch a data set once, checked by hash.
+
+    Example: deepfsi data download mnist
+    """
+    from deepfsi.datasets import download
+
+    print(f"{name}: {download(name)}")
+
+
+@data_app.command("check")
+def data_check(
+    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: JsonOption = False
+) -> None:
+    """Compare a data set's files with their known hashes.
+
+    Example: deepfsi data check mnist
+    """
+    from deepfsi.datasets import check
+
+    files = check(name)
+    if as_json:
+        _print_json([entry._asdict() for entry in files])
+    else:
+        rows = [(str(f.file), "good" if f.ok else "BAD", f.detail) for f in files]
+        _print_table(name, ("file", "state", "detail"), rows)
+    if not all(entry.ok for entry in files):
+        raise typer.Exit(1)
+
+
+def main() -> NoReturn:
+    """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
+    try:
+        code = app(standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        code = stop.exit_code
+    except click.ClickException as error:
+        _fail(error.format_message())
+    except InputError as error:
+        _fail(str(error))
+    except (KeyboardInterrupt, click.Abort):
+        print("deepfsi: stopped; finished work is kept, run again to go on", file=sys.stderr)
+        sys.exit(130)
+    except OSError as error:
+        _fail(f"{error.filename or 'file'}: {error.strerror or error}")
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> NoReturn:
+    print(f"deepfsi: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+_QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3}
+
+
+def _given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _list(text: str | None) -> list[str] | None:
+    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _numbers(option: str, text: str | None, whole: bool = False) -> list[Any] | None:
+    parts = _list(text)
+    if parts is None:
+        return None
+    if not parts:
+        raise InputError(f"--{option} is empty: give one number or more, separated by commas")
+    values = [_one(option, part) for part in parts]
+    return [int(value) if whole and value.is_integer() else value for value in values]
+
+
+def _one(option: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--{option} {text!r} is not a number") from None
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    sides = text.lower().split("x")
+    if not all(side.isdecimal() and int(side) > 0 for side in sides) or len(sides) > 2:
+        raise InputError(f"--size {text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32")
+    return int(sides[0]), int(sides[-1])
+
+
+def _load(data: str, size: tuple[int, int] | None) -> "Dataset":
+    from deepfsi.datasets import load_dataset
+
+    return load_dataset(data, size=size)
+
+
+def _matrix(path: Path | None) -> "np.ndarray | None":
+    if path is None:
+        return None
+    import numpy as np
+
+    try:
+        matrix = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        raise InputError(f"no matrix in {path}: give an .npy file of shape (m, N)") from None
+    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or not matrix.size:
+        raise InputError(f"{path} does not hold one matrix of shape (m, N)")
+    return matrix
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    import tomllib
+
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"no recipe at {path}: give a TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not TOML: {error}") from None
+
+
+def _writable(folder: Path) -> None:
+    """Fail before the work rather than after it, and leave nothing behind."""
+    import tempfile
+
+    there = folder
+    while not there.exists():
+        there = there.parent
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"cannot write to {folder}: {error.strerror}; choose another place with -o"
+        ) from None
+
+
+def _command() -> str:
+    return shlex.join(["deepfsi", *sys.argv[1:]])
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=1))
+
+
+def _print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for number, head in enumerate(heads):
+        table.add_column(head, justify="left" if number == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def _print_points(results: dict[str, Any]) -> None:
+    best = [point for point in results["points"] if point["best"]]
+    heads = ("design", "noise", "photons", "masks", "accuracy", "95 % interval", "throughput")
+    rows = [
+        (
+            f"{p['title']} ({p['label']})",
+            p["noise"],
+            f"{p['photons']:g}",
+            str(p["masks"]),
+            f"{p['accuracy']:.4f}",
+            f"{p['low']:.4f} to {p['high']:.4f}",
+            f"{p['throughput']:.3f}",
+        )
+        for p in sorted(best, key=lambda p: (p["noise"], p["photons"], -p["accuracy"]))
+    ]
+    _print_table(results["title"], heads, rows)
+    print(f"interval: {best[0]['covers']}")
+    if results["chosen_on"] == "validation":
+        print("mask counts were chosen on validation data; the table is of test data")
+
+
+@contextmanager
+def _progress(what: str, quiet: bool) -> Iterator[Callable[[float, str], None]]:
+    """Progress bar on standard error with the time left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as TimeLeft
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+
+        def tell(share: float, now: str) -> None:
+            bar.update(task, completed=share, description=now or what)
+
+        yield tell

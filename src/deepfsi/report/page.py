@@ -1,0 +1,321 @@
+"""The output folder of a comparison, as one HTML page that needs nothing else."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from safetensors import SafetensorError, safe_open
+
+from deepfsi.errors import InputError
+from deepfsi.report import figures
+from deepfsi.report.figures import Point, Results, noise_text, photons_text
+
+SCHEMA = 1
+MASKS_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture and what is written above it."""
+
+    heading: str
+    note: str
+    pictures: tuple[Markup, ...]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """The masks of one learned design under one noise, a panel for each budget."""
+
+    heading: str
+    panels: list[Panel]
+
+
+@dataclass(frozen=True)
+class Best:
+    """Each design at its chosen mask count under one noise: a row a design, a column a budget."""
+
+    heading: str
+    budgets: list[float]
+    rows: list[tuple[str, Point, list[Point | None]]]
+    leaders: dict[float, Point]
+
+
+def build(folder: str | os.PathLike[str]) -> Path:
+    """Write `report.html` into the output folder of a comparison, all or nothing.
+
+    Parameters
+    ----------
+    folder : path
+        Holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        If there are no results, or they cannot be read.
+    """
+    home = Path(folder)
+    text = render(read_results(home), home / "designs")
+    page = home / "report.html"
+    draft = home / f".report.html.{os.getpid()}"
+    try:
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, page)
+    finally:
+        draft.unlink(missing_ok=True)
+    return page
+
+
+def read_results(folder: Path) -> Results:
+    """Content of a folder's `results.json`, or `InputError`."""
+    path = folder / "results.json"
+    if not path.is_file():
+        raise InputError(f"no results in {folder}: make them with `deepfsi compare -o {folder}`")
+    try:
+        results = json.loads(path.read_text(encoding="utf-8"))
+        schema, points = int(results["schema"]), len(results["points"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is not a whole results file: run the comparison again") from error
+    if schema > SCHEMA:
+        raise InputError(
+            f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
+        )
+    if not points:
+        raise InputError(f"{path} holds no finished point: run the comparison again")
+    return results  # type: ignore[no-any-return]
+
+
+def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Rails (2 or 1, m, N) and image shape of a design file."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = json.loads(file.metadata()["deepfsi"])
+            return file.get_tensor("rails"), tuple(header["image_shape"])
+    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
+        raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
+
+
+def render(results: Results, designs: Path) -> str:
+    """Text of the page."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(photons=photons_text, noise=noise_text, share=share_text)
+    data = results["data"]
+    points = results["points"]
+    learned = list(learned_masks(results, designs))
+    return environment.get_template("page.html.jinja").render(
+        results=results,
+        colours=figures.COLOURS,
+        dark_colours=figures.DARK_COLOURS,
+        summary=[summary(results, noise) for noise in figures.noises(results)],
+        variants=len(figures.series(points)) > len({p["design"] for p in points}),
+        accuracy=list(accuracy_panels(results)),
+        counts=list(count_panels(results)),
+        tables=[best_table(results, noise) for noise in figures.noises(results)],
+        designs_shown={p["label"]: p["title"] for p in points},
+        covers=list(dict.fromkeys(p["covers"] for p in points)),
+        learned=learned,
+        learned_missing=not learned and any(p["learned"] for p in points),
+        scale=colour_scale() if learned and len(data["image_shape"]) == 2 else None,
+        masks_shown=MASKS_SHOWN,
+        scene=scene_text(data["image_shape"]),
+        facts=[
+            ("Data", list(flat({k: v for k, v in data.items() if k != "classes"}))),
+            ("Recipe", list(flat(results["recipe"]))),
+            ("Made with", list(flat(results["provenance"]))),
+        ],
+    )
+
+
+def share_text(value: float | None) -> str:
+    """Write a share between 0 and 1 with three decimals; a dash where there is none."""
+    return "–" if value is None else f"{value:.3f}"
+
+
+def scene_text(shape: list[int]) -> str:
+    """Scene's size in words."""
+    if len(shape) == 1:
+        return f"{shape[0]} bands"
+    return f"{' × '.join(map(str, shape))} = {int(np.prod(shape))} pixels"
+
+
+def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Yield settings as name and value, nested names joined with a dot."""
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{above}{name}.")
+        else:
+            items = value if isinstance(value, list | tuple) else [value]
+            yield (
+                above + name,
+                ", ".join(
+                    f"{item:.6g}" if isinstance(item, float) else str(item) for item in items
+                ),
+            )
+
+
+def chosen(results: Results, noise: str) -> list[Point]:
+    """Points at the chosen mask counts under a noise."""
+    return [p for p in results["points"] if p["noise"] == noise and p["best"]]
+
+
+def ranking(points: list[Point], photons: float) -> list[Point]:
+    """One-detector designs at a budget, most accurate first; impulse imaging if it is alone."""
+    here = [p for p in points if p["photons"] == photons]
+    single = [p for p in here if p["design"] != "impulse"]
+    return sorted(single or here, key=lambda p: -p["accuracy"])
+
+
+def summary(results: Results, noise: str) -> str:
+    """Say what the numbers say under a noise: who leads where, and how clearly at both ends."""
+    points = chosen(results, noise)
+    names = figures.series_names(points, "title")
+    budgets = sorted({p["photons"] for p in points})
+
+    def name(point: Point) -> str:
+        return names[point["design"], point["light"], point["rails"]]
+
+    def reach(point: Point) -> str:
+        low, high = share_text(point["low"]), share_text(point["high"])
+        return f"{share_text(point['accuracy'])} ({low}–{high})"
+
+    wins: dict[str, list[str]] = {}
+    for photons in budgets:
+        wins.setdefault(name(ranking(points, photons)[0]), []).append(photons_text(photons))
+    (first_name, first_wins), *rest = wins.items()
+    text = f"Under {noise_text(noise)}, "
+    if len(names) > 1:
+        text += (
+            f"{first_name} is the most accurate design with one detector at {listed(first_wins)} "
+            f"photons{''.join(f', {who} at {listed(where)}' for who, where in rest)}. "
+        )
+    chance = 1 / len(results["data"]["classes"])
+    text += f"Chance is {share_text(chance)}."
+    for photons in dict.fromkeys([budgets[0], budgets[-1]]):
+        first, *others = ranking(points, photons)
+        masks = f"{first['masks']} mask{'s' if first['masks'] > 1 else ''}"
+        text += f" At {photons_text(photons)} photons {name(first)} with {masks} "
+        text += f"reaches {reach(first)}"
+        if others:
+            clear = first["low"] > others[0]["high"]
+            text += (
+                f", followed by {name(others[0])} with {reach(others[0])}; their 95 % intervals "
+            )
+            text += "do not overlap" if clear else "overlap"
+        text += "."
+        ideal = [p for p in points if p["photons"] == photons and p["design"] == "impulse"]
+        if ideal and first is not ideal[0]:
+            text += f" Impulse imaging, with a detector for each pixel, reaches {reach(ideal[0])}."
+    return text
+
+
+def listed(words: list[str]) -> str:
+    """Words as an English list."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def only(results: Results, points: list[Point]) -> Results:
+    """Return the same comparison with some of its points."""
+    return {**results, "points": points}
+
+
+def accuracy_panels(results: Results) -> Iterator[Panel]:
+    """Accuracy against photons, a picture for each noise."""
+    for i, noise in enumerate(figures.noises(results)):
+        part = only(results, chosen(results, noise))
+        words = f"Accuracy against photon budget under {noise_text(noise)}; numbers in the table."
+        picture = figures.svg(figures.accuracy_figure(part), f"accuracy{i}", words)
+        yield Panel(noise_text(noise).capitalize(), "", (Markup(picture),))
+
+
+def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
+    """Accuracy against mask count for each noise and budget, if any design has several counts."""
+    counts: dict[tuple[str, str, str, str], set[int]] = {}
+    for p in results["points"]:
+        counts.setdefault((p["noise"], p["design"], p["light"], p["rails"]), set()).add(p["masks"])
+    if max(map(len, counts.values())) < 2:
+        return
+    for i, noise in enumerate(figures.noises(results)):
+        points = [p for p in results["points"] if p["noise"] == noise]
+        panels = []
+        for j, photons in enumerate(sorted({p["photons"] for p in points})):
+            part = only(results, [p for p in points if p["photons"] == photons])
+            where = f"{photons_text(photons)} photons"
+            words = f"Accuracy against number of masks at {where}; numbers in the last table."
+            picture = figures.svg(figures.count_figure(part), f"count{i}-{j}", words)
+            panels.append(Panel(where, "", (Markup(picture),)))
+        yield noise_text(noise).capitalize(), panels
+
+
+def best_table(results: Results, noise: str) -> Best:
+    """Table of the chosen mask counts under a noise."""
+    points = chosen(results, noise)
+    names = figures.series_names(points, "label")
+    budgets = sorted({p["photons"] for p in points})
+    rows: list[tuple[str, Point, list[Point | None]]] = []
+    for key, members in figures.series(points).items():
+        at = {p["photons"]: p for p in members}
+        rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
+    leaders = {photons: ranking(points, photons)[0] for photons in budgets}
+    return Best(noise_text(noise).capitalize(), budgets, rows, leaders)
+
+
+def colour_scale() -> Markup:
+    """Draw the one colour bar of all masks."""
+    words = "Colour bar from blue at minus the peak over white at 0 to red at the peak."
+    return Markup(figures.svg(figures.scale_figure(), "scale", words))
+
+
+def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
+    """Masks and value distributions of every learned design whose files are there."""
+    for i, noise in enumerate(figures.noises(results)):
+        points = [p for p in chosen(results, noise) if p["learned"]]
+        names = figures.series_names(points, "title")
+        for j, (key, members) in enumerate(figures.series(points).items()):
+            panels: list[Panel] = []
+            for point in sorted(members, key=lambda p: p["photons"]):
+                path = designs / f"{point['keys'][0]}.safetensors"
+                if path.is_file():
+                    name = f"masks{i}-{j}-{len(panels)}"
+                    panels.append(mask_panel(point, *read_masks(path), name))
+            if panels:
+                yield Learned(f"{names[key]}, {noise_text(noise)}", panels)
+
+
+def mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:
+    """Masks of one design at one budget, and the distribution of their values."""
+    masks, photons = rails.shape[1], photons_text(point["photons"])
+    shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
+    if masks <= MASKS_SHOWN:
+        shown = f"all {masks} masks" if masks > 1 else "its one mask"
+    pictures = (
+        figures.svg(
+            figures.masks_figure(rails, shape, count=MASKS_SHOWN, bar=False),
+            f"{name}-masks",
+            f"Masks learned at {photons} photons, {shown}.",
+        ),
+        figures.svg(
+            figures.values_figure(rails),
+            f"{name}-values",
+            f"Histogram of the mask values learned at {photons} photons.",
+        ),
+    )
+    end, counted = figures.peak(figures.signed(rails)), share_text(point["throughput"])
+    note = f"{shown}, peak {end:.2g}, {counted} of the budget counted"
+    return Panel(f"{photons} photons", note, tuple(map(Markup, pictures)))

@@ -1,0 +1,141 @@
+"""What the tests share: small data sets, every design under every constraint, and tolerances.
+
+A statistical tolerance is five standard deviations of the estimator, so that one test in two
+million fails by chance; the seeds are fixed, so that it then fails always.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from deepfsi import coding, constraints
+from deepfsi.artifact import Design
+from deepfsi.datasets import Dataset, from_arrays, load_dataset
+from deepfsi.training import learn
+
+torch.set_num_threads(1)
+
+PHOTONS = 1e4
+FLOAT32 = 2e-6
+"""Relative error of a sum of some tens of float32 numbers."""
+
+FIXED = [d for d, c in coding.DESIGNS.items() if not c.learned and d not in ("control", "custom")]
+"""The designs that `coding.sensing_matrix` knows."""
+
+OPTICS = [
+    (light, rails)
+    for light in ("column", "equal-dwell", "free-dwell", "two-arm")
+    for rails in ("dual", "single")
+    if (light, rails) != ("two-arm", "single")
+]
+"""Every light constraint with the rails it can have."""
+
+
+def _possible(design: str, light: str, rails: str) -> bool:
+    single = coding.DESIGNS[design].single_rail
+    if design == "hadamard":
+        return rails == "dual"
+    if single and rails == "single":
+        return False  # they have one rail anyhow
+    return not (design in ("raster", "s-matrix") and light == "two-arm")
+
+
+CASES = [
+    pytest.param(design, light, rails, id=f"{design}-{light}-{rails}")
+    for design in coding.DESIGNS
+    for light, rails in OPTICS
+    if _possible(design, light, rails)
+]
+"""Every design under every constraint that it can be brought to."""
+
+every_design = pytest.mark.parametrize(("design", "light", "rails"), CASES)
+every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
+real_mnist = pytest.mark.skipif(not os.environ.get("DEEPFSI_DATA"), reason="needs $DEEPFSI_DATA")
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def synthetic(shape: tuple[int, ...], scenes: int = 120, classes: int = 3) -> Dataset:
+    """Noisy copies of one random pattern for each class."""
+    rng = np.random.default_rng(5)
+    labels = np.arange(scenes) % classes
+    patterns = rng.random((classes, *shape))
+    x = 0.6 * patterns[labels] + 0.4 * rng.random((scenes, *shape))
+    return from_arrays(x, labels, name="synthetic")
+
+
+def own_matrix(masks: int, pixels: int, light: str, rails: str) -> np.ndarray:
+    """A user's matrix that obeys a constraint."""
+    rng = np.random.default_rng(3)
+    if light == "two-arm":
+        return rng.choice([-1.0, 1.0], size=(masks, pixels)) / masks
+    wild = rng.random((masks, pixels)) - (0.5 if rails == "dual" else 0)
+    return constraints.combine(constraints.fit(torch.from_numpy(wild), light, rails))[0].numpy()
+
+
+def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **settings) -> Design:
+    """Train for a moment, in float32 on the processor."""
+    if masks is None:
+        low, high = coding.count_allowed(design, data)
+        masks = min(max(low, 7), high)
+    if design == "custom":
+        light, rails = settings.get("light", "column"), settings.get("rails", "dual")
+        settings["matrix"] = own_matrix(masks, data.pixels, light, rails)
+    given = {"photons": PHOTONS, "epochs": 1, "batch": 100, "hidden": (8,), "device": "cpu"}
+    return learn(data, design=design, masks=masks, **{**given, "precision": "float32", **settings})
+
+
+@cache
+def _digits() -> Dataset:
+    return load_dataset("digits")
+
+
+@cache
+def _made(design: str, light: str, rails: str) -> Design:
+    return quick(_digits(), design, light=light, rails=rails)
+
+
+@pytest.fixture(scope="session")
+def digits() -> Dataset:
+    return _digits()
+
+
+@pytest.fixture(scope="session")
+def made() -> Callable[[str, str, str], Design]:
+    """Give a design trained on digits for a moment; the same one each time: do not change it."""
+    return _made
+
+
+@pytest.fixture(scope="session")
+def good(digits: Dataset) -> Design:
+    """Give a design that classifies digits well."""
+    return quick(digits, masks=10, epochs=15, hidden=(40, 128))
+
+
+def light_on(design: Design, x: np.ndarray, photons: float = PHOTONS) -> Tensor:
+    """λ of scenes, float64."""
+    return torch.from_numpy(x).double() * (photons / design.mean_light)
+
+
+def assert_moments(
+    samples: Tensor, mean: float, variance: float, *, poisson: bool, rounding: float = 0.0
+) -> None:
+    """Mean and variance of independent samples (n,), Gaussian or Poisson, to five sigma.
+
+    `rounding` is the largest rounding error of one sample.
+    """
+    samples, n = samples.double(), len(samples)
+    fourth = 3 * variance**2 + (variance if poisson else 0)
+    mean_error = 5 * (variance / n) ** 0.5 + rounding
+    variance_error = 5 * ((fourth - variance**2) / n) ** 0.5 + rounding**2
+    assert abs(samples.mean() - mean) <= mean_error
+    assert abs(samples.var() - variance) <= variance_error
