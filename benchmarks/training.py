@@ -11,6 +11,7 @@ under exact Poisson noise, after --epochs epochs of each.
 """
 
 import argparse
+import itertools
 import statistics
 import time
 
@@ -105,7 +106,7 @@ def our_epochs(
     ticks = [time.perf_counter()]
     job = Job(masks=masks, photons=BUDGET, training=how)
     design = train(scenes, [job], progress=lambda share: ticks.append(time.perf_counter()))[0]
-    seconds = [stop - start for start, stop in zip(ticks, ticks[1:], strict=False)]
+    seconds = [stop - start for start, stop in itertools.pairwise(ticks)]
     return seconds, evaluate(design, data, BUDGET, draws=1)[0].accuracy
 
 
@@ -136,7 +137,9 @@ def main() -> None:
     data = load_dataset(arguments.data)
     scenes = Scenes(data, "cpu")
     _ = scenes.half
-    print(f"{data.name}, {len(data.x_train)} scenes of {data.pixels} pixels, batch {BATCH}, ", end="")
+    print(
+        f"{data.name}, {len(data.x_train)} scenes of {data.pixels} pixels, batch {BATCH}, ", end=""
+    )
     print(f"{BUDGET:g} photons, {torch.get_num_threads()} threads, torch {torch.__version__}")
     print(f"{'masks':>5} {'products':>9} {'plain s/epoch':>14} {'ours':>7} {'ratio':>6} ", end="")
     print(f"{'bare':>7} {'share':>6}  accuracy plain, ours")

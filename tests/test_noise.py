@@ -6,13 +6,14 @@ import math
 
 import pytest
 import torch
-from conftest import assert_moments, generator
 
+from conftest import assert_moments, generator
 from deepfsi import noise
 from deepfsi.errors import InputError
 
 DRAWS = 100_000
 LIMIT = noise.POISSON_LIMIT
+DEVICES = ["cpu", *["cuda"] * torch.cuda.is_available()]
 RATES = [0, 1e-3, 1, 1e3, math.nextafter(LIMIT, 0), LIMIT, math.nextafter(LIMIT, 1e9), 1e8, 1e10]
 
 
@@ -22,8 +23,12 @@ def drawn(name: str, rate: float, sigma: float = 1.0, dtype=torch.float64) -> to
 
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
-def test_photon_noise_has_the_rate_as_mean_and_variance(name, rate):
-    assert_moments(drawn(name, rate), rate, rate, poisson=name == "poisson", rounding=0.5)
+@pytest.mark.parametrize("device", DEVICES)
+def test_photon_noise_has_the_rate_as_mean_and_variance(name, rate, device):
+    rates = torch.full((DRAWS,), rate, dtype=torch.float64, device=device)
+    seeded = torch.Generator(device).manual_seed(4)
+    counts = noise.readout(rates, name, 1.0, seeded).cpu()
+    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=0.5)
 
 
 @pytest.mark.parametrize("rate", [0, 1e-3, 1, 1e3, 1e8])

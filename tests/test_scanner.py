@@ -6,9 +6,9 @@ import math
 
 import pytest
 import torch
-from conftest import assert_moments, every_design, every_optics, generator, light_on
 from torch import Tensor, nn
 
+from conftest import assert_moments, every_design, every_optics, generator, light_on
 from deepfsi.constraints import Fixed, Learned, fit
 from deepfsi.errors import InputError
 from deepfsi.scanner import Scanner, subtract
@@ -88,11 +88,21 @@ def test_rails_of_a_mask_are_independent():
 
 def test_float32_moments_hold_at_1e10():
     photons = torch.tensor([1e10, 2e10]).expand(DRAWS, 2)
-    features = Scanner.from_rails(RAILS, "poisson")(photons, generator())
+    features = Scanner.from_rails(RAILS.float(), "poisson")(photons, generator())
     assert features.dtype == torch.float32
     rounding = 1024.0
     for mask, (mean, variance) in enumerate([(0, 1e10), (7.5e9, 7.5e9), (-1.25e10, 1.25e10)]):
         assert_moments(features[:, mask], mean, variance, poisson=True, rounding=rounding)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_float64_light_gives_float64_counts_whatever_the_masks(noise):
+    """So that single photons can be told apart above 2²⁴ counts."""
+    scanner = Scanner.from_rails(RAILS.float(), noise)
+    photons = torch.tensor([[1e10 + 4, 0.0]], dtype=torch.float64)
+    assert scanner(photons, generator()).dtype == torch.float64
+    assert scanner.counts(photons, generator()).dtype == torch.float64
+    assert scanner.rates(photons)[0, 0, 0] == 5e9 + 2
 
 
 @every_design

@@ -7,9 +7,11 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from conftest import (
     FIXED,
     PHOTONS,
+    RECIPE,
     every_optics,
     generator,
     light_on,
@@ -17,14 +19,13 @@ from conftest import (
     quick,
     synthetic,
 )
-
 from deepfsi import coding, constraints
 from deepfsi.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.evaluation import evaluate
 from deepfsi.training import BFLOAT16_COUNTS, Job, Scenes, Training, learn, products, train
 
-HOW = Training(epochs=3, batch=100, hidden=(8,), dropout=0.1, precision="float32")
+HOW = Training(**{**RECIPE, "epochs": 3, "dropout": 0.1})
 CPU = torch.device("cpu")
 
 
@@ -59,20 +60,41 @@ def test_the_global_random_state_does_not_matter(digits):
     assert same(first, quick(digits, dropout=0.1))
 
 
-@every_optics
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
-def test_replicas_train_together_as_alone(digits, design, light, rails):
-    """Up to rounding of float32 products of other shapes, grown over 42 steps: 1e-3 of the peak."""
+def together_and_alone(digits, design: str, light: str, rails: str) -> list[tuple[Design, Design]]:
+    scenes = Scenes(digits, "cpu")
     jobs = [
         Job(design=design, masks=6, photons=photons, light=light, rails=rails, training=HOW)
         for photons in (1e3, 1e4, 1e6)
     ]
-    scenes = Scenes(digits, "cpu")
-    for job, one in zip(jobs, train(scenes, jobs), strict=True):
-        (alone,) = train(scenes, [job])
-        for mine, theirs in zip(parameters(one), parameters(alone), strict=True):
-            assert (mine - theirs).abs().max() <= 1e-3 * theirs.abs().max()
+    return list(zip(train(scenes, jobs), [train(scenes, [job])[0] for job in jobs], strict=True))
+
+
+def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
+    """Largest difference over its peak, of masks at some pixels, spread and classifier.
+
+    Not of the centre, which takes up whatever masks do where pixels do not vary.
+    """
+    pairs = [(first.rails[..., pixels], second.rails[..., pixels]), (first.spread, second.spread)]
+    pairs += zip(first.classifier.parameters(), second.classifier.parameters(), strict=True)
+    return max(((a - b).abs().max() / b.abs().max()).item() for a, b in pairs)
+
+
+@every_optics
+@pytest.mark.parametrize(
+    ("design", "tight"), [("pca", 1e-6), ("random", 1e-6), ("deepfsi", 1e-3), ("control", 1e-2)]
+)
+def test_replicas_train_together_as_alone(digits, design, light, rails, tight):
+    """Up to float32 rounding, after 42 steps; learned masks where a pixel varies."""
+    varies = torch.from_numpy(digits.x_train.std(axis=0) > 0.01)
+    for one, alone in together_and_alone(digits, design, light, rails):
+        assert apart(one, alone, varies) <= tight
         assert one.info["job"] == alone.info["job"]
+
+
+def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
+    """Their gradient is all but 0; Adam must not blow its rounding up to whole steps."""
+    for one, alone in together_and_alone(digits, "deepfsi", "column", "dual"):
+        assert apart(one, alone, torch.arange(64)) <= 1e-3
 
 
 def test_replicas_learn_for_their_own_budget(digits):
@@ -183,7 +205,7 @@ def test_impulse_imaging_is_column_whatever_else_is_compared(digits, light):
 @pytest.mark.parametrize("design", ["deepfsi", "truncated-hadamard", "hadamard", "s-matrix", "pca"])
 def test_scenes_may_have_any_shape(shape, design):
     data = synthetic(shape)
-    one = quick(data, design, photons=1e7, epochs=10)
+    one = quick(data, design, photons=1e7, epochs=30, batch=16)
     assert one.image_shape == shape
     assert evaluate(one, data, 1e7)[0].accuracy > 0.5
 
@@ -256,7 +278,7 @@ def test_a_designs_matrix_can_be_given_back_as_your_own(digits, made, light, rai
     matrix = made("deepfsi", light, rails).matrix
     settings = {"photons": 1e4, "masks": len(matrix), "epochs": 1, "device": "cpu"}
     again = learn(digits, design="custom", matrix=matrix, light=light, rails=rails, **settings)
-    assert again.rails == pytest.approx(made("deepfsi", light, rails).rails, abs=1e-6)
+    assert again.matrix == pytest.approx(matrix, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""DeepFSI: learn the masks of a photon-limited single-pixel camera with the network that reads them.
+"""Learn the masks of a photon-limited single-pixel camera with the network that reads them.
 
 Implements and extends Y. Lu and A. Velten, *Deep Feature-specific Imaging*. Names are loaded when
 they are first used, so that importing the package costs little.

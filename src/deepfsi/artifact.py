@@ -1,10 +1,12 @@
 """A finished design: masks, classifier and provenance, in one file that holds no code."""
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +85,7 @@ class Design:
     def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`."""
         scaled = (features / photons - self.centre) / self.spread
-        return self.classifier(scaled)  # type: ignore[no-any-return]
+        return self.classifier(scaled)
 
     def classify(self, counts: Any, photons: Any) -> np.ndarray:
         """Class probabilities of one or many exposures.
@@ -106,8 +108,11 @@ class Design:
         InputError
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
-        read = torch.as_tensor(np.asarray(counts, dtype=np.float32))
-        budget = torch.as_tensor(np.asarray(photons, dtype=np.float32))
+        try:
+            read = torch.tensor(np.asarray(counts, dtype=np.float32))
+            budget = torch.tensor(np.asarray(photons, dtype=np.float32))
+        except (TypeError, ValueError):
+            raise InputError("counts and photons must be arrays of numbers") from None
         dual = len(self.rails) == 2
         wanted = (2, self.masks) if dual else (self.masks,)
         if tuple(read.shape[-len(wanted) :]) != wanted:
@@ -150,8 +155,8 @@ class Design:
         """
         if not isinstance(self.classifier, Mlp):
             raise InputError(
-                f"a design with a {type(self.classifier).__name__} classifier cannot be saved: only "
-                "Mlp can; save its state_dict() yourself"
+                f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
+                "only Mlp can; save its state_dict() yourself"
             )
         tensors = {
             "rails": self.rails,
@@ -163,6 +168,7 @@ class Design:
             tensors[f"classifier.{key}"] = value
         header = {
             "schema": SCHEMA,
+            "deepfsi": version("deepfsi"),
             "name": self.name,
             "light": self.light,
             "mean_light": self.mean_light,
@@ -189,23 +195,22 @@ class Design:
         """
         header, tensors = read_design(path)
         try:
-            classifier = Mlp(
-                inputs=tensors["rails"].shape[1],
-                classes=len(header["classes"]),
-                hidden=header["classifier"]["hidden"],
-                dropout=header["classifier"]["dropout"],
-            )
-            classifier.load_state_dict(
+            network = header["classifier"]
+            classifier = Mlp.restored(
                 {
                     key.removeprefix("classifier."): torch.from_numpy(value)
                     for key, value in tensors.items()
                     if key.startswith("classifier.")
-                }
+                },
+                inputs=tensors["rails"].shape[1],
+                classes=len(header["classes"]),
+                hidden=network["hidden"],
+                dropout=network["dropout"],
             )
             design = cls(
                 name=header["name"],
                 rails=torch.from_numpy(tensors["rails"]),
-                classifier=classifier.eval(),
+                classifier=classifier,
                 centre=torch.from_numpy(tensors["centre"]),
                 spread=torch.from_numpy(tensors["spread"]),
                 shares=torch.from_numpy(tensors["shares"]),
@@ -216,12 +221,19 @@ class Design:
                 info=header["info"],
             )
             sound = (
-                design.rails.ndim == 3
+                network["kind"] == "mlp"
+                and design.rails.ndim == 3
+                and len(design.rails) in (1, 2)
                 and {design.centre.shape, design.spread.shape, design.shares.shape}
                 == {(design.masks,)}
                 and np.prod(design.image_shape) == design.pixels
                 and all(bool(torch.isfinite(torch.from_numpy(t)).all()) for t in tensors.values())
+                and design.mean_light > 0
+                and math.isfinite(design.mean_light)
+                and bool((design.spread > 0).all())
             )
+            constraints.check_light(design.light, "dual")
+            constraints.check(design.rails, design.light)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
             raise _damaged(path) from error
         if not sound:
@@ -281,6 +293,6 @@ def _umask() -> int:
 
 def _damaged(path: str | os.PathLike[str]) -> InputError:
     return InputError(
-        f"{path} is not a whole deepfsi design file: give a .safetensors file that `deepfsi design` "
-        "or Design.save wrote"
+        f"{path} is not a whole deepfsi design file: give a .safetensors file that "
+        "`deepfsi design` or Design.save wrote"
     )

@@ -1,7 +1,8 @@
-"""Neural back ends. Any `nn.Module` from features (..., m) to logits (..., C) can take their place."""
+"""Neural back ends. Any module from features (..., m) to logits (..., C) can take their place."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -38,20 +39,20 @@ class Mlp(nn.Module):
     ) -> None:
         super().__init__()
         self.hidden, self.dropout = tuple(hidden), dropout
-        self.generator = generator
+        self.generator, self.replicas = generator, replicas
         widths = (inputs, *hidden, classes)
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
-        for fan_in, fan_out in zip(widths, widths[1:], strict=False):
+        for fan_in, fan_out in itertools.pairwise(widths):
             bound = 1 / math.sqrt(fan_in)
             device = generator.device if generator is not None else None
             weight = torch.empty(fan_in, fan_out, device=device)
-            bias = torch.empty(1, fan_out, device=device)
+            bias = torch.empty(fan_out, device=device)
             for parameter in (weight, bias):
                 parameter.uniform_(-bound, bound, generator=generator)
             if replicas is not None:
                 weight = weight.repeat(replicas, 1, 1)
-                bias = bias.repeat(replicas, 1, 1)
+                bias = bias.repeat(replicas, 1, 1)  # broadcasts over the batch
             self.weights.append(nn.Parameter(weight))
             self.biases.append(nn.Parameter(bias))
 
@@ -69,18 +70,34 @@ class Mlp(nn.Module):
         if not self.training or self.dropout == 0:
             return h
         # torch's own dropout takes no generator, and draws one random word a unit where 16 bits do
-        units = h.shape[-2:].numel()
+        shape = h.shape if self.replicas is None else h.shape[1:]
+        units = shape.numel()
         words = torch.empty(-(-units // 4), dtype=torch.int64, device=h.device)
         words.random_(-(2**63), None, generator=self.generator)
-        drawn = words.view(torch.int16)[:units].view(h.shape[-2:])
+        drawn = words.view(torch.int16)[:units].view(shape)
         kept = drawn >= round(self.dropout * 2**16) - 2**15
         return h * (kept * (1 / (1 - self.dropout)))
 
     def replica(self, index: int) -> "Mlp":
         """The classifier at `index` of the replica axis, on its own, ready for inference."""
         inputs, classes = self.weights[0].shape[-2], self.weights[-1].shape[-1]
-        single = Mlp(inputs, classes, self.hidden, self.dropout)
-        with torch.no_grad():
-            for mine, theirs in zip(single.parameters(), self.parameters(), strict=True):
-                mine.copy_(theirs[index])
+        state = {
+            key: value[index, 0] if key.startswith("biases") else value[index]
+            for key, value in self.state_dict().items()
+        }
+        return Mlp.restored(state, inputs, classes, self.hidden, self.dropout)
+
+    @classmethod
+    def restored(
+        cls,
+        state: Mapping[str, Tensor],
+        inputs: int,
+        classes: int,
+        hidden: Sequence[int],
+        dropout: float,
+    ) -> "Mlp":
+        """A classifier with given weights, ready for inference."""
+        with torch.device("meta"):
+            single = cls(inputs, classes, hidden, dropout)
+        single.load_state_dict(state, assign=True)
         return single.eval()

@@ -3,13 +3,11 @@
 import json
 import shlex
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
-import click
 import typer
 
 from deepfsi.errors import InputError
@@ -26,8 +24,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Design the masks of a photon-limited single-pixel camera with the network that reads them."
-    "\n\nStart with: deepfsi compare",
+    help="Design the masks of a photon-limited single-pixel camera with the network that reads "
+    "them.\n\nStart with: deepfsi compare",
 )
 data_app = typer.Typer(
     no_args_is_help=True,
@@ -90,6 +88,8 @@ def compare(
     """
     from deepfsi import report, sweep
 
+    if masks is not None and ratios is not None:
+        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
     own = _matrix(matrix)
     settings = _toml(recipe) if recipe else dict(_QUICK) if data == "digits" else {}
     given = {
@@ -173,21 +173,20 @@ def design(
         raise InputError(f"unknown noise {noise!r}: {closest(noise, sweep.TRAINING_NOISE)}")
     kind = "custom" if own is not None else coding.check_design(name)
     if own is not None:
-        count: float = len(own)
+        count = len(own)
     elif masks is not None:
-        count = _one("masks", masks)
+        count = _whole("masks", masks)
     elif coding.DESIGNS[kind].fixed_count:
         count = coding.count_allowed(kind, scenes)[1]
     else:
         raise InputError(f"{kind} needs a number of masks: add --masks, for instance --masks 10")
-    coding.check_count(kind, count, scenes)
     _writable(out.parent)
     settings = {} if epochs is None else {"epochs": epochs}
-    with _progress(f"{kind}, {count:g} masks", quiet=as_json) as tell:
+    with _progress(f"{kind}, {count} masks", quiet=as_json) as tell:
         made = learn(
             scenes,
             photons=budget,
-            masks=int(count),
+            masks=count,
             design=kind,
             noise=sweep.TRAINING_NOISE[noise],
             sigma=sigma,
@@ -335,17 +334,18 @@ def main() -> NoReturn:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
     try:
         code = app(standalone_mode=False)
-    except click.exceptions.Exit as stop:
+    except typer.Exit as stop:
         code = stop.exit_code
-    except click.ClickException as error:
-        _fail(error.format_message())
+    except (KeyboardInterrupt, typer.Abort):
+        code = _STOPPED
     except InputError as error:
         _fail(str(error))
-    except (KeyboardInterrupt, click.Abort):
-        print("deepfsi: stopped; finished work is kept, run again to go on", file=sys.stderr)
-        sys.exit(130)
+    except typer.TyperException as error:
+        _fail(getattr(error, "format_message", error.__str__)())
     except OSError as error:
         _fail(f"{error.filename or 'file'}: {error.strerror or error}")
+    if code == _STOPPED:
+        print("deepfsi: stopped; finished work is kept, run again to go on", file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -354,6 +354,7 @@ def _fail(message: str) -> NoReturn:
     sys.exit(2)
 
 
+_STOPPED = 130
 _QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3}
 
 
@@ -372,8 +373,7 @@ def _numbers(option: str, text: str | None, whole: bool = False) -> list[Any] | 
         return None
     if not parts:
         raise InputError(f"--{option} is empty: give one number or more, separated by commas")
-    values = [_one(option, part) for part in parts]
-    return [int(value) if whole and value.is_integer() else value for value in values]
+    return [_whole(option, part) if whole else _one(option, part) for part in parts]
 
 
 def _one(option: str, text: str) -> float:
@@ -381,6 +381,13 @@ def _one(option: str, text: str) -> float:
         return float(text)
     except ValueError:
         raise InputError(f"--{option} {text!r} is not a number") from None
+
+
+def _whole(option: str, text: str) -> int:
+    value = _one(option, text)
+    if not value.is_integer():
+        raise InputError(f"--{option} {text!r} is not a whole number")
+    return int(value)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -453,7 +460,7 @@ def _print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]
 
     table = Table(title=title, title_justify="left")
     for number, head in enumerate(heads):
-        table.add_column(head, justify="left" if number == 0 else "right", overflow="fold")
+        table.add_column(head, justify="left" if number == 0 else "right", no_wrap=number == 0)
     for row in rows:
         table.add_row(*row)
     Console().print(table)
@@ -461,7 +468,7 @@ def _print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]
 
 def _print_points(results: dict[str, Any]) -> None:
     best = [point for point in results["points"] if point["best"]]
-    heads = ("design", "noise", "photons", "masks", "accuracy", "95 % interval", "throughput")
+    heads = ("design", "noise", "photons", "masks", "accuracy", "95 % interval", "light")
     rows = [
         (
             f"{p['title']} ({p['label']})",
@@ -488,7 +495,9 @@ def _progress(what: str, quiet: bool) -> Iterator[Callable[[float, str], None]]:
     from rich.progress import TimeRemainingColumn as TimeLeft
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft())
-    with Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True) as bar:
+    console = Console(stderr=True)
+    hidden = quiet or not console.is_terminal
+    with Progress(*columns, console=console, disable=hidden, transient=True) as bar:
         task = bar.add_task(what, total=1.0)
 
         def tell(share: float, now: str) -> None:

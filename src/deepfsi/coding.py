@@ -132,7 +132,7 @@ def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.nd
     InputError
         If the design cannot have that many masks.
     """
-    check_count(name, masks, data)
+    masks = check_count(name, masks, data)
     pixels = data.pixels
     if name == "impulse":
         return np.eye(pixels)
@@ -207,14 +207,21 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     array, shape (masks, N)
         Orthonormal rows.
     """
-    centred = x.astype(np.float64) - x.mean(axis=0, dtype=np.float64)
-    power, directions = scipy.linalg.eigh(centred.T @ centred / len(x))
-    known = power > x.shape[1] * np.finfo(np.float64).eps * power[-1]
-    rows = directions[:, known].T[::-1][:masks]
+    pixels = x.shape[1]
+    varying = np.flatnonzero(np.ptp(x, axis=0))
+    mean = x[:, varying].mean(axis=0, dtype=np.float64)
+    scatter = np.zeros((len(varying), len(varying)))
+    for chunk in np.array_split(x[:, varying], -(-len(x) // 8192)):
+        centred = chunk - mean
+        scatter += centred.T @ centred
+    power, directions = scipy.linalg.eigh(scatter)
+    known = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
+    rows = np.zeros((min(masks, int(known.sum())), pixels))
+    rows[:, varying] = directions[:, known].T[::-1][:masks]
     rows = rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
     if len(rows) == masks:
         return rows
-    unexplained = np.eye(x.shape[1]) - rows.T @ rows
+    unexplained = np.eye(pixels) - rows.T @ rows
     basis, _, _ = scipy.linalg.qr(unexplained, pivoting=True)
     rest = basis[:, : masks - len(rows)].T
     rest = rest * np.sign(rest[np.arange(len(rest)), np.abs(rest).argmax(axis=1)])[:, None]

@@ -47,6 +47,15 @@ def frames(rails: Tensor) -> Tensor:
     return every[every.amax(dim=-1) > 0]
 
 
+def arms(matrix: Tensor) -> Tensor:
+    """Rails of a signed matrix shown on a two-arm camera, each mask for the time t_i of its peak.
+
+    What one arm does not get, the other does: M⁺ = (t + M) / 2 and M⁻ = (t − M) / 2.
+    """
+    time = matrix.abs().amax(dim=-1, keepdim=True)
+    return torch.stack([time + matrix, time - matrix], dim=-3) / 2
+
+
 def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     """Bring a matrix to a light constraint, using as much light as it allows.
 
@@ -65,8 +74,7 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     """
     check_light(light, rails)
     if light == "two-arm":
-        share = matrix / (_peak(matrix.abs()) * len(matrix))
-        return torch.stack([1 / len(matrix) + share, 1 / len(matrix) - share]) / 2
+        return arms(matrix / (_peak(matrix.abs()) * len(matrix)))
     parts = split(matrix) if rails == "dual" else matrix.unsqueeze(0)
     if light == "column":
         return parts / parts.sum(dim=(0, 1)).max()
@@ -91,7 +99,9 @@ def excess(rails: Tensor, light: Light) -> float:
 
 
 def check(rails: Tensor, light: Light) -> Tensor:
-    """Return rails, or raise `InputError` if they are negative or break their constraint."""
+    """Return rails, or raise `InputError` if not finite, negative or beyond their constraint."""
+    if not bool(torch.isfinite(rails).all()):
+        raise InputError("the matrix holds NaN or infinity: give finite numbers")
     if float(rails.min()) < 0:
         raise InputError("the matrix has negative entries: use --rails dual, or give frames ≥ 0")
     over = excess(rails, light)
@@ -107,17 +117,17 @@ class Fixed(nn.Module):
     """Masks that do not learn; `forward` gives difference and total, each (..., m, N)."""
 
     difference: Tensor
-    total: Tensor
+    total: Tensor | None
 
     def __init__(self, rails: Tensor) -> None:
         super().__init__()
         difference, total = combine(rails)
         self.register_buffer("difference", difference)
-        self.register_buffer("total", total)
+        self.register_buffer("total", None if total is difference else total)
 
     def forward(self) -> tuple[Tensor, Tensor]:
-        """Difference M⁺ − M⁻ and total M⁺ + M⁻."""
-        return self.difference, self.total
+        """Difference M⁺ − M⁻ and total M⁺ + M⁻, one and the same tensor for a single rail."""
+        return self.difference, self.difference if self.total is None else self.total
 
 
 class Learned(nn.Module):
@@ -177,9 +187,7 @@ class Learned(nn.Module):
         if self.light == "equal-dwell":
             matrix = pattern * dwell[..., 0, :, None]
             return matrix, matrix.abs()
-        matrix = pattern * torch.where(
-            pattern > 0, dwell[..., 0, :, None], dwell[..., 1, :, None]
-        )
+        matrix = pattern * torch.where(pattern > 0, dwell[..., 0, :, None], dwell[..., 1, :, None])
         return matrix, matrix.abs()
 
     def _dwell(self) -> Tensor:
@@ -193,14 +201,18 @@ class Learned(nn.Module):
 def combine(rails: Tensor) -> tuple[Tensor, Tensor]:
     """Difference and total, each (..., m, N), of rails (..., 2 or 1, m, N)."""
     if rails.shape[-3] == 1:
-        return rails[..., 0, :, :], rails[..., 0, :, :]
+        single = rails[..., 0, :, :]
+        return single, single
     plus, minus = rails.unbind(dim=-3)
     return plus - minus, plus + minus
 
 
-def separate(difference: Tensor, total: Tensor, rails: Rails) -> Tensor:
-    """Rails (..., 2 or 1, m, N) of a difference and a total; inverse of `combine`."""
-    if rails == "single":
+def separate(difference: Tensor, total: Tensor) -> Tensor:
+    """Rails (..., 2 or 1, m, N) of a difference and a total; inverse of `combine`.
+
+    A single rail is one tensor given as both.
+    """
+    if difference is total:
         return difference.unsqueeze(-3)
     return torch.stack([total + difference, total - difference], dim=-3) / 2
 

@@ -1,5 +1,6 @@
 """How well a design does: accuracy over budgets, with intervals that say what they cover."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -108,7 +109,14 @@ def evaluate(
         raise InputError(
             f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
         )
-    if draws < 1:
+    if data.image_shape != design.image_shape:
+        raise InputError(
+            f"{data.name} has scenes of shape {data.image_shape} and the design "
+            f"{design.image_shape}: use the data that it was made for"
+        )
+    if not (math.isfinite(sigma) and sigma >= 0):
+        raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
+    if not isinstance(draws, int) or draws < 1:
         raise InputError(f"{draws} noise draws are not allowed: give at least 1")
     device = design.rails.device
     scanner = design.scanner(check_noise(noise), sigma)
@@ -117,7 +125,9 @@ def evaluate(
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     with torch.no_grad():
         for scenes, truth in zip(
-            torch.from_numpy(data.x_test).split(1024), torch.from_numpy(data.y_test).split(1024), strict=True
+            torch.from_numpy(data.x_test).split(1024),
+            torch.from_numpy(data.y_test).split(1024),
+            strict=True,
         ):
             shares = scanner.rates(scenes.to(device) / design.mean_light)
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):

@@ -38,8 +38,8 @@ def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     Parameters
     ----------
     rate : tensor, any shape
-        Expected counts, at least 0. In float32 counts above 2²⁴ = 1.7e7 are no longer exact; the
-        rounding stays below 1/4000 of their photon noise up to 1e10.
+        Expected counts, at least 0. In float32 counts above 2²⁴ = 1.7e7 are no longer exact; up to
+        1e10 the rounding stays below 1/190 of their photon noise.
     generator : torch.Generator, optional
         On the device of `rate`.
 
@@ -91,6 +91,7 @@ def readout(
     tensor, shape (..., m)
         Counts.
     """
+    check_noise(noise)
     if noise == "none":
         return rate
     if noise == "gaussian":

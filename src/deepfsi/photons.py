@@ -19,14 +19,14 @@ Array = TypeVar("Array")
 
 
 def check_budget(photons: float) -> float:
-    """Return a photon budget as a float, or raise `InputError` unless finite and positive."""
+    """Return a photon budget as a float; `InputError` unless it is finite and positive."""
     try:
         budget = float(photons)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         budget = math.nan
     if not math.isfinite(budget) or budget <= 0:
         raise InputError(
-            f"photon budget {photons!r} is not allowed: give a finite number above zero, such as 1e4"
+            f"photon budget {photons!r} is not allowed: give a finite number above 0, such as 1e4"
         )
     return budget
 
@@ -64,7 +64,7 @@ def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
     array or tensor, shape (..., N)
         Photons.
     """
-    return x * (check_budget(photons) / light)  # type: ignore[operator, no-any-return]
+    return x * (check_budget(photons) / light)  # type: ignore[operator, return-value]
 
 
 def impulse_imaging_error(
@@ -97,6 +97,8 @@ def impulse_imaging_error(
         In units of reflectance.
     """
     budget = check_budget(photons)
+    if noise not in ("poisson", "gaussian"):
+        raise InputError(f"no closed form for noise {noise!r}: choose poisson or gaussian")
     if noise == "poisson":
         return mean_reflectance * math.sqrt(pixels / budget)
     return sigma * mean_reflectance * pixels / budget

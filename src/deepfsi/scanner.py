@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi import constraints
-from deepfsi.noise import Noise, readout, root, variance
+from deepfsi.noise import Noise, check_noise, readout, root, variance
 
 
 class Scanner(nn.Module):
@@ -25,7 +25,7 @@ class Scanner(nn.Module):
     def __init__(self, masks: nn.Module, noise: Noise = "poisson", sigma: float = 1.0) -> None:
         super().__init__()
         self.masks = masks
-        self.noise = noise
+        self.noise = check_noise(noise)
         self.sigma = sigma
 
     @classmethod
@@ -81,17 +81,17 @@ class Scanner(nn.Module):
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""
         difference, total = self.masks()
-        rails = "single" if difference is total else "dual"
-        return project(photons, constraints.separate(difference, total, rails))
+        return project(photons, constraints.separate(difference, total))
 
 
 def project(photons: Tensor, masks: Tensor) -> Tensor:
     """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m).
 
-    Multiplies in the type of the scenes and returns that of the masks.
+    Multiplies in the type of the scenes and returns the wider of theirs and the masks'.
     """
-    flat = masks.flatten(0, -2).to(photons.dtype)
-    return (photons @ flat.T).to(masks.dtype).unflatten(-1, masks.shape[:-1])
+    product = photons @ masks.flatten(0, -2).to(photons.dtype).T
+    wider = torch.promote_types(photons.dtype, masks.dtype)
+    return product.to(wider).unflatten(-1, masks.shape[:-1])
 
 
 def project_pair(

@@ -1,4 +1,4 @@
-"""Many trainings as records on disk: a recipe names the axes, a trial is one point, a record its result.
+"""Many trainings as records on disk: recipes name axes, a trial is a point, a record its result.
 
 An output folder holds
 
@@ -29,10 +29,9 @@ from deepfsi import coding
 from deepfsi.artifact import write_atomically
 from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
 from deepfsi.evaluation import COVERS, evaluate
 from deepfsi.noise import Noise
-from deepfsi.training import Job, Scenes, Training, check_job, reworded, train
+from deepfsi.training import Job, Scenes, Training, check_job, train
 
 SCHEMA = 1
 

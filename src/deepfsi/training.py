@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.noise import root, variance
 from deepfsi.photons import mean_light
-from deepfsi.scanner import lit, project_pair
+from deepfsi.scanner import lit, project, project_pair
 
 Precision = Literal["auto", "float32", "bfloat16"]
 Progress = Callable[[float], None]
@@ -42,6 +42,9 @@ Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻�
 """
 
 
+Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
 class Training(BaseModel):
     """How a design is trained; all that do so together share one."""
 
@@ -49,12 +52,14 @@ class Training(BaseModel):
 
     epochs: int = Field(40, ge=1)
     batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
-    lr: float = Field(5e-3, gt=0, description="peak of the one-cycle schedule")
-    mask_lr: float = Field(5e-3, gt=0, description="the same for masks, relative to their rms")
-    hidden: tuple[int, ...] = (40, 128)
+    lr: Rate = Field(1e-2, description="peak of the one-cycle schedule")
+    mask_lr: Rate = Field(1e-1, description="the same for masks, relative to their rms")
+    hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
     dropout: float = Field(0.0, ge=0, lt=1)
-    scale: Literal["each", "common"] = Field("each", description="spread of features")
-    decay: float = Field(0.0, ge=0, description="decoupled weight decay of the classifier")
+    scale: Literal["each", "common"] = Field("common", description="spread of features")
+    decay: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
+    )
     start: str = Field("pca", description="design that learned masks start from")
     precision: Precision = "auto"
 
@@ -71,7 +76,7 @@ class Job(BaseModel):
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
     light: Light = "column"
     rails: Rails = "dual"
-    seed: int = 0
+    seed: int = Field(0, ge=0, lt=2**32)
     training: Training = Training()
 
     @property
@@ -119,9 +124,20 @@ class Scenes:
         self._matrices: dict[tuple[str, int, int], np.ndarray] = {}
 
     @cached_property
+    def mean(self) -> Tensor:
+        """Mean training scene (N,)."""
+        return self.full.mean(dim=0)
+
+    @cached_property
+    def centred(self) -> Tensor:
+        """Training scenes less their mean, exactly 0 where a pixel never varies."""
+        constant = (self.full == self.full[0]).all(dim=0)
+        return (self.full - torch.where(constant, self.full[0], self.mean)).contiguous()
+
+    @cached_property
     def half(self) -> Tensor:
-        """Training scenes in bfloat16."""
-        return self.full.bfloat16()
+        """The same in bfloat16."""
+        return self.centred.bfloat16()
 
     def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m."""
@@ -148,7 +164,7 @@ def products(job: Job, device: torch.device) -> torch.dtype:
     See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise.
     """
     if job.training.precision != "auto":
-        return getattr(torch, job.training.precision)  # type: ignore[no-any-return]
+        return getattr(torch, job.training.precision)
     fast = (
         torch.cuda.is_bf16_supported(including_emulation=False)
         if device.type == "cuda"
@@ -248,10 +264,14 @@ def train(
         classifier = _optimise(scenes, jobs, masks, report)
 
     with torch.no_grad():
+        if not all(
+            bool(torch.isfinite(part).all()) for part in (*masks(), *classifier.parameters())
+        ):
+            raise InputError(f"training of {first.design} diverged: lower lr and mask_lr")
         centre, spread, light = _statistics(scenes, jobs, masks)
         difference, total = masks()
-    constraint, rails = first.optics
-    every = constraints.separate(difference, total, rails)
+    constraint, _ = first.optics
+    every = constraints.separate(difference, total)
     seconds = time.perf_counter() - began
     return [
         Design(
@@ -271,7 +291,6 @@ def train(
                 "preprocessing": scenes.data.preprocessing,
                 "torch": torch.__version__,
                 "device": scenes.device.type,
-                "products": str(products(job, scenes.device)).removeprefix("torch."),
                 "seconds": seconds / len(jobs),
             },
         )
@@ -282,7 +301,7 @@ def train(
 def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
     """Raise `InputError` for whatever a job asks that cannot be had on this data."""
     coding.check_design(job.design)
-    constraints.check_light(job.light, job.optics[1])
+    constraints.check_light(*job.optics)
     start = coding.DESIGNS[coding.check_design(job.training.start)]
     if start.learned or job.training.start in ("control", "custom"):
         raise InputError(f"masks cannot start from {job.training.start}: name a fixed design")
@@ -312,7 +331,10 @@ def _masks(
     name = job.training.start if job.code.learned else job.design
     if matrix is not None:
         own = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
-        own_rails = constraints.split(own) if rails == "dual" else own.unsqueeze(0)
+        if rails == "single":
+            own_rails = own.unsqueeze(0)
+        else:
+            own_rails = constraints.arms(own) if light == "two-arm" else constraints.split(own)
         return constraints.Fixed(constraints.check(own_rails, light).unsqueeze(0))
     if rails == "dual" or job.code.single_rail:
         signed = torch.from_numpy(scenes.matrix(name, job.masks, job.seed)).float()
@@ -327,8 +349,8 @@ def _masks(
 
 def _frames(scenes: Scenes, name: str, count: int, seed: int) -> Tensor:
     """The first `count` lit rails of a design, mask by mask; the masks are as many as needed."""
-    _, most = coding.count_allowed(name, scenes.data)
-    for masks in range(min(-(-count // 2), most), most + 1):
+    least, most = coding.count_allowed(name, scenes.data)
+    for masks in range(min(max(-(-count // 2), least), most), most + 1):
         signed = torch.from_numpy(scenes.matrix(name, masks, seed)).float()
         lit_frames = constraints.frames(constraints.split(signed))
         if len(lit_frames) >= count:
@@ -359,7 +381,7 @@ def _optimise(
     ]
     if learns:
         groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
-        x = scenes.half if products(job, device) == torch.bfloat16 else scenes.full
+        x = scenes.half if products(job, device) == torch.bfloat16 else scenes.centred
     else:
         shown = masks()
         means, lights = _measure(scenes, masks)
@@ -377,21 +399,21 @@ def _optimise(
         order = torch.randperm(count, generator=generator, device=device)
         for rows in order[: steps * batch].split(batch):
             if learns:
-                shown = masks()
-                mean, light = project_pair(x.index_select(0, rows), *shown, noise.needs_light)
+                difference, total = shown = masks()
+                batch_x = x.index_select(0, rows)
+                mean, light = project_pair(batch_x, difference, total, noise.needs_light)
+                if noise.needs_light:
+                    light = light + project(scenes.mean, total)
             else:
                 mean, light = means.index_select(0, rows), lights.index_select(0, rows)
             epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
             features = mean + root(noise.variance(light, shown)) * epsilon
-            if learns:
-                features = _standardise(features, how.scale)
-            else:
-                features = (features - centre) / spread
-            logits = classifier(features.transpose(0, 1))
+            scaled = _standardise(features, how.scale) if learns else (features - centre) / spread
+            logits = classifier(scaled.transpose(0, 1))
             labels = scenes.labels.index_select(0, rows).repeat(len(jobs))
             loss = functional.cross_entropy(logits.flatten(0, 1), labels) * len(jobs)
             optimiser.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             optimiser.step()
             schedule.step()
         report((epoch + 1) / how.epochs)

@@ -245,18 +245,17 @@ def _accuracy_axes(ax: Axes, results: Results, points: list[Point], across: str)
             capsize=2,
             zorder=3 + place / 100,
         )
-        filled = [p["best"] if across == "masks" else variant == 0 for p in rows]
-        for full in (True, False):
-            at = np.array(filled) == full
+        filled = np.array([p["best"] if across == "masks" else variant == 0 for p in rows])
+        for full in set(filled.tolist()):
             ax.plot(
-                x[at],
-                y[at],
+                x[filled == full],
+                y[filled == full],
                 linestyle="none",
                 marker="o" if rows[0]["specific"] else "s",
                 color=colour,
                 markerfacecolor=colour if full else PAPER,
                 zorder=4 + place / 100,
-                label=names[key] if at.any() and full == filled[-1] else "_",
+                label=names[key],
             )
         ends.append((names[key], colour, float(x[-1]), float(y[-1])))
     chance = 1 / len(results["data"]["classes"])
@@ -406,7 +405,9 @@ def _colour_bar(figure: Figure, end: float, **where: Any) -> Colorbar:
     bar = figure.colorbar(scale, orientation="horizontal", **where)
     bar.set_label(BAR_LABEL)
     bar.set_ticks([-end, -end / 2, 0, end / 2, end])
-    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.2g}"))
+    bar.ax.xaxis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
+    )
     bar.outline.set_edgecolor(MUTED)
     return bar
 

@@ -93,7 +93,7 @@ def read_results(folder: Path) -> Results:
         )
     if not points:
         raise InputError(f"{path} holds no finished point: run the comparison again")
-    return results  # type: ignore[no-any-return]
+    return results
 
 
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
@@ -203,10 +203,9 @@ def summary(results: Results, noise: str) -> str:
     if len(names) > 1:
         text += (
             f"{first_name} is the most accurate design with one detector at {listed(first_wins)} "
-            f"photons{''.join(f', {who} at {listed(where)}' for who, where in rest)}. "
+            f"photons{''.join(f', {who} at {listed(where)}' for who, where in rest)}; "
         )
-    chance = 1 / len(results["data"]["classes"])
-    text += f"Chance is {share_text(chance)}."
+    text += f"chance is {share_text(1 / len(results['data']['classes']))}."
     for photons in dict.fromkeys([budgets[0], budgets[-1]]):
         first, *others = ranking(points, photons)
         masks = f"{first['masks']} mask{'s' if first['masks'] > 1 else ''}"

@@ -1,0 +1,240 @@
+"""The command line: what it prints, and one clear line with exit code 2 for bad input."""
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepfsi import cli
+from deepfsi.artifact import Design
+
+COMMANDS = ["compare", "design", "evaluate", "show", "data list", "data download", "data check"]
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        printed = capsys.readouterr()
+        return stop.value.code, printed.out, printed.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def design_file(tmp_path_factory):
+    from deepfsi import learn, load_dataset
+
+    path = tmp_path_factory.mktemp("design") / "digits.safetensors"
+    learn(load_dataset("digits"), photons=1e3, masks=4, epochs=2).save(path)
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(call, command):
+    code, out, _ = call(*command.split(), "--help")
+    assert code == 0
+    assert f"Example: deepfsi {command}" in " ".join(out.split())
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys; sys.argv = ['deepfsi', '--help']\n"
+        "from deepfsi.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'torch', 'numpy', 'scipy', 'sklearn', 'matplotlib', 'pydantic', 'PIL'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def test_module_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "deepfsi", "--help"], capture_output=True)
+    assert done.returncode == 0
+    assert b"compare" in done.stdout
+
+
+def test_design_evaluate_show(call, tmp_path):
+    file, picture = tmp_path / "one.safetensors", tmp_path / "masks.png"
+    code, out, _ = call("design", "--photons", "1e3", "--masks", 5, "--epochs", 2, "-o", file)
+    assert code == 0
+    assert "accuracy" in out
+    code, out, _ = call("evaluate", file, "--photons", "1e2,1e3", "--json")
+    assert code == 0
+    assert [result["photons"] for result in json.loads(out)["results"]] == [100, 1000]
+    code, out, _ = call("evaluate", file, "--photons", "1e2,1e3")
+    assert "95 % interval" in out
+    assert call("show", file, "-o", picture)[0] == 0
+    with Image.open(picture) as image:
+        assert image.width > 200
+
+
+def test_one_dmd_design(call, tmp_path):
+    file = tmp_path / "one-dmd.safetensors"
+    words = ["--light", "free-dwell", "--rails", "single", "--epochs", 2, "--masks", 6]
+    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    design = Design.load(file)
+    assert design.light == "free-dwell"
+    assert design.rails.shape == (1, 6, 64)
+
+
+def test_compare_writes_report_and_json(call, tmp_path):
+    words = ["--designs", "pca,raster", "--photons", "1e3", "--masks", "4", "--trials", "1"]
+    words += ["--epochs", 2, "-o", tmp_path]
+    code, out, _ = call("compare", *words)
+    assert code == 0
+    assert "raster scan (RS)" in out
+    assert "<svg" in (tmp_path / "report.html").read_text()
+    code, out, _ = call("compare", *words, "--json")
+    assert json.loads(out) == json.loads((tmp_path / "results.json").read_text())
+
+
+def test_options_override_a_recipe(call, tmp_path):
+    recipe = tmp_path / "own.toml"
+    recipe.write_text(
+        'data = "digits"\ndesigns = "raster"\nphotons = 1e3\n[training]\nepochs = 9\n'
+    )
+    out = tmp_path / "out"
+    code, text, _ = call(
+        "compare", "--recipe", recipe, "--designs", "pca", "--masks", 2, "--epochs", 1, "-o", out,
+        "--json",
+    )  # fmt: skip
+    used = json.loads(text)["recipe"]
+    assert code == 0
+    assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": 1})
+
+
+def test_own_matrix(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.eye(64)[:8] / 8)
+    words = ["--matrix", tmp_path / "m.npy", "--epochs", 1, "-o", tmp_path / "own.safetensors"]
+    assert call("design", "--photons", "1e3", *words)[0] == 0
+    assert np.allclose(Design.load(tmp_path / "own.safetensors").matrix, np.eye(64)[:8] / 8)
+
+
+@pytest.mark.parametrize("budget", ["0", "-1", "nan", "inf", "many", "", "1e3,,x"])
+@pytest.mark.parametrize("command", ["compare", "design", "evaluate"])
+def test_bad_budgets(call, tmp_path, design_file, command, budget):
+    words = {
+        "compare": ["compare", "-o", tmp_path / "out"],
+        "design": ["design", "--masks", 3, "-o", tmp_path / "out"],
+        "evaluate": ["evaluate", design_file],
+    }[command]
+    expect_refusal(call, tmp_path, *words, f"--photons={budget}")
+
+
+@pytest.mark.parametrize("masks", ["0", "1.5", "65", "-3", "x"])
+def test_bad_mask_counts(call, tmp_path, masks):
+    words = ["design", "--photons", "1e3", f"--masks={masks}", "-o", tmp_path / "out.safetensors"]
+    expect_refusal(call, tmp_path, *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["--data", "mnits"], "mnist"),
+        (["--designs", "pac"], "pca"),
+        (["--light", "colum"], "column"),
+        (["--noise", "poison"], "poisson"),
+        (["--ratios", "0"], "ratio"),
+        (["--ratios", "1.5"], "ratio"),
+        (["--masks", "0"], "masks"),
+        (["--masks", "1.5"], "masks"),
+        (["--masks", "3", "--ratios", "0.1"], "not both"),
+        (["--trials", "0"], "trials"),
+        (["--trials", "two"], "trials"),
+        (["--size", "big"], "size"),
+        (["--device", "tpu"], "cpu"),
+        (["--recipe", "nowhere.toml"], "nowhere.toml"),
+        (["--matrix", "nowhere.npy"], "nowhere.npy"),
+        (["--colour", "red"], "colour"),
+    ],
+)
+def test_bad_settings_name_what_is_allowed(call, tmp_path, words, hint):
+    error = expect_refusal(call, tmp_path, "compare", "-o", tmp_path / "out", *words)
+    assert hint in error
+
+
+@pytest.mark.parametrize("damage", ["truncated", "random", "pickle", "empty", "missing", "folder"])
+def test_bad_design_files(call, tmp_path, design_file, damage):
+    bad = tmp_path / "bad.safetensors"
+    whole = design_file.read_bytes()
+    content = {
+        "truncated": whole[: len(whole) // 2],
+        "random": bytes(range(256)) * 8,
+        "pickle": pickle.dumps({"rails": 1}),
+        "empty": b"",
+    }
+    if damage in content:
+        bad.write_bytes(content[damage])
+    elif damage == "folder":
+        bad.mkdir()
+    for words in (["evaluate", bad, "--photons", "1e3"], ["show", bad, "-o", tmp_path / "x.png"]):
+        assert "bad.safetensors" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_matrix_that_breaks_its_constraint(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.ones((4, 64)))
+    words = ["design", "--photons", "1e3", "--matrix", tmp_path / "m.npy", "-o", tmp_path / "d"]
+    assert "column" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_matrix_of_the_wrong_kind(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.array(["a", "b"], dtype=object), allow_pickle=True)
+    words = ["design", "--photons", "1e3", "--matrix", tmp_path / "m.npy", "-o", tmp_path / "d"]
+    expect_refusal(call, tmp_path, *words)
+
+
+def test_data_that_does_not_fit_the_design(call, tmp_path, design_file):
+    np.savez(tmp_path / "d.npz", x=np.random.default_rng(0).random((60, 9)), y=np.arange(60) % 2)
+    words = ["evaluate", design_file, "--data", tmp_path / "d.npz", "--photons", "1e3"]
+    assert "64" in expect_refusal(call, tmp_path, *words)
+
+
+def test_empty_image_folder(call, tmp_path):
+    (tmp_path / "images").mkdir()
+    words = ["compare", "--data", tmp_path / "images", "-o", tmp_path / "out"]
+    expect_refusal(call, tmp_path, *words)
+
+
+def test_output_that_cannot_be_written(call, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    words = ["compare", "--designs", "pca", "--masks", 2, "-o", tmp_path / "file" / "out"]
+    expect_refusal(call, tmp_path, *words)
+
+
+def test_full_disk_is_one_line(call, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    words = ["design", "--photons", "1e3", "--masks", 2, "--epochs", 1, "-o", tmp_path / "d"]
+    assert "No space left" in expect_refusal(call, tmp_path, *words)
+
+
+def test_ctrl_c_says_that_work_is_kept(call, tmp_path, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deepfsi.sweep.compare", stop)
+    code, _, err = call("compare", "-o", tmp_path / "out")
+    assert code == 130
+    assert "kept" in err
+
+
+def expect_refusal(call, folder, *words):
+    before = sorted(folder.rglob("*"))
+    code, out, err = call(*words)
+    assert code == 2, (out, err)
+    assert err.count("\n") == 1, err
+    assert err.startswith("deepfsi: ")
+    assert "Traceback" not in err
+    assert out == ""
+    assert sorted(folder.rglob("*")) == before
+    return err

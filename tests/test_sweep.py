@@ -1,0 +1,249 @@
+"""Recipes, records and their summary."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from deepfsi import sweep
+from deepfsi.artifact import Design
+from deepfsi.datasets import load_dataset
+from deepfsi.errors import InputError
+from deepfsi.evaluation import evaluate
+
+RECIPES = sorted((Path(__file__).parent.parent / "recipes").glob("*.toml"))
+SHORT = {"epochs": 2}
+
+
+@pytest.fixture(scope="module")
+def digits():
+    return load_dataset("digits")
+
+
+def small(**changes):
+    settings = {
+        "designs": ("pca", "deepfsi"),
+        "photons": (1e2, 1e3),
+        "masks": (3, 6),
+        "draws": 1,
+        "training": SHORT,
+        **changes,
+    }
+    return sweep.Recipe(**settings)
+
+
+def test_plan_holds_every_point_once(digits):
+    trials = sweep.plan(small(trials=2), digits)
+    assert len({trial.key for trial in trials}) == len(trials) == 2 * 2 * 2 * 2
+
+
+def test_designs_without_a_choice_of_masks_appear_once(digits):
+    trials = sweep.plan(small(designs=("impulse", "raster", "hadamard"), photons=1e3), digits)
+    assert [trial.job.masks for trial in trials] == [64, 64, 64]
+
+
+def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
+    assert small(designs="lda", masks=(20, 40)).mask_counts("lda", digits) == [9]
+
+
+def test_paper_ratios_are_the_default(digits):
+    counts = sweep.Recipe(designs="pca").mask_counts("pca", digits)
+    assert counts == [1, 3, 6, 10, 16, 23, 31, 41, 52, 64]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"photons": (2e2, 1e3)},
+        {"training": {"epochs": 3}},
+        {"draws": 2},
+        {"validation": 100},
+        {"light": "free-dwell"},
+        {"noise": "gaussian"},
+        {"test_noise": "ml_gauss"},
+        {"tuned": {"deepfsi": {"lr": 1e-3}, "pca": {"lr": 1e-3}}},
+    ],
+)
+def test_every_setting_changes_the_key(digits, change):
+    before = {trial.key for trial in sweep.plan(small(), digits)}
+    after = {trial.key for trial in sweep.plan(small(**change), digits)}
+    assert len(after - before) >= len(before) / 2
+
+
+def test_other_data_changes_the_key(digits):
+    other = load_dataset("digits", rescale=(0.1, 1.0))
+    keys = [{trial.key for trial in sweep.plan(small(), data)} for data in (digits, other)]
+    assert not keys[0] & keys[1]
+
+
+def test_all_mistakes_of_a_recipe_are_reported():
+    with pytest.raises(ValueError, match="photons") as error:
+        sweep.Recipe(photons=(-1.0,), trials=0, light="colum")
+    assert {fault["loc"][0] for fault in error.value.errors()} == {"photons", "trials", "light"}
+
+
+def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
+    trials = sweep.plan(small(), digits)
+    first = sweep.run(trials, digits, tmp_path)
+    monkeypatch.setattr(sweep, "train", lambda *_: pytest.fail("a finished trial was repeated"))
+    assert sweep.run(trials, digits, tmp_path) == first
+    record = first[-1]
+    design = Design.load(tmp_path / "designs" / f"{record['key']}.safetensors")
+    job = record["trial"]["job"]
+    again = evaluate(design, digits, job["photons"], draws=1, seed=job["seed"])[0]
+    assert again.accuracy == record["test"][0]["accuracy"]
+    assert not list(tmp_path.glob("**/.*"))
+
+
+def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
+    trials = sweep.plan(small(), digits)
+    real, calls = sweep.train, []
+
+    def stop_at_third(*arguments):
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(sweep, "train", stop_at_third)
+    with pytest.raises(KeyboardInterrupt):
+        sweep.run(trials, digits, tmp_path)
+    assert len(list((tmp_path / "trials").iterdir())) == 4
+    sweep.run(trials, digits, tmp_path)
+    assert len(calls) == 3 + 2
+
+
+def test_a_killed_process_leaves_only_whole_records(tmp_path):
+    command = [sys.executable, "-m", "deepfsi", "compare", "--designs", "pca,random"]
+    command += [
+        "--epochs",
+        "4",
+        "-o",
+        str(tmp_path),
+        "--photons",
+        "1e2",
+        "--masks",
+        "1,2,3,4,5,6",
+        "--trials",
+        "1",
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    trials = tmp_path / "trials"
+    deadline = time.monotonic() + 120
+    while not (trials.is_dir() and len(list(trials.glob("*.json"))) >= 2):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    left = {path: path.stat().st_mtime_ns for path in trials.glob("*.json")}
+    for path in left:
+        assert json.loads(path.read_text())["test"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert len(list(trials.glob("*.json"))) == 12
+    assert {path: path.stat().st_mtime_ns for path in left} == left
+
+
+def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
+    alone = sweep.plan(small(photons=1e3, masks=3), digits)
+    together = sweep.plan(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
+    sweep.run(alone, digits, tmp_path / "alone")
+    sweep.run(together, digits, tmp_path / "together")
+    for trial in alone:
+        name = f"{trial.key}.safetensors"
+        one = Design.load(tmp_path / "alone" / "designs" / name)
+        other = Design.load(tmp_path / "together" / "designs" / name)
+        np.testing.assert_allclose(one.matrix, other.matrix, rtol=0, atol=1e-4)
+
+
+def record(photons, masks, seed, validation, test):
+    result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
+    job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
+    return {
+        "key": f"{masks}-{seed}",
+        "trial": {"job": job},
+        "validation": [{**result, "accuracy": validation}],
+        "test": [{**result, "accuracy": test}],
+        "info": {"seconds": 1.0},
+    }
+
+
+def summary(data, records, **changes):
+    return sweep.summarise(
+        small(**changes), data, records, command="deepfsi", device="cpu", seconds=1.0
+    )["points"]
+
+
+def test_mask_counts_are_chosen_on_validation_never_on_test(digits):
+    records = [record(1e3, 3, 0, 0.8, 0.5), record(1e3, 6, 0, 0.7, 0.9)]
+    best = [point["masks"] for point in summary(digits, records) if point["best"]]
+    assert best == [3]
+
+
+def test_interval_over_trials_is_students(digits):
+    values = [0.80, 0.83, 0.85, 0.79]
+    (point,) = summary(digits, [record(1e3, 3, k, 0.8, v) for k, v in enumerate(values)])
+    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    assert (point["low"], point["high"]) == pytest.approx((low, high))
+    assert "4 trials" in point["covers"]
+
+
+def test_interval_of_one_trial_is_that_of_its_images(digits):
+    (point,) = summary(digits, [record(1e3, 3, 0, 0.8, 0.5)])
+    assert (point["low"], point["high"]) == (0.1, 0.9)
+    assert "images" in point["covers"]
+
+
+def test_without_validation_nothing_is_chosen(digits):
+    records = [record(1e3, 3, 0, 0.8, 0.5), record(1e3, 6, 0, 0.7, 0.9)]
+    for entry in records:
+        entry["validation"] = []
+    assert all(point["best"] for point in summary(digits, records, validation=0))
+
+
+def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
+    seen = []
+    real = sweep.Scenes
+    monkeypatch.setattr(sweep, "Scenes", lambda data, device: seen.append(data) or real(data))
+    sweep.run(sweep.plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
+    (parts,) = seen
+    assert len(parts.x_train) == len(digits.x_train) - 200
+    assert np.array_equal(parts.x_test, digits.x_train[-200:])
+
+
+def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
+    matrix = np.eye(64)[:5] / 5
+    trials = sweep.plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
+    assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
+    assert len(sweep.run(trials, digits, tmp_path, matrix=matrix)) == len(trials)
+
+
+def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
+    with pytest.raises(InputError, match="two-arm"):
+        sweep.plan(small(light="two-arm", rails="single"), digits)
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+def test_every_recipe_runs_small(path, digits, tmp_path):
+    import tomllib
+
+    settings = tomllib.loads(path.read_text())
+    sweep.Recipe(**settings)
+    tiny = {
+        "data": "digits",
+        "masks": 4,
+        "ratios": (),
+        "photons": 1e3,
+        "trials": 1,
+        "training": {**settings.get("training", {}), "epochs": 1},
+    }
+    recipe = sweep.Recipe(**{**settings, **tiny})
+    results = sweep.compare(recipe, digits, tmp_path, command="deepfsi")
+    assert {point["design"] for point in results["points"]} == set(recipe.designs)
