@@ -468,21 +468,23 @@ def _print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]
 
 def _print_points(results: dict[str, Any]) -> None:
     best = [point for point in results["points"] if point["best"]]
-    heads = ("design", "noise", "photons", "masks", "accuracy", "95 % interval", "light")
+    axes = [axis for axis in ("noise", "light", "rails") if len({p[axis] for p in best}) > 1]
+    heads = ("design", *axes, "photons", "masks", "accuracy, 95 % interval", "counted")
+    best.sort(key=lambda p: (*(p[axis] for axis in axes), p["photons"], -p["accuracy"]))
     rows = [
         (
             f"{p['title']} ({p['label']})",
-            p["noise"],
+            *(p[axis] for axis in axes),
             f"{p['photons']:g}",
             str(p["masks"]),
-            f"{p['accuracy']:.4f}",
-            f"{p['low']:.4f} to {p['high']:.4f}",
+            f"{p['accuracy']:.4f} [{p['low']:.4f}, {p['high']:.4f}]",
             f"{p['throughput']:.3f}",
         )
-        for p in sorted(best, key=lambda p: (p["noise"], p["photons"], -p["accuracy"]))
+        for p in best
     ]
     _print_table(results["title"], heads, rows)
-    print(f"interval: {best[0]['covers']}")
+    print("interval: " + "; ".join(dict.fromkeys(p["covers"] for p in best)))
+    print("counted: share of the budget that reaches a detector")
     if results["chosen_on"] == "validation":
         print("mask counts were chosen on validation data; the table is of test data")
 

@@ -48,7 +48,7 @@ DESIGNS: dict[str, Code] = {
     "raster": Code("RS", "raster scan", fixed_count=True, single_rail=True),
     "hadamard": Code("HB", "Hadamard basis", fixed_count=True),
     "truncated-hadamard": Code("TH", "truncated Hadamard"),
-    "pca": Code("FSI", "PCA (FSI)", specific=True),
+    "pca": Code("FSI", "PCA", specific=True),
     "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
     "control": Code("CG", "control group", specific=True),
     "random": Code("RND", "random ±1"),

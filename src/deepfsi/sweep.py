@@ -31,7 +31,7 @@ from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
 from deepfsi.evaluation import COVERS, evaluate
 from deepfsi.noise import Noise
-from deepfsi.training import Job, Scenes, Training, check_job, train
+from deepfsi.training import Job, Scenes, Training, check_job, train, training_for
 
 SCHEMA = 1
 
@@ -110,7 +110,7 @@ class Recipe(BaseModel):
 
     def training_of(self, design: str) -> Training:
         """Training settings of one design."""
-        return Training.model_validate({**self.training, **self.tuned.get(design, {})})
+        return training_for(design, **{**self.training, **self.tuned.get(design, {})})
 
     def mask_counts(self, design: str, data: Dataset) -> list[int]:
         """Mask counts of one design: those asked for that it can have, else the most it can have.

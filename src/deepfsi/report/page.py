@@ -1,5 +1,6 @@
 """The output folder of a comparison, as one HTML page that needs nothing else."""
 
+import io
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -50,6 +51,8 @@ class Best:
 def build(folder: str | os.PathLike[str]) -> Path:
     """Write `report.html` into the output folder of a comparison, all or nothing.
 
+    The accuracy figure is written beside it on its own, as `accuracy.png`.
+
     Parameters
     ----------
     folder : path
@@ -66,15 +69,22 @@ def build(folder: str | os.PathLike[str]) -> Path:
         If there are no results, or they cannot be read.
     """
     home = Path(folder)
-    text = render(read_results(home), home / "designs")
-    page = home / "report.html"
-    draft = home / f".report.html.{os.getpid()}"
+    results = read_results(home)
+    text = render(results, home / "designs")
+    picture = io.BytesIO()
+    figures.accuracy_figure(results).savefig(picture, dpi=160)
+    _replace(home / "accuracy.png", picture.getvalue())
+    return _replace(home / "report.html", text.encode())
+
+
+def _replace(path: Path, content: bytes) -> Path:
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, page)
+        draft.write_bytes(content)
+        os.replace(draft, path)
     finally:
         draft.unlink(missing_ok=True)
-    return page
+    return path
 
 
 def read_results(folder: Path) -> Results:

@@ -1,0 +1,37 @@
+"""What the README shows is run: every block of Python, and every command with all its options."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+README = (Path(__file__).parent.parent / "README.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+COMMANDS = sorted(set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show) -?[^`]+)`", README)))
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
+def test_python(block, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(block.replace('"mnist"', '"digits"'), names)
+    if "loss" in names:
+        assert names["loss"].item() < 1.0
+
+
+def test_commands(tmp_path, monkeypatch):
+    from deepfsi import cli
+
+    monkeypatch.chdir(tmp_path)
+    assert len(COMMANDS) == 6
+    for command in sorted(COMMANDS, key=lambda line: "design" not in line):
+        words = shlex.split(command.replace("mnist", "digits"))
+        if words[1] in ("compare", "design"):
+            words += ["--epochs", "1"]
+        monkeypatch.setattr("sys.argv", words)
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 0, command
+    assert (tmp_path / "runs/digits/report.html").stat().st_size > 10_000
+    assert (tmp_path / "masks.png").stat().st_size > 1000
