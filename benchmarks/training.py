@@ -103,7 +103,7 @@ def our_epochs(
 ) -> tuple[list[float], float]:
     """Seconds of each epoch, and test accuracy."""
     how = Training(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
-    ticks = [time.perf_counter()]
+    ticks: list[float] = []
     job = Job(masks=masks, photons=BUDGET, training=how)
     design = train(scenes, [job], progress=lambda share: ticks.append(time.perf_counter()))[0]
     seconds = [stop - start for start, stop in itertools.pairwise(ticks)]

@@ -155,7 +155,12 @@ def test_page_is_one_self_contained_document(tmp_path):
         assert address.startswith(("data:image/png;base64,", "#"))
         assert address[0] != "#" or address[1:] in parser.ids
     assert not re.search(r"https?:|//fonts|@import", page)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["designs", "report.html", "results.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "accuracy.png",
+        "designs",
+        "report.html",
+        "results.json",
+    ]
 
 
 def test_all_designs_and_numbers_are_in_the_tables(tmp_path):

@@ -196,21 +196,25 @@ class Design:
         header, tensors = read_design(path)
         try:
             network = header["classifier"]
-            classifier = Mlp.restored(
-                {
-                    key.removeprefix("classifier."): torch.from_numpy(value)
-                    for key, value in tensors.items()
-                    if key.startswith("classifier.")
-                },
+            classifier = Mlp(
                 inputs=tensors["rails"].shape[1],
                 classes=len(header["classes"]),
                 hidden=network["hidden"],
                 dropout=network["dropout"],
+                generator=torch.Generator(),
             )
+            classifier.load_state_dict(
+                {
+                    key.removeprefix("classifier."): torch.from_numpy(value)
+                    for key, value in tensors.items()
+                    if key.startswith("classifier.")
+                }
+            )
+            classifier.generator = None
             design = cls(
                 name=header["name"],
                 rails=torch.from_numpy(tensors["rails"]),
-                classifier=classifier,
+                classifier=classifier.eval(),
                 centre=torch.from_numpy(tensors["centre"]),
                 spread=torch.from_numpy(tensors["spread"]),
                 shares=torch.from_numpy(tensors["shares"]),

@@ -173,8 +173,8 @@ class Learned(nn.Module):
     def forward(self) -> tuple[Tensor, Tensor]:
         """Difference M⁺ − M⁻ and total M⁺ + M⁻, each (..., m, N)."""
         if self.light == "column":
-            matrix = self.weight * self.unit
-            matrix = matrix / matrix.abs().sum(dim=-2, keepdim=True).clamp(min=1)
+            sums = self.weight.abs().sum(dim=-2, keepdim=True)
+            matrix = self.weight * (self.unit / (sums * self.unit).clamp(min=1))
             return (matrix, matrix.abs()) if self.rails == "dual" else (matrix.abs(),) * 2
         if self.rails == "single":
             frame = torch.sigmoid(self.weight) * self._dwell()[..., 0, :, None]

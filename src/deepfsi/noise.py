@@ -8,7 +8,7 @@
 ε is standard normal. A rail that is dark by construction is not read out and adds no noise.
 """
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -68,8 +68,22 @@ def ml_gauss(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
 
 def root(rate: Tensor) -> Tensor:
     """Square root whose gradient is 0, not infinite, where the rate is 0 (a dark rail)."""
-    lit = rate > 0
-    return torch.where(lit, torch.where(lit, rate, 1.0).sqrt(), 0.0)
+    return _Root.apply(rate)  # type: ignore[no-untyped-call]
+
+
+class _Root(torch.autograd.Function):
+    @staticmethod
+    def forward(rate: Tensor) -> Tensor:
+        return rate.clamp(min=0).sqrt()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(output)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        (value,) = ctx.saved_tensors
+        return torch.where(value > 0, gradient / (2 * value), 0.0)
 
 
 def readout(

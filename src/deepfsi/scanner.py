@@ -104,7 +104,9 @@ def project_pair(
     if difference is total or not both:
         mean = project(photons, difference)
         return mean, mean
-    mean, light = project(photons, torch.stack([difference, total])).unbind(-difference.ndim)
+    pair = torch.stack([difference.to(photons.dtype), total.to(photons.dtype)])
+    wider = torch.promote_types(photons.dtype, difference.dtype)
+    mean, light = project(photons, pair).to(wider).unbind(-difference.ndim)
     return mean, light
 
 

@@ -29,7 +29,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.noise import root, variance
 from deepfsi.photons import mean_light
-from deepfsi.scanner import lit, project, project_pair
+from deepfsi.scanner import lit, project_pair
 
 Precision = Literal["auto", "float32", "bfloat16"]
 Progress = Callable[[float], None]
@@ -142,15 +142,15 @@ class Scenes:
         self._matrices: dict[tuple[str, int, int], np.ndarray] = {}
 
     @cached_property
-    def mean(self) -> Tensor:
-        """Mean training scene (N,)."""
-        return self.full.mean(dim=0)
-
-    @cached_property
     def centred(self) -> Tensor:
-        """Training scenes less their mean, exactly 0 where a pixel never varies."""
+        """Training scenes less their mean, exactly 0 where a pixel never varies, then the mean.
+
+        The products of the last row with the masks, added to those of a scene, give the scene's
+        own: what never varies moves no mask through rounding, and little is lost in bfloat16.
+        """
         constant = (self.full == self.full[0]).all(dim=0)
-        return (self.full - torch.where(constant, self.full[0], self.mean)).contiguous()
+        mean = torch.where(constant, self.full[0], self.full.mean(dim=0))
+        return torch.cat([self.full - mean, mean.unsqueeze(0)])
 
     @cached_property
     def half(self) -> Tensor:
@@ -277,15 +277,14 @@ def train(
             progress=lambda share: report(share / 2),
         )
         masks = constraints.Fixed(torch.stack([design.rails for design in optimised]))
-        classifier = _optimise(scenes, jobs, masks, lambda share: report(0.5 + share / 2))
+        classifiers = _optimise(scenes, jobs, masks, lambda share: report(0.5 + share / 2))
     else:
         masks = _masks(scenes, jobs, matrix).to(scenes.device)
-        classifier = _optimise(scenes, jobs, masks, report)
+        classifiers = _optimise(scenes, jobs, masks, report)
 
     with torch.no_grad():
-        if not all(
-            bool(torch.isfinite(part).all()) for part in (*masks(), *classifier.parameters())
-        ):
+        learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
+        if not all(bool(torch.isfinite(part).all()) for part in learned):
             raise InputError(f"training of {first.design} diverged: lower lr and mask_lr")
         centre, spread, light = _statistics(scenes, jobs, masks)
         difference, total = masks()
@@ -296,7 +295,7 @@ def train(
         Design(
             name=job.design,
             rails=constraints.check(every[r % len(every)].clone(), constraint),
-            classifier=classifier.replica(r).to(scenes.device),
+            classifier=classifiers[r],
             centre=centre[r] / scenes.light,
             spread=spread[r] / scenes.light,
             shares=light[r] / scenes.light,
@@ -382,22 +381,23 @@ def _optimise(
     jobs: Sequence[Job],
     masks: constraints.Fixed | constraints.Learned,
     report: Progress,
-) -> Mlp:
+) -> list[Mlp]:
     """Train the classifiers, and the masks where they learn; masks are changed in place."""
     job, how, device = jobs[0], jobs[0].training, scenes.device
     generator = torch.Generator(device).manual_seed(job.seed)
-    classifier = Mlp(
-        job.masks,
-        len(scenes.data.classes),
-        how.hidden,
-        how.dropout,
-        replicas=len(jobs),
-        generator=generator,
-    ).train()
-    learns = isinstance(masks, constraints.Learned)
-    groups: list[dict[str, Any]] = [
-        {"params": list(classifier.parameters()), "lr": how.lr, "weight_decay": how.decay}
+    classifiers = [
+        Mlp(
+            job.masks,
+            len(scenes.data.classes),
+            how.hidden,
+            how.dropout,
+            torch.Generator(device).manual_seed(job.seed),
+        )
+        for _ in jobs
     ]
+    weights = [parameter for classifier in classifiers for parameter in classifier.parameters()]
+    learns = isinstance(masks, constraints.Learned)
+    groups: list[dict[str, Any]] = [{"params": weights, "lr": how.lr, "weight_decay": how.decay}]
     if learns:
         groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
         x = scenes.half if products(job, device) == torch.bfloat16 else scenes.centred
@@ -408,35 +408,41 @@ def _optimise(
 
     noise = _Noise(scenes, jobs)
     count = len(scenes.labels)
+    last = torch.tensor([count], device=device)
     batch = min(how.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, [group["lr"] for group in groups], total_steps=how.epochs * steps
     )
+    report(0.0)
     for epoch in range(how.epochs):
         order = torch.randperm(count, generator=generator, device=device)
         for rows in order[: steps * batch].split(batch):
             if learns:
                 difference, total = shown = masks()
-                batch_x = x.index_select(0, rows)
+                batch_x = x.index_select(0, torch.cat([rows, last]))
                 mean, light = project_pair(batch_x, difference, total, noise.needs_light)
-                if noise.needs_light:
-                    light = light + project(scenes.mean, total)
+                mean, light = mean[:-1], light[:-1] + light[-1]
             else:
                 mean, light = means.index_select(0, rows), lights.index_select(0, rows)
             epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
-            features = mean + root(noise.variance(light, shown)) * epsilon
+            features = mean + noise.scaled(epsilon, light, shown)
             scaled = _standardise(features, how.scale) if learns else (features - centre) / spread
-            logits = classifier(scaled.transpose(0, 1))
-            labels = scenes.labels.index_select(0, rows).repeat(len(jobs))
-            loss = functional.cross_entropy(logits.flatten(0, 1), labels) * len(jobs)
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
+            labels = scenes.labels.index_select(0, rows)
+            losses = [
+                functional.cross_entropy(classifier(features), labels)
+                for classifier, features in zip(classifiers, scaled.unbind(1), strict=True)
+            ]
+            torch.autograd.backward(losses)
             optimiser.step()
+            optimiser.zero_grad(set_to_none=True)
             schedule.step()
         report((epoch + 1) / how.epochs)
-    return classifier.eval()
+    for classifier in classifiers:
+        classifier.generator = None
+        classifier.eval()
+    return classifiers
 
 
 class _Noise:
@@ -453,6 +459,12 @@ class _Noise:
         """Whether the noise depends on x S."""
         return self.kind == "ml_gauss"
 
+    def scaled(self, epsilon: Tensor, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
+        """Normal draws (B, 1, m) brought to the noise of features that see `light` = x S."""
+        if self.kind == "ml_gauss":
+            return root(light) * epsilon * self.gain.rsqrt()
+        return root(self.variance(light, masks)) * epsilon
+
     def variance(self, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
         """Variance (..., R, m) where the rails together see `light` = x S, (..., R, m)."""
         if self.kind == "ml_gauss":
@@ -462,12 +474,12 @@ class _Noise:
 
 
 def _standardise(features: Tensor, scale: str) -> Tensor:
-    """Centre and scale features (B, R, m) with the statistics of their batch."""
+    """Scale centred features (B, R, m) with the spread of their batch."""
     if scale == "each":
         columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
         return columns.view_as(features)
-    centred = features - features.mean(dim=0)
-    return centred / centred.square().mean(dim=(0, 2)).sqrt()[:, None]
+    size = torch.linalg.vector_norm(features, dim=(0, 2)) / (features[:, 0].numel() ** 0.5)
+    return features / size[:, None]
 
 
 def _measure(scenes: Scenes, masks: constraints.Fixed | constraints.Learned) -> tuple[Tensor, ...]:

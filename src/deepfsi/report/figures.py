@@ -131,21 +131,32 @@ def noise_text(noise: str) -> str:
     return NOISES.get(noise, f"{noise} noise")
 
 
-def series(points: Iterable[Point]) -> dict[tuple[str, str, str], list[Point]]:
-    """Points by design, light constraint and rails, in the order in which they appear."""
-    found: dict[tuple[str, str, str], list[Point]] = {}
+Fields = tuple[str, ...]
+CHOSEN: Fields = ("design", "light", "rails")
+
+
+def series_axes(results: Results) -> Fields:
+    """Fields that tell series apart: the number of masks too, where none was chosen."""
+    return (*CHOSEN, "masks") if results["chosen_on"] == "nothing" else CHOSEN
+
+
+def series(points: Iterable[Point], axes: Fields) -> dict[tuple[str, ...], list[Point]]:
+    """Points by the fields `axes`, the design first, in the order in which they appear."""
+    found: dict[tuple[str, ...], list[Point]] = {}
     for point in points:
-        found.setdefault((point["design"], point["light"], point["rails"]), []).append(point)
+        found.setdefault(tuple(str(point[axis]) for axis in axes), []).append(point)
     return found
 
 
-def series_names(points: Iterable[Point], field: str = "label") -> dict[tuple[str, str, str], str]:
-    """Name of each series: the design's, and its light and rails where these tell two apart."""
-    rows = list(series(points).items())
+def series_names(
+    points: Iterable[Point], axes: Fields, field: str = "label"
+) -> dict[tuple[str, ...], str]:
+    """Name of each series: the design's, and the other axes where these tell two apart."""
+    rows = list(series(points, axes).items())
     names = {}
     for key, members in rows:
         kin = [other for other, _ in rows if other[0] == key[0]]
-        apart = [key[i] for i in (1, 2) if len({other[i] for other in kin}) > 1]
+        apart = [key[i] for i in range(1, len(axes)) if len({other[i] for other in kin}) > 1]
         names[key] = " ".join([members[0][field], *apart])
     return names
 
@@ -174,7 +185,7 @@ def accuracy_figure(results: Results) -> Figure:
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
         points = [p for p in results["points"] if p["noise"] == noise and p["best"]]
-        _accuracy_axes(ax, results, points, "photons")
+        _accuracy_axes(ax, results, points, series_axes(results), "photons")
         ax.set_xlabel("photon budget Φ")
         budgets = sorted({p["photons"] for p in points})
         ax.xaxis.set_major_locator(
@@ -204,7 +215,7 @@ def count_figure(results: Results) -> Figure:
     several = len(noises(results)) > 1
     for ax, (noise, photons) in zip(axes, panels, strict=False):
         points = [p for p in results["points"] if (p["noise"], p["photons"]) == (noise, photons)]
-        _accuracy_axes(ax, results, points, "masks")
+        _accuracy_axes(ax, results, points, CHOSEN, "masks")
         ax.set_xlabel("number of masks m")
         ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -216,9 +227,11 @@ def count_figure(results: Results) -> Figure:
     return figure
 
 
-def _accuracy_axes(ax: Axes, results: Results, points: list[Point], across: str) -> None:
+def _accuracy_axes(
+    ax: Axes, results: Results, points: list[Point], axes: Fields, across: str
+) -> None:
     """Draw one line per series over the field `across`, named at the right edge."""
-    groups, names = series(points), series_names(points)
+    groups, names = series(points, axes), series_names(points, axes)
     values = sorted({p[across] for p in points})
     decades = max(1.0, math.log10(values[-1] / values[0]))
     apart = 10 ** (0.004 * decades)

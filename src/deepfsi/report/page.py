@@ -128,13 +128,14 @@ def render(results: Results, designs: Path) -> str:
     environment.filters.update(photons=photons_text, noise=noise_text, share=share_text)
     data = results["data"]
     points = results["points"]
+    axes = figures.series_axes(results)
     learned = list(learned_masks(results, designs))
     return environment.get_template("page.html.jinja").render(
         results=results,
         colours=figures.COLOURS,
         dark_colours=figures.DARK_COLOURS,
         summary=[summary(results, noise) for noise in figures.noises(results)],
-        variants=len(figures.series(points)) > len({p["design"] for p in points}),
+        variants=len(figures.series(points, axes)) > len({p["design"] for p in points}),
         accuracy=list(accuracy_panels(results)),
         counts=list(count_panels(results)),
         tables=[best_table(results, noise) for noise in figures.noises(results)],
@@ -195,11 +196,12 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
 def summary(results: Results, noise: str) -> str:
     """Say what the numbers say under a noise: who leads where, and how clearly at both ends."""
     points = chosen(results, noise)
-    names = figures.series_names(points, "title")
+    axes = figures.series_axes(results)
+    names = figures.series_names(points, axes, "title")
     budgets = sorted({p["photons"] for p in points})
 
     def name(point: Point) -> str:
-        return names[point["design"], point["light"], point["rails"]]
+        return names[tuple(str(point[axis]) for axis in axes)]
 
     def reach(point: Point) -> str:
         low, high = share_text(point["low"]), share_text(point["high"])
@@ -275,10 +277,11 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
 def best_table(results: Results, noise: str) -> Best:
     """Table of the chosen mask counts under a noise."""
     points = chosen(results, noise)
-    names = figures.series_names(points, "label")
+    axes = figures.series_axes(results)
+    names = figures.series_names(points, axes, "label")
     budgets = sorted({p["photons"] for p in points})
     rows: list[tuple[str, Point, list[Point | None]]] = []
-    for key, members in figures.series(points).items():
+    for key, members in figures.series(points, axes).items():
         at = {p["photons"]: p for p in members}
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
     leaders = {photons: ranking(points, photons)[0] for photons in budgets}
@@ -295,8 +298,9 @@ def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
     """Masks and value distributions of every learned design whose files are there."""
     for i, noise in enumerate(figures.noises(results)):
         points = [p for p in chosen(results, noise) if p["learned"]]
-        names = figures.series_names(points, "title")
-        for j, (key, members) in enumerate(figures.series(points).items()):
+        axes = figures.series_axes(results)
+        names = figures.series_names(points, axes, "title")
+        for j, (key, members) in enumerate(figures.series(points, axes).items()):
             panels: list[Panel] = []
             for point in sorted(members, key=lambda p: p["photons"]):
                 path = designs / f"{point['keys'][0]}.safetensors"
