@@ -158,7 +158,9 @@ def test_safetensors_without_our_header_are_refused(tmp_path, metadata):
     refused(path)
 
 
-@pytest.mark.parametrize("key", ["rails", "centre", "spread", "shares", "classifier.layers.0.weight"])
+@pytest.mark.parametrize(
+    "key", ["rails", "centre", "spread", "shares", "classifier.layers.0.weight"]
+)
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
 def test_tensors_that_are_not_finite_are_refused(saved, key, bad):
     rewrite(saved, lambda _, tensors: tensors[key].view(-1)[0].fill_(bad))
@@ -171,7 +173,9 @@ def test_a_missing_tensor_is_refused(saved, key):
     refused(saved)
 
 
-@pytest.mark.parametrize("key", ["rails", "centre", "spread", "shares", "classifier.layers.1.weight"])
+@pytest.mark.parametrize(
+    "key", ["rails", "centre", "spread", "shares", "classifier.layers.1.weight"]
+)
 def test_a_tensor_of_another_shape_is_refused(saved, key):
     def change(_: Any, tensors: dict[str, torch.Tensor]) -> None:
         tensors[key] = tensors[key][..., 1:].contiguous()

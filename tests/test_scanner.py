@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from conftest import assert_moments, every_design, every_optics, generator, light_on
 from deepfsi.constraints import Fixed, Learned, fit
 from deepfsi.errors import InputError
-from deepfsi.scanner import Scanner, subtract
+from deepfsi.noise import root
+from deepfsi.scanner import Scanner, measure, project, project_pair, subtract
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]
@@ -277,3 +278,34 @@ def test_fixed_masks_move_with_the_module():
     scanner = Scanner.from_rails(fit(torch.randn(3, 5, generator=generator()), "column"))
     assert {name for name, _ in scanner.named_buffers()} == {"masks.difference", "masks.total"}
     assert not list(scanner.parameters())
+
+
+@pytest.mark.parametrize("rails", ["dual", "single"])
+@pytest.mark.parametrize("replicas", [(), (3,)])
+def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(rails, replicas):
+    draw = generator(3)
+    scenes = torch.rand(7, 12, generator=draw, dtype=torch.float64)
+    mean = scenes.mean(dim=0)
+    stacked = torch.cat([scenes - mean, mean[None]])
+    epsilon = torch.randn(7, *replicas, 5, generator=draw, dtype=torch.float64)
+    start = torch.randn(*replicas, 5, 12, generator=draw, dtype=torch.float64)
+    start[..., 2, :] = 0
+    weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
+
+    def features(matrix: torch.Tensor, whole: bool) -> torch.Tensor:
+        difference = matrix if rails == "dual" else matrix.abs()
+        total = matrix.abs() if rails == "dual" else difference
+        if whole:
+            return measure(stacked, difference, total, epsilon)
+        mean_, light = project_pair(scenes, difference, total, both=True)
+        return mean_ - project(mean, difference) + root(light) * epsilon
+
+    found = []
+    for whole in (True, False):
+        matrix = start.clone().requires_grad_()
+        value = features(matrix, whole)
+        (value * weight).sum().backward()
+        found.append((value.detach(), matrix.grad))
+    assert torch.allclose(found[0][0], found[1][0], rtol=0, atol=1e-12)
+    assert torch.allclose(found[0][1], found[1][1], rtol=0, atol=1e-12)
+    assert torch.isfinite(found[0][1]).all()

@@ -29,7 +29,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.noise import root, variance
 from deepfsi.photons import mean_light
-from deepfsi.scanner import lit, project_pair
+from deepfsi.scanner import lit, measure, project, project_pair
 
 Precision = Literal["auto", "float32", "bfloat16"]
 Progress = Callable[[float], None]
@@ -408,7 +408,6 @@ def _optimise(
 
     noise = _Noise(scenes, jobs)
     count = len(scenes.labels)
-    last = torch.tensor([count], device=device)
     batch = min(how.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, fused=True)
@@ -418,20 +417,25 @@ def _optimise(
     report(0.0)
     for epoch in range(how.epochs):
         order = torch.randperm(count, generator=generator, device=device)
-        for rows in order[: steps * batch].split(batch):
-            if learns:
-                difference, total = shown = masks()
-                batch_x = x.index_select(0, torch.cat([rows, last]))
-                mean, light = project_pair(batch_x, difference, total, noise.needs_light)
-                mean, light = mean[:-1], light[:-1] + light[-1]
+        order = order[: steps * batch].view(steps, batch)
+        labels_of = scenes.labels[order]
+        with_mean = functional.pad(order, (0, 1), value=count)
+        for step, rows in enumerate(order):
+            epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
+            if learns and job.noise == "ml_gauss":
+                difference, total = masks()
+                batch_x = x.index_select(0, with_mean[step])
+                features = measure(batch_x, difference, total, epsilon * noise.unit)
+            elif learns:
+                shown = masks()
+                mean = project(x.index_select(0, rows), shown[0])
+                features = mean + noise.scaled(epsilon, mean, shown)
             else:
                 mean, light = means.index_select(0, rows), lights.index_select(0, rows)
-            epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
-            features = mean + noise.scaled(epsilon, light, shown)
+                features = mean + noise.scaled(epsilon, light, shown)
             scaled = _standardise(features, how.scale) if learns else (features - centre) / spread
-            labels = scenes.labels.index_select(0, rows)
             losses = [
-                functional.cross_entropy(classifier(features), labels)
+                functional.cross_entropy(classifier(features), labels_of[step])
                 for classifier, features in zip(classifiers, scaled.unbind(1), strict=True)
             ]
             torch.autograd.backward(losses)
@@ -452,17 +456,13 @@ class _Noise:
         self.kind = jobs[0].noise
         gain = [[job.photons / scenes.light] for job in jobs]
         self.gain = torch.tensor(gain, device=scenes.device)
+        self.unit = self.gain.rsqrt()
         self.sigma = torch.tensor([[job.sigma] for job in jobs], device=scenes.device)
-
-    @property
-    def needs_light(self) -> bool:
-        """Whether the noise depends on x S."""
-        return self.kind == "ml_gauss"
 
     def scaled(self, epsilon: Tensor, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
         """Normal draws (B, 1, m) brought to the noise of features that see `light` = x S."""
         if self.kind == "ml_gauss":
-            return root(light) * epsilon * self.gain.rsqrt()
+            return root(light) * epsilon * self.unit
         return root(self.variance(light, masks)) * epsilon
 
     def variance(self, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
