@@ -225,6 +225,14 @@ def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
     assert len(sweep.run(trials, digits, tmp_path, matrix=matrix)) == len(trials)
 
 
+def test_the_control_group_is_for_photon_noise(digits):
+    both = sweep.plan(small(designs=("control", "pca"), noise=("poisson", "gaussian")), digits)
+    noises = {trial.test_noise for trial in both if trial.job.design == "control"}
+    assert noises == {("poisson",)}
+    with pytest.raises(InputError, match="photon noise"):
+        sweep.plan(small(designs="control", noise="gaussian"), digits)
+
+
 def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
     with pytest.raises(InputError, match="two-arm"):
         sweep.plan(small(light="two-arm", rails="single"), digits)

@@ -234,7 +234,17 @@ def evaluate(
     budgets = _numbers("photons", photons) or []
     made = Design.load(file, find_device(device))
     scenes = _load(data, _size(size))
-    results = test(made, scenes, budgets, noise=noise, sigma=sigma, draws=draws, seed=seed)
+    with _progress("evaluate", quiet=as_json) as tell:
+        results = test(
+            made,
+            scenes,
+            budgets,
+            noise=noise,
+            sigma=sigma,
+            draws=draws,
+            seed=seed,
+            progress=lambda share: tell(share, ""),
+        )
     if as_json:
         _print_json({"design": str(file), "results": [result.as_dict() for result in results]})
         return

@@ -1,7 +1,7 @@
 """How well a design does: accuracy over budgets, with intervals that say what they cover."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -71,6 +71,7 @@ def evaluate(
     sigma: float = 1.0,
     draws: int = 3,
     seed: int = 0,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Result]:
     """Classify the test scenes of a data set under noise.
 
@@ -88,6 +89,8 @@ def evaluate(
         Noise draws of each scene (1 is enough without noise).
     seed : int
         Of the noise.
+    progress : callable, optional
+        Called with the share of the scenes that are done.
 
     Returns
     -------
@@ -123,18 +126,18 @@ def evaluate(
     share = design.shares.tolist()
     generators = [torch.Generator(device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
+    chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
-        for scenes, truth in zip(
-            torch.from_numpy(data.x_test).split(1024),
-            torch.from_numpy(data.y_test).split(1024),
-            strict=True,
-        ):
+        for done, rows in enumerate(chunks, start=1):
+            scenes, truth = torch.from_numpy(data.x_test[rows]), data.y_test[rows]
             shares = scanner.rates(scenes.to(device) / design.mean_light)
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
                 for _ in range(draws):
                     counts = scanner.read(shares * budget, generator)
                     guess = design.logits(subtract(counts), budget).argmax(dim=-1)
-                    np.add.at(confusion, (truth.numpy(), guess.cpu().numpy()), 1)
+                    np.add.at(confusion, (truth, guess.cpu().numpy()), 1)
+            if progress:
+                progress(done / len(chunks))
     return [
         _result(budget, noise, confusion, draws, share)
         for budget, confusion in zip(budgets, confusions, strict=True)

@@ -29,6 +29,7 @@ from deepfsi import coding
 from deepfsi.artifact import write_atomically
 from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
 from deepfsi.evaluation import COVERS, evaluate
 from deepfsi.noise import Noise
 from deepfsi.training import Job, Scenes, Training, check_job, train, training_for
@@ -145,7 +146,9 @@ class Trial(BaseModel):
 
 
 def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
-    """All trials of a recipe, each once, those that train together side by side.
+    """All trials of a recipe, each once.
+
+    The control group, masks of gaussian noise under photon noise, is for photon noise only.
 
     Raises
     ------
@@ -156,6 +159,8 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
     for design in recipe.designs:
         counts = [len(matrix)] if design == "custom" and matrix is not None else None
         for noise in recipe.noise:
+            if design == "control" and noise != "poisson":
+                continue
             for light in recipe.light:
                 for rails in recipe.rails:
                     for masks in counts or recipe.mask_counts(design, data):
@@ -185,6 +190,8 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
                                     test_noise=recipe.test_noise or (noise,),
                                 )
                                 trials[trial.key] = trial
+    if not trials:
+        raise InputError("the control group is for photon noise: add poisson, or other designs")
     return list(trials.values())
 
 
