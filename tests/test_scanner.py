@@ -280,32 +280,33 @@ def test_fixed_masks_move_with_the_module():
     assert not list(scanner.parameters())
 
 
-@pytest.mark.parametrize("rails", ["dual", "single"])
+@pytest.mark.parametrize(
+    ("light", "rails"),
+    [("column", "dual"), ("column", "single"), ("free-dwell", "dual"), ("two-arm", "dual")],
+)
 @pytest.mark.parametrize("replicas", [(), (3,)])
-def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(rails, replicas):
+def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(light, rails, replicas):
     draw = generator(3)
     scenes = torch.rand(7, 12, generator=draw, dtype=torch.float64)
-    mean = scenes.mean(dim=0)
-    stacked = torch.cat([scenes - mean, mean[None]])
+    mean_scene = scenes.mean(dim=0)
+    centred = torch.cat([scenes - mean_scene, mean_scene[None]])
     epsilon = torch.randn(7, *replicas, 5, generator=draw, dtype=torch.float64)
     start = torch.randn(*replicas, 5, 12, generator=draw, dtype=torch.float64)
     start[..., 2, :] = 0
+    masks = Learned(start.abs() if rails == "single" else start, light, rails)
     weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
 
-    def features(matrix: torch.Tensor, whole: bool) -> torch.Tensor:
-        difference = matrix if rails == "dual" else matrix.abs()
-        total = matrix.abs() if rails == "dual" else difference
-        if whole:
-            return measure(stacked, difference, total, epsilon)
-        mean_, light = project_pair(scenes, difference, total, both=True)
-        return mean_ - project(mean, difference) + root(light) * epsilon
+    def expected() -> torch.Tensor:
+        difference, total = masks()
+        mean, light_ = project_pair(scenes, difference, total, both=True)
+        return mean - project(mean_scene, difference) + root(light_) * epsilon
 
     found = []
-    for whole in (True, False):
-        matrix = start.clone().requires_grad_()
-        value = features(matrix, whole)
-        (value * weight).sum().backward()
-        found.append((value.detach(), matrix.grad))
+    for features in (measure(centred, masks, epsilon), expected()):
+        masks.zero_grad()
+        (features * weight).sum().backward()
+        found.append((features.detach(), [p.grad.clone() for p in masks.parameters()]))
     assert torch.allclose(found[0][0], found[1][0], rtol=0, atol=1e-12)
-    assert torch.allclose(found[0][1], found[1][1], rtol=0, atol=1e-12)
-    assert torch.isfinite(found[0][1]).all()
+    for ours, autograd in zip(found[0][1], found[1][1], strict=True):
+        assert torch.isfinite(ours).all()
+        assert torch.allclose(ours, autograd, rtol=0, atol=1e-11)

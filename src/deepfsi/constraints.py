@@ -172,23 +172,32 @@ class Learned(nn.Module):
 
     def forward(self) -> tuple[Tensor, Tensor]:
         """Difference M⁺ − M⁻ and total M⁺ + M⁻, each (..., m, N)."""
+        matrix = self.matrix()
+        if self.rails == "single":
+            return matrix, matrix
+        if self.light == "two-arm":
+            return matrix, self._dwell()[..., 0, :, None].expand_as(matrix)
+        return matrix, matrix.abs()
+
+    @property
+    def disjoint(self) -> bool:
+        """Whether there are two rails of which each pixel is on one, so that the total is |M|."""
+        return self.rails == "dual" and self.light != "two-arm"
+
+    def matrix(self) -> Tensor:
+        """Difference M⁺ − M⁻, (..., m, N)."""
         if self.light == "column":
             sums = self.weight.abs().sum(dim=-2, keepdim=True)
             matrix = self.weight * (self.unit / (sums * self.unit).clamp(min=1))
-            return (matrix, matrix.abs()) if self.rails == "dual" else (matrix.abs(),) * 2
-        if self.rails == "single":
-            frame = torch.sigmoid(self.weight) * self._dwell()[..., 0, :, None]
-            return frame, frame
-        pattern = torch.tanh(self.weight)
+            return matrix if self.rails == "dual" else matrix.abs()
         dwell = self._dwell()
-        if self.light == "two-arm":
-            time = dwell[..., 0, :, None]
-            return time * pattern, time.expand_as(pattern)
-        if self.light == "equal-dwell":
-            matrix = pattern * dwell[..., 0, :, None]
-            return matrix, matrix.abs()
-        matrix = pattern * torch.where(pattern > 0, dwell[..., 0, :, None], dwell[..., 1, :, None])
-        return matrix, matrix.abs()
+        time = dwell[..., 0, :, None]
+        if self.rails == "single":
+            return torch.sigmoid(self.weight) * time
+        pattern = torch.tanh(self.weight)
+        if self.light == "free-dwell":
+            time = torch.where(pattern > 0, time, dwell[..., 1, :, None])
+        return pattern * time
 
     def _dwell(self) -> Tensor:
         if self.light == "equal-dwell":

@@ -112,7 +112,7 @@ def project_pair(
     return mean, light
 
 
-def measure(scenes: Tensor, difference: Tensor, total: Tensor, epsilon: Tensor) -> Tensor:
+def measure(scenes: Tensor, masks: constraints.Learned, epsilon: Tensor) -> Tensor:
     """Features of centred scenes under MLGauss noise, as one differentiable step of training.
 
     With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
@@ -122,8 +122,8 @@ def measure(scenes: Tensor, difference: Tensor, total: Tensor, epsilon: Tensor) 
     ----------
     scenes : tensor, shape (B + 1, N)
         x_c, and x̄ as the last row. The products have its type; the rest that of the masks.
-    difference, total : tensor, shape (*lead, m, N)
-        D and S; one tensor given twice for a single rail.
+    masks : constraints.Learned
+        Gives D and S, each (*lead, m, N).
     epsilon : tensor, shape (B, *lead, m)
         Normal draws, times the root of the noise's variance for unit x S.
 
@@ -131,25 +131,29 @@ def measure(scenes: Tensor, difference: Tensor, total: Tensor, epsilon: Tensor) 
     -------
     tensor, shape (B, *lead, m)
     """
-    masks = difference if total is difference else torch.stack([difference, total])
-    return _Measure.apply(scenes, masks, epsilon)  # type: ignore[no-untyped-call]
+    rails = masks.matrix() if masks.disjoint or masks.rails == "single" else torch.stack(masks())
+    return _Measure.apply(scenes, rails, epsilon, masks.disjoint)  # type: ignore[no-untyped-call]
 
 
 class _Measure(torch.autograd.Function):
     """Written out because autograd's own graph of it takes twice the time of its products."""
 
     @staticmethod
-    def forward(ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor) -> Tensor:
-        products = project(scenes, masks)
+    def forward(ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, signed: bool) -> Tensor:
+        low = masks.to(scenes.dtype)
+        if signed:
+            ctx.sign = low.sgn()
+            low = torch.stack([low, low.abs()])
+        products = project(scenes, low).to(epsilon.dtype)
         single = products.ndim == epsilon.ndim
         mean, light = (products, products) if single else products.unbind(1)
         deviation = (light[:-1] + light[-1]).clamp_(min=0).sqrt_()
         ctx.save_for_backward(scenes, epsilon, deviation)
-        ctx.shape = masks.shape
+        ctx.signed, ctx.shape = signed, low.shape
         return torch.addcmul(mean[:-1], deviation, epsilon)
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, None, None]:
         scenes, epsilon, deviation = ctx.saved_tensors
         by_light = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
         back = gradient.new_zeros(len(scenes), *ctx.shape[:-1])
@@ -157,8 +161,10 @@ class _Measure(torch.autograd.Function):
         mean[:-1] = gradient
         light[:-1] += by_light
         light[-1] = by_light.sum(dim=0)
-        product = back.flatten(1).to(scenes.dtype).T @ scenes
-        return None, product.to(gradient.dtype).view(ctx.shape), None
+        product = (back.flatten(1).to(scenes.dtype).T @ scenes).view(ctx.shape)
+        if ctx.signed:
+            product = torch.addcmul(product[0], product[1], ctx.sign)
+        return None, product.to(gradient.dtype), None, None
 
 
 def rails_lit(difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:

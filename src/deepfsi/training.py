@@ -422,10 +422,8 @@ def _optimise(
         with_mean = functional.pad(order, (0, 1), value=count)
         for step, rows in enumerate(order):
             epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
-            if learns and job.noise == "ml_gauss":
-                difference, total = masks()
-                batch_x = x.index_select(0, with_mean[step])
-                features = measure(batch_x, difference, total, epsilon * noise.unit)
+            if isinstance(masks, constraints.Learned) and job.noise == "ml_gauss":
+                features = measure(x.index_select(0, with_mean[step]), masks, epsilon * noise.unit)
             elif learns:
                 shown = masks()
                 mean = project(x.index_select(0, rows), shown[0])
