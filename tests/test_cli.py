@@ -146,6 +146,8 @@ def test_bad_mask_counts(call, tmp_path, masks):
         (["--ratios", "1.5"], "ratio"),
         (["--masks", "0"], "masks"),
         (["--masks", "1.5"], "masks"),
+        (["--masks", "100"], "64"),
+        (["--photons", "1e39"], "photons"),
         (["--masks", "3", "--ratios", "0.1"], "not both"),
         (["--trials", "0"], "trials"),
         (["--trials", "two"], "trials"),
@@ -197,6 +199,17 @@ def test_data_that_does_not_fit_the_design(call, tmp_path, design_file):
     assert "64" in expect_refusal(call, tmp_path, *words)
 
 
+def test_a_folder_where_a_file_belongs(call, tmp_path):
+    words = ["design", "--photons", "1e3", "--masks", 2, "-o", tmp_path]
+    assert "folder" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_matrix_has_its_own_masks(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.eye(64)[:2] / 2)
+    words = ["design", "--photons", "1e3", "--matrix", tmp_path / "m.npy", "--masks", 5]
+    assert "--masks" in expect_refusal(call, tmp_path, *words, "-o", tmp_path / "d")
+
+
 def test_empty_image_folder(call, tmp_path):
     (tmp_path / "images").mkdir()
     words = ["compare", "--data", tmp_path / "images", "-o", tmp_path / "out"]
@@ -226,6 +239,7 @@ def test_ctrl_c_says_that_work_is_kept(call, tmp_path, monkeypatch):
     code, _, err = call("compare", "-o", tmp_path / "out")
     assert code == 130
     assert "kept" in err
+    assert err.count("\n") == 1
 
 
 def expect_refusal(call, folder, *words):

@@ -163,9 +163,10 @@ def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
         np.testing.assert_allclose(one.matrix, other.matrix, rtol=0, atol=1e-4)
 
 
-def record(photons, masks, seed, validation, test):
+def record(photons, masks, seed, validation, test, noise="ml_gauss"):
     result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
     job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
+    job["noise"] = noise
     return {
         "key": f"{masks}-{seed}",
         "trial": {"job": job},
@@ -199,6 +200,48 @@ def test_interval_of_one_trial_is_that_of_its_images(digits):
     (point,) = summary(digits, [record(1e3, 3, 0, 0.8, 0.5)])
     assert (point["low"], point["high"]) == (0.1, 0.9)
     assert "images" in point["covers"]
+
+
+def test_trials_of_different_training_noise_are_different_points(digits):
+    records = [record(1e3, 3, 0, 0.8, 0.5, noise) for noise in ("ml_gauss", "gaussian")]
+    points = summary(digits, records)
+    assert [(point["trained_under"], point["trials"]) for point in points] == [
+        ("ml_gauss", 1),
+        ("gaussian", 1),
+    ]
+
+
+@pytest.mark.parametrize("loss", ["record", "design", "damage"])
+def test_what_is_lost_is_made_again(digits, tmp_path, loss):
+    trials = sweep.plan(small(designs="pca", masks=3, photons=1e3), digits)
+    sweep.run(trials, digits, tmp_path)
+    (path,) = (tmp_path / ("designs" if loss == "design" else "trials")).iterdir()
+    path.write_text('{"key":') if loss == "damage" else path.unlink()
+    (again,) = sweep.run(trials, digits, tmp_path)
+    assert again["key"] == trials[0].key
+    assert len(list(tmp_path.glob("*/*"))) == 2
+
+
+def test_repeated_values_of_an_axis_count_once(digits):
+    assert len(sweep.plan(small(designs="pca", masks=(3, 3), photons=(1e3, 1e3)), digits)) == 1
+
+
+def test_impulse_imaging_is_one_reference_for_every_constraint(digits):
+    recipe = small(designs="impulse", light=("column", "free-dwell"), rails=("dual", "single"))
+    assert len(sweep.plan(recipe, digits)) == len(recipe.photons)
+
+
+def test_designs_that_a_constraint_rules_out_are_left_out(digits):
+    designs = ("raster", "pca", "hadamard", "impulse")
+    two_arm = sweep.plan(small(designs=designs, light="two-arm"), digits)
+    single = sweep.plan(small(designs=designs, rails="single"), digits)
+    assert {trial.job.design for trial in two_arm} == {"pca", "hadamard", "impulse"}
+    assert {trial.job.design for trial in single} == {"raster", "pca", "impulse"}
+
+
+def test_more_masks_than_pixels_are_refused(digits):
+    with pytest.raises(InputError, match="64"):
+        sweep.plan(small(masks=(4, 100)), digits)
 
 
 def test_without_validation_nothing_is_chosen(digits):

@@ -226,6 +226,11 @@ class Design:
             )
             sound = (
                 network["kind"] == "mlp"
+                and isinstance(design.name, str)
+                and isinstance(design.info, dict)
+                and isinstance(design.info.get("job", {}), dict)
+                and all(isinstance(name, str) for name in design.classes)
+                and all(isinstance(side, int) and side > 0 for side in design.image_shape)
                 and design.rails.ndim == 3
                 and len(design.rails) in (1, 2)
                 and {design.centre.shape, design.spread.shape, design.shares.shape}
@@ -236,7 +241,7 @@ class Design:
                 and math.isfinite(design.mean_light)
                 and bool((design.spread > 0).all())
             )
-            constraints.check_light(design.light, "dual")
+            constraints.check_light(design.light, "dual" if len(design.rails) == 2 else "single")
             constraints.check(design.rails, design.light)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
             raise _damaged(path) from error

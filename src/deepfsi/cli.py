@@ -1,5 +1,6 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
+import io
 import json
 import shlex
 import sys
@@ -84,6 +85,9 @@ def compare(
     The mask count of each design is chosen on validation data, and the test set is read once. A
     stopped comparison goes on where it was when run again with the same output folder.
 
+    Without ratios, masks and trials: on digits the ratios 6, 16 and 36 % with three trials, on
+    other data the paper's ratios 1, 4, 9, … 100 % with one.
+
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
     from deepfsi import report, sweep
@@ -91,7 +95,9 @@ def compare(
     if masks is not None and ratios is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
     own = _matrix(matrix)
-    settings = _toml(recipe) if recipe else dict(_QUICK) if data == "digits" else {}
+    settings = _toml(recipe) if recipe else {}
+    if not recipe and data == "digits" and not (ratios or masks or trials):
+        settings = dict(_QUICK)
     given = {
         "data": data if recipe is None or _given(context, "data") else None,
         "size": _size(size),
@@ -110,8 +116,8 @@ def compare(
         settings.pop("ratios", None)
     if ratios is not None:
         settings.pop("masks", None)
-    if epochs is not None:
-        settings["training"] = {**settings.get("training", {}), "epochs": epochs}
+    if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
+        settings["training"] = {**settings["training"], "epochs": epochs}
     from deepfsi.training import reworded
 
     with reworded():
@@ -145,7 +151,9 @@ def design(
     masks: Annotated[str | None, typer.Option(help="number of masks, m")] = None,
     data: DataOption = "digits",
     size: SizeOption = None,
-    name: Annotated[str, typer.Option("--design", help="which design")] = "deepfsi",
+    name: Annotated[
+        str | None, typer.Option("--design", help="which design; deepfsi unless given")
+    ] = None,
     noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
     sigma: SigmaOption = 1.0,
     light: LightOption = "column",
@@ -171,7 +179,9 @@ def design(
         from deepfsi.errors import closest
 
         raise InputError(f"unknown noise {noise!r}: {closest(noise, sweep.TRAINING_NOISE)}")
-    kind = "custom" if own is not None else coding.check_design(name)
+    if own is not None and (masks is not None or name not in (None, "custom")):
+        raise InputError("--matrix is a design with its own masks: leave --masks and --design out")
+    kind = "custom" if own is not None else coding.check_design(name or "deepfsi")
     if own is not None:
         count = len(own)
     elif masks is not None:
@@ -180,6 +190,8 @@ def design(
         count = coding.count_allowed(kind, scenes)[1]
     else:
         raise InputError(f"{kind} needs a number of masks: add --masks, for instance --masks 10")
+    if out.is_dir():
+        raise InputError(f"{out} is a folder: give a file name ending in .safetensors")
     _writable(out.parent)
     settings = {} if epochs is None else {"epochs": epochs}
     with _progress(f"{kind}, {count} masks", quiet=as_json) as tell:
@@ -253,7 +265,7 @@ def evaluate(
             f"{r.photons:g}",
             f"{r.accuracy:.4f}",
             f"{r.low:.4f} to {r.high:.4f}",
-            f"{min(r.rates):.3f} ({made.classes[r.rates.index(min(r.rates))]})",
+            _worst(r.rates, made.classes),
             f"{r.throughput:.3f}",
             f"{r.photons * r.throughput / made.masks:.3g}",
         )
@@ -275,9 +287,10 @@ def show(
     Example: deepfsi show digits.safetensors -o masks.png
     """
     from deepfsi import report
-    from deepfsi.artifact import Design
+    from deepfsi.artifact import Design, write_atomically
 
-    if out.suffix not in (".png", ".svg", ".pdf"):
+    kind = out.suffix.lower()
+    if kind not in (".png", ".svg", ".pdf") or out.is_dir():
         raise InputError(f"cannot draw to {out}: end the name in .png, .svg or .pdf")
     if count < 1:
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
@@ -286,7 +299,9 @@ def show(
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
     figure = report.masks_figure(made.matrix, made.image_shape, title=title, count=count)
-    figure.savefig(out, dpi=160)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=160, format=kind[1:])
+    write_atomically(out, picture.getvalue())
     print(f"drawn: {out}")
 
 
@@ -353,9 +368,10 @@ def main() -> NoReturn:
     except typer.TyperException as error:
         _fail(getattr(error, "format_message", error.__str__)())
     except OSError as error:
-        _fail(f"{error.filename or 'file'}: {error.strerror or error}")
+        _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == _STOPPED:
-        print("deepfsi: stopped; finished work is kept, run again to go on", file=sys.stderr)
+        kept = "; finished trials are kept, run again to go on" if "compare" in sys.argv[:2] else ""
+        print(f"deepfsi: stopped{kept}", file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -371,6 +387,13 @@ _QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3}
 def _given(context: typer.Context, name: str) -> bool:
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
+
+
+def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:
+    rate, name = min(
+        (rate, name) for rate, name in zip(rates, classes, strict=True) if rate is not None
+    )
+    return f"{rate:.3f} ({name})"
 
 
 def _list(text: str | None) -> list[str] | None:
@@ -470,7 +493,7 @@ def _print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]
 
     table = Table(title=title, title_justify="left")
     for number, head in enumerate(heads):
-        table.add_column(head, justify="left" if number == 0 else "right", no_wrap=number == 0)
+        table.add_column(head, justify="left" if number == 0 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     Console().print(table)

@@ -32,7 +32,8 @@ def check_light(light: str, rails: str) -> None:
         raise InputError(f"unknown rails {rails!r}: {closest(rails, get_args(Rails))}")
     if light == "two-arm" and rails == "single":
         raise InputError(
-            "two-arm with a single rail is not allowed: each arm is a rail; use --rails dual"
+            "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "
+            "not raster or s-matrix, which have one"
         )
 
 

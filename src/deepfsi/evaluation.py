@@ -34,8 +34,8 @@ class Result:
         What the interval covers.
     images, draws : int
         Scenes, and independent noise draws of each.
-    rates : list of float
-        Accuracy of each class (recall).
+    rates : list of float or None
+        Accuracy of each class (recall); None where the test has no scene of it.
     confusion : list of list of int
         Rows true classes, columns predicted ones, over all draws.
     throughput : float
@@ -52,7 +52,7 @@ class Result:
     covers: str
     images: int
     draws: int
-    rates: list[float]
+    rates: list[float | None]
     confusion: list[list[int]]
     throughput: float
     photons_per_mask: list[float]
@@ -119,6 +119,8 @@ def evaluate(
         )
     if not (math.isfinite(sigma) and sigma >= 0):
         raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
     if not isinstance(draws, int) or draws < 1:
         raise InputError(f"{draws} noise draws are not allowed: give at least 1")
     device = design.rails.device
@@ -161,7 +163,7 @@ def _result(
         covers=COVERS,
         images=images,
         draws=draws,
-        rates=(confusion.diagonal() / confusion.sum(axis=1).clip(min=1)).tolist(),
+        rates=[float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)],
         confusion=confusion.tolist(),
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],

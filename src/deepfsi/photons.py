@@ -18,15 +18,20 @@ from deepfsi.errors import InputError
 Array = TypeVar("Array")
 
 
+BUDGETS = (1e-12, 1e15)
+"""Smallest and largest photon budget; beyond the second float32 would overflow in squares."""
+
+
 def check_budget(photons: float) -> float:
-    """Return a photon budget as a float; `InputError` unless it is finite and positive."""
+    """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
     try:
         budget = float(photons)
     except (TypeError, ValueError, OverflowError):
         budget = math.nan
-    if not math.isfinite(budget) or budget <= 0:
+    if not BUDGETS[0] <= budget <= BUDGETS[1]:
         raise InputError(
-            f"photon budget {photons!r} is not allowed: give a finite number above 0, such as 1e4"
+            f"photon budget {photons!r} is not allowed: give a number from {BUDGETS[0]:g} to "
+            f"{BUDGETS[1]:g}, such as 1e4"
         )
     return budget
 

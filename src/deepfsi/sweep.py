@@ -32,7 +32,8 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.evaluation import COVERS, evaluate
 from deepfsi.noise import Noise
-from deepfsi.training import Job, Scenes, Training, check_job, train, training_for
+from deepfsi.photons import BUDGETS
+from deepfsi.training import REVISION, Job, Scenes, Training, check_job, train, training_for
 
 SCHEMA = 1
 
@@ -45,10 +46,10 @@ TRAINING_NOISE: dict[Physical, Literal["ml_gauss", "gaussian", "none"]] = {
 
 
 def _axis(value: Any) -> Any:
-    return value if isinstance(value, (list, tuple)) else (value,)
+    return tuple(dict.fromkeys(value)) if isinstance(value, (list, tuple)) else (value,)
 
 
-Budget = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
@@ -141,28 +142,43 @@ class Trial(BaseModel):
     @property
     def key(self) -> str:
         """Content hash that names the record."""
-        settings = {"schema": SCHEMA, **self.model_dump(mode="json", exclude={"data"})}
+        settings = {
+            "schema": SCHEMA,
+            "revision": REVISION,
+            **self.model_dump(mode="json", exclude={"data"}),
+        }
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
     """All trials of a recipe, each once.
 
-    The control group, masks of gaussian noise under photon noise, is for photon noise only.
+    Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
+    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail.
 
     Raises
     ------
     InputError
         If a trial asks for what its data or constraint does not allow.
     """
+    for count in recipe.masks:
+        if count > data.pixels:
+            raise InputError(
+                f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
+            )
     trials = {}
     for design in recipe.designs:
+        single = coding.DESIGNS[design].single_rail and design != "impulse"
         counts = [len(matrix)] if design == "custom" and matrix is not None else None
         for noise in recipe.noise:
             if design == "control" and noise != "poisson":
                 continue
             for light in recipe.light:
                 for rails in recipe.rails:
+                    if (light == "two-arm" and (single or rails == "single")) or (
+                        rails == "single" and design == "hadamard"
+                    ):
+                        continue
                     for masks in counts or recipe.mask_counts(design, data):
                         for seed in range(recipe.trials):
                             for photons in recipe.photons:
@@ -177,6 +193,8 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
                                     seed=seed,
                                     training=recipe.training_of(design),
                                 )
+                                optics = dict(zip(("light", "rails"), job.optics, strict=True))
+                                job = job.model_copy(update=optics)
                                 own = matrix if design == "custom" else None
                                 check_job(job, data, own)
                                 trial = Trial(
@@ -191,7 +209,11 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
                                 )
                                 trials[trial.key] = trial
     if not trials:
-        raise InputError("the control group is for photon noise: add poisson, or other designs")
+        raise InputError(
+            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
+            f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
+            f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
+        )
     return list(trials.values())
 
 
@@ -228,7 +250,7 @@ def run(
         The records, in the order of `trials`.
     """
     tell = report or (lambda share, what: None)
-    missing = [trial for trial in trials if not _record_path(folder, trial).is_file()]
+    missing = [trial for trial in trials if _read(folder, trial) is None]
     if missing:
         held_out = missing[0].validation
         parts = data.hold_out(held_out) if held_out else data
@@ -258,7 +280,8 @@ def run(
                 text = json.dumps(record, indent=1)
                 write_atomically(_record_path(folder, trial), text.encode())
         tell(1.0, "done")
-    return [json.loads(_record_path(folder, trial).read_bytes()) for trial in trials]
+    records = [_read(folder, trial) for trial in trials]
+    return [record for record in records if record is not None]
 
 
 def summarise(
@@ -285,12 +308,13 @@ def summarise(
     for record in records:
         for index, test in enumerate(record["test"]):
             job = record["trial"]["job"]
-            setting = (test["noise"], job["light"], job["rails"], job["design"], job["photons"])
-            groups[(*setting, test["photons"], job["masks"])].append((record, index))
+            trained = (job["noise"], job["light"], job["rails"], job["design"], job["photons"])
+            key = (*trained, test["noise"], test["photons"], job["masks"])
+            groups[key].append((record, index))
     points = [_point(key, members, data.pixels) for key, members in groups.items()]
     chosen = defaultdict(list)
     for point in points:
-        axes = ("noise", "light", "rails", "design", "trained_at", "photons")
+        axes = ("noise", "trained_under", "light", "rails", "design", "trained_at", "photons")
         chosen[tuple(point[axis] for axis in axes)].append(point)
     for rivals in chosen.values():
         for point in rivals:
@@ -309,7 +333,9 @@ def summarise(
             "validation": held_out,
             "test": len(data.x_test),
             "preprocessing": data.preprocessing,
-            "mean_reflectance": float(data.x_train.mean(dtype=np.float64)),
+            "mean_reflectance": float(
+                data.x_train[: len(data.x_train) - held_out].mean(dtype=np.float64)
+            ),
         },
         "provenance": {
             **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
@@ -343,7 +369,7 @@ def compare(
         data,
         records,
         command=command,
-        device=records[0]["info"]["device"],
+        device=", ".join(sorted({record["info"]["device"] for record in records})),
         seconds=time.perf_counter() - began,
     )
     write_atomically(folder / "results.json", json.dumps(results, indent=1).encode())
@@ -389,7 +415,7 @@ def _point(
 ) -> dict[str, Any]:
     from scipy import stats
 
-    noise, light, rails, design, trained_at, photons, masks = key
+    trained_under, light, rails, design, trained_at, noise, photons, masks = key
     tests = [record["test"][index] for record, index in members]
     accuracy = np.array([test["accuracy"] for test in tests])
     if len(tests) > 1:
@@ -409,6 +435,7 @@ def _point(
         "noise": noise,
         "light": light,
         "rails": rails,
+        "trained_under": trained_under,
         "trained_at": trained_at,
         "photons": photons,
         "masks": masks,
@@ -428,6 +455,17 @@ def _hash(matrix: np.ndarray | None) -> str:
     if matrix is None:
         return ""
     return hashlib.sha256(np.ascontiguousarray(matrix, dtype=np.float32).tobytes()).hexdigest()
+
+
+def _read(folder: Path, trial: Trial) -> dict[str, Any] | None:
+    """Record of a trial, or None if it or its design is missing or damaged."""
+    if not _design_path(folder, trial.key).is_file():
+        return None
+    try:
+        record = json.loads(_record_path(folder, trial).read_bytes())
+    except (FileNotFoundError, ValueError):
+        return None
+    return record if record.get("key") == trial.key else None
 
 
 def _record_path(folder: Path, trial: Trial) -> Path:

@@ -6,13 +6,14 @@ within an epoch, and the products of designs that do not learn are taken once be
 
 Replicas that train together share their seed: the order of scenes, the initial weights, the noise
 and the dropout are the same draws for all, so that a difference between two budgets is not blurred
-by chance, and a design does not depend on which others it was trained with.
+by chance, and up to rounding a design does not depend on which others it was trained with.
 """
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -28,15 +29,18 @@ from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.noise import root, variance
-from deepfsi.photons import mean_light
+from deepfsi.photons import BUDGETS, mean_light
 from deepfsi.scanner import lit, measure, project, project_pair
 
 Precision = Literal["auto", "float32", "bfloat16"]
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, 0 to 1."""
 
+REVISION = 1
+"""Raised whenever a change makes the same job end in another design: old records then expire."""
+
 BFLOAT16_COUNTS = 2.0**14
-"""Largest mean count of a readout for which bfloat16 products may be used in training.
+"""Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.
 
 Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
 """
@@ -89,7 +93,7 @@ class Job(BaseModel):
 
     design: str = "deepfsi"
     masks: int = Field(ge=1)
-    photons: float = Field(gt=0, allow_inf_nan=False)
+    photons: float = Field(ge=BUDGETS[0], le=BUDGETS[1])
     noise: Literal["ml_gauss", "gaussian", "none"] = "ml_gauss"
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
     light: Light = "column"
@@ -307,6 +311,7 @@ def train(
                 "job": job.model_dump(mode="json"),
                 "data": {"name": scenes.data.name, "hash": scenes.data.hash},
                 "preprocessing": scenes.data.preprocessing,
+                "deepfsi": version("deepfsi"),
                 "torch": torch.__version__,
                 "device": scenes.device.type,
                 "seconds": seconds / len(jobs),
@@ -324,7 +329,7 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     if start.learned or job.training.start in ("control", "custom"):
         raise InputError(f"masks cannot start from {job.training.start}: name a fixed design")
     if job.design == "hadamard" and job.rails == "single":
-        raise InputError("hadamard is signed: use --rails dual, or the s-matrix")
+        raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
         raise InputError("a matrix goes with the design `custom`, and only with it")
     if matrix is None:
@@ -335,8 +340,8 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
         raise InputError(
             f"a matrix of shape {matrix.shape} does not fit: give ({job.masks}, {data.pixels})"
         )
-    if not np.issubdtype(matrix.dtype, np.number) or not np.isfinite(matrix).all():
-        raise InputError("the matrix holds something else than finite numbers")
+    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
+        raise InputError("the matrix holds something else than finite real numbers")
     if not matrix.any():
         raise InputError("the matrix is zero everywhere: give at least one lit entry")
 
