@@ -383,3 +383,12 @@ def test_learned_masks_beat_their_start_in_dim_light(digits):
         for design in ("deepfsi", "pca")
     ]
     assert accuracy[0] > accuracy[1]
+
+
+def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatch):
+    seen = []
+    monkeypatch.setattr(torch, "set_num_threads", seen.append)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 7)
+    quick(digits, masks=4, batch=32)
+    quick(digits, masks=4, batch=1000)
+    assert seen == [1, 7, 7, 7]

@@ -39,6 +39,9 @@ Progress = Callable[[float], None]
 REVISION = 1
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
+GRAIN = 2**15
+"""Elements below which torch itself does not share an operation among threads."""
+
 BFLOAT16_COUNTS = 2.0**14
 """Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.
 
@@ -281,10 +284,12 @@ def train(
             progress=lambda share: report(share / 2),
         )
         masks = constraints.Fixed(torch.stack([design.rails for design in optimised]))
-        classifiers = _optimise(scenes, jobs, masks, lambda share: report(0.5 + share / 2))
+        with _shared(scenes, jobs):
+            classifiers = _optimise(scenes, jobs, masks, lambda share: report(0.5 + share / 2))
     else:
         masks = _masks(scenes, jobs, matrix).to(scenes.device)
-        classifiers = _optimise(scenes, jobs, masks, report)
+        with _shared(scenes, jobs):
+            classifiers = _optimise(scenes, jobs, masks, report)
 
     with torch.no_grad():
         learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
@@ -413,7 +418,7 @@ def _optimise(
 
     noise = _Noise(scenes, jobs)
     count = len(scenes.labels)
-    batch = min(how.batch or min(max(count // 100, 32), 500), count)
+    batch = _batch(scenes, how)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -450,6 +455,23 @@ def _optimise(
         classifier.generator = None
         classifier.eval()
     return classifiers
+
+
+def _batch(scenes: Scenes, how: Training) -> int:
+    count = len(scenes.labels)
+    return min(how.batch or min(max(count // 100, 32), 500), count)
+
+
+@contextmanager
+def _shared(scenes: Scenes, jobs: Sequence[Job]) -> Iterator[None]:
+    """Use one thread where a step is too small for several: they would wait for one another."""
+    how, threads = jobs[0].training, torch.get_num_threads()
+    units = _batch(scenes, how) * len(jobs) * max(jobs[0].masks, *how.hidden, 1)
+    torch.set_num_threads(threads if units >= GRAIN else 1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class _Noise:
