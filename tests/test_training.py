@@ -389,6 +389,6 @@ def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatc
     seen = []
     monkeypatch.setattr(torch, "set_num_threads", seen.append)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 7)
-    quick(digits, masks=4, batch=32)
-    quick(digits, masks=4, batch=1000)
+    quick(digits, masks=4, batch=32, hidden=(40, 128))
+    quick(digits, masks=4, batch=1000, hidden=(40, 128))
     assert seen == [1, 7, 7, 7]
