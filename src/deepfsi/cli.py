@@ -263,15 +263,14 @@ def evaluate(
     rows = [
         (
             f"{r.photons:g}",
-            f"{r.accuracy:.4f}",
-            f"{r.low:.4f} to {r.high:.4f}",
+            f"{r.accuracy:.4f} [{r.low:.4f}, {r.high:.4f}]",
             _worst(r.rates, made.classes),
             f"{r.throughput:.3f}",
             f"{r.photons * r.throughput / made.masks:.3g}",
         )
         for r in results
     ]
-    heads = ("photons", "accuracy", "95 % interval", "worst class", "throughput", "counts per mask")
+    heads = ("photons", "accuracy, 95 % interval", "worst class", "counted", "counts per mask")
     _print_table(f"{made.name}, {made.masks} masks, {noise} noise", heads, rows)
     print(f"interval: {results[0].covers}")
 
