@@ -80,8 +80,8 @@ TUNED: dict[str, dict[str, Any]] = {
 """Where a design does better with other settings than the defaults of `Training`.
 
 Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, each design from
-the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand readouts at one
-setting at most). Designs that are not named here and not learned or PCA are untuned.
+the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
+readouts at one setting at most). Designs not named here, but for learned ones and PCA, are untuned.
 """
 
 
