@@ -296,8 +296,9 @@ def train(
         learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
         if not all(bool(torch.isfinite(part).all()) for part in learned):
             raise InputError(f"training of {first.design} diverged: lower lr and mask_lr")
-        centre, spread, light = _statistics(scenes, jobs, masks)
         difference, total = masks()
+        means, lights = _measure(scenes, masks)
+        centre, spread, light = _statistics(scenes, jobs, (difference, total), means, lights)
     constraint, _ = first.optics
     every = constraints.separate(difference, total)
     seconds = time.perf_counter() - began
@@ -415,7 +416,7 @@ def _optimise(
     else:
         shown = masks()
         means, lights = _measure(scenes, masks)
-        centre, spread = _statistics(scenes, jobs, masks)[:2]
+        centre, spread = _statistics(scenes, jobs, shown, means, lights)[:2]
 
     noise = _Noise(scenes, jobs)
     count = len(scenes.labels)
@@ -519,12 +520,15 @@ def _measure(scenes: Scenes, masks: constraints.Fixed | constraints.Learned) -> 
 
 
 def _statistics(
-    scenes: Scenes, jobs: Sequence[Job], masks: constraints.Fixed | constraints.Learned
+    scenes: Scenes,
+    jobs: Sequence[Job],
+    masks: tuple[Tensor, Tensor],
+    means: Tensor,
+    lights: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Mean and spread of the features over the training set and its noise, and mean x S: (R, m)."""
-    means, lights = _measure(scenes, masks)
     light = lights.mean(dim=0)
-    power = means.var(dim=0, correction=0) + _Noise(scenes, jobs).variance(light, masks())
+    power = means.var(dim=0, correction=0) + _Noise(scenes, jobs).variance(light, masks)
     if jobs[0].training.scale == "common":
         power = power.mean(dim=-1, keepdim=True).expand_as(power)
     spread = torch.where(power > 0, power, 1.0).sqrt()
@@ -538,8 +542,8 @@ def reworded() -> Iterator[None]:
         yield
     except ValidationError as error:
         faults = [
-            f"{'.'.join(map(str, fault['loc'])) or 'settings'} = {fault['input']!r}: "
-            f"{fault['msg'][0].lower()}{fault['msg'][1:]}"
+            (f"{'.'.join(map(str, fault['loc']))} = {fault['input']!r}: " if fault["loc"] else "")
+            + f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
             for fault in error.errors()
         ]
         raise InputError("; ".join(faults)) from None
