@@ -136,7 +136,6 @@ def main() -> None:
 
     data = load_dataset(arguments.data)
     scenes = Scenes(data, "cpu")
-    _ = scenes.half
     print(
         f"{data.name}, {len(data.x_train)} scenes of {data.pixels} pixels, batch {BATCH}, ", end=""
     )
@@ -146,6 +145,7 @@ def main() -> None:
     for masks in arguments.masks:
         start = scenes.matrix("pca", masks, 0)
         for precision in arguments.precision:
+            our_epochs(scenes, data, masks, 1, precision)
             times: dict[str, list[float]] = {"plain": [], "ours": [], "bare": []}
             for _ in range(arguments.rounds):
                 seconds, plain = plain_epochs(data, start, scenes.light, arguments.epochs)

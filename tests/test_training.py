@@ -91,9 +91,24 @@ def test_replicas_train_together_as_alone(digits, design, light, rails, tight):
         assert one.info["job"] == alone.info["job"]
 
 
+@every_optics
+def test_learned_masks_are_dark_where_no_scene_varies(digits, made, light, rails):
+    """Light from there is noise alone; on two arms one of them gets it in any case."""
+    constant = torch.from_numpy((digits.x_train == digits.x_train[0]).all(axis=0))
+    rails_there = made("deepfsi", light, rails).rails[..., constant]
+    assert constant.any()
+    assert (rails_there > 0).all() if light == "two-arm" else not rails_there.any()
+
+
+def test_scenes_that_are_all_alike_can_still_be_trained_on():
+    data = synthetic((3, 3))
+    data.x_train[:] = 0.5
+    assert quick(data, masks=2, start="truncated-hadamard").masks == 2
+
+
 def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
-    """Their gradient is all but 0; Adam must not blow its rounding up to whole steps."""
-    for one, alone in together_and_alone(digits, "deepfsi", "column", "dual"):
+    """On two arms their gradient is all but 0; Adam must not blow its rounding up to steps."""
+    for one, alone in together_and_alone(digits, "deepfsi", "two-arm", "dual"):
         assert apart(one, alone, torch.arange(64)) <= 1e-3
 
 

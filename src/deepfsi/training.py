@@ -36,7 +36,7 @@ Precision = Literal["auto", "float32", "bfloat16"]
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, 0 to 1."""
 
-REVISION = 1
+REVISION = 2
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
 GRAIN = 2**15
@@ -148,22 +148,37 @@ class Scenes:
         self.labels = torch.from_numpy(data.y_train).to(self.device)
         self.full = torch.from_numpy(data.x_train).to(self.device)
         self._matrices: dict[tuple[str, int, int], np.ndarray] = {}
+        self._centred: dict[tuple[torch.dtype, bool], Tensor] = {}
 
     @cached_property
-    def centred(self) -> Tensor:
-        """Training scenes less their mean, exactly 0 where a pixel never varies, then the mean.
+    def varying(self) -> Tensor:
+        """Which pixels (N,) differ anywhere in the training set; the first if none does."""
+        varying = (self.full != self.full[0]).any(dim=0)
+        varying[0] |= not varying.any()
+        return varying
+
+    def pixels(self, job: Job) -> Tensor:
+        """Which pixels (N,) learned masks may light.
+
+        The light of one that never varies is noise and no information, so it stays dark, except
+        on two arms, where what one does not get the other does.
+        """
+        return torch.ones_like(self.varying) if job.light == "two-arm" else self.varying
+
+    def centred(self, job: Job) -> Tensor:
+        """Those pixels of the training scenes, less their mean, and the mean as the last row.
 
         The products of the last row with the masks, added to those of a scene, give the scene's
-        own: what never varies moves no mask through rounding, and little is lost in bfloat16.
+        own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
+        moves no mask through rounding.
         """
-        constant = (self.full == self.full[0]).all(dim=0)
-        mean = torch.where(constant, self.full[0], self.full.mean(dim=0))
-        return torch.cat([self.full - mean, mean.unsqueeze(0)])
-
-    @cached_property
-    def half(self) -> Tensor:
-        """The same in bfloat16."""
-        return self.centred.bfloat16()
+        kind, pixels = products(job, self.device), self.pixels(job)
+        key = (kind, bool(pixels.all()))
+        if key not in self._centred:
+            mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
+            centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
+            self._centred[key] = centred[:, pixels].to(kind)
+        return self._centred[key]
 
     def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m."""
@@ -291,6 +306,8 @@ def train(
         masks = _masks(scenes, jobs, matrix).to(scenes.device)
         with _shared(scenes, jobs):
             classifiers = _optimise(scenes, jobs, masks, report)
+        if isinstance(masks, constraints.Learned):
+            masks = _whole(masks, scenes.pixels(first))
 
     with torch.no_grad():
         learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
@@ -371,10 +388,20 @@ def _masks(
     else:
         signed = _frames(scenes, name, job.masks, job.seed)
     if job.code.learned:
-        return constraints.Learned(signed.repeat(len(jobs), 1, 1), light, rails)
+        start = signed[:, scenes.pixels(job).cpu()]
+        return constraints.Learned(start.repeat(len(jobs), 1, 1), light, rails)
     if job.design == "raster":
         return constraints.Fixed(signed[None, None])
     return constraints.Fixed(constraints.fit(signed, light, rails).unsqueeze(0))
+
+
+def _whole(masks: constraints.Learned, pixels: Tensor) -> constraints.Fixed:
+    """What was learned on some pixels, as masks of all: dark elsewhere."""
+    with torch.no_grad():
+        rails = constraints.separate(*masks())
+    whole = rails.new_zeros(*rails.shape[:-1], len(pixels))
+    whole[..., pixels] = rails
+    return constraints.Fixed(whole)
 
 
 def _frames(scenes: Scenes, name: str, count: int, seed: int) -> Tensor:
@@ -412,7 +439,7 @@ def _optimise(
     groups: list[dict[str, Any]] = [{"params": weights, "lr": how.lr, "weight_decay": how.decay}]
     if learns:
         groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
-        x = scenes.half if products(job, device) == torch.bfloat16 else scenes.centred
+        x = scenes.centred(job)
     else:
         shown = masks()
         means, lights = _measure(scenes, masks)
