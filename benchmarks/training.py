@@ -22,7 +22,9 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.evaluation import evaluate
-from deepfsi.training import Job, Scenes, Training, train
+from deepfsi.jobs import Job, Training
+from deepfsi.scenes import Scenes
+from deepfsi.training import train
 
 BUDGET, BATCH, LR, MASK_LR = 1e4, 500, 5e-3, 5e-2
 

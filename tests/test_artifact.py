@@ -22,7 +22,9 @@ import deepfsi
 from conftest import RECIPE, every_design, generator, light_on
 from deepfsi.artifact import SCHEMA, Design, write_atomically
 from deepfsi.errors import InputError
-from deepfsi.training import Job, Scenes, Training, train
+from deepfsi.jobs import Job, Training
+from deepfsi.scenes import Scenes
+from deepfsi.training import train
 
 
 @pytest.fixture

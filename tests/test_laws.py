@@ -24,9 +24,11 @@ from conftest import (
 from deepfsi import coding, constraints
 from deepfsi.datasets import load_dataset
 from deepfsi.evaluation import evaluate
+from deepfsi.jobs import Job, Training
 from deepfsi.noise import variance
 from deepfsi.scanner import Scanner, lit
-from deepfsi.training import Job, Scenes, Training, train
+from deepfsi.scenes import Scenes
+from deepfsi.training import train
 
 N = 64
 DRAWS = 20_000

@@ -302,7 +302,10 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(light, ra
         return mean - project(mean_scene, difference) + root(light_) * epsilon
 
     found = []
-    for features in (measure(centred, masks, epsilon), expected()):
+    for features in (
+        measure(centred, masks.rails_to_measure(), epsilon, masks.disjoint),
+        expected(),
+    ):
         masks.zero_grad()
         (features * weight).sum().backward()
         found.append((features.detach(), [p.grad.clone() for p in masks.parameters()]))

@@ -19,11 +19,14 @@ from conftest import (
     quick,
     synthetic,
 )
-from deepfsi import coding, constraints
+from deepfsi import coding, constraints, descent
 from deepfsi.artifact import Design
+from deepfsi.classifiers import Replicas
 from deepfsi.errors import InputError
 from deepfsi.evaluation import evaluate
-from deepfsi.training import BFLOAT16_COUNTS, Job, Scenes, Training, learn, products, train
+from deepfsi.jobs import BFLOAT16_COUNTS, Job, Training, products
+from deepfsi.scenes import Scenes
+from deepfsi.training import learn, train
 
 HOW = Training(**{**RECIPE, "epochs": 3, "dropout": 0.1})
 CPU = torch.device("cpu")
@@ -112,6 +115,38 @@ def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
         assert apart(one, alone, torch.arange(64)) <= 1e-3
 
 
+@pytest.mark.parametrize("stacked", [False, True])
+@pytest.mark.parametrize(
+    ("design", "change"),
+    [
+        ("pca", {}),
+        ("random", {}),
+        ("deepfsi", {}),
+        ("deepfsi", {"noise": "gaussian", "sigma": 3.0}),
+        ("deepfsi", {"light": "two-arm"}),
+        ("deepfsi", {"rails": "single", "light": "free-dwell"}),
+        ("control", {}),
+    ],
+)
+def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stacked):
+    """With their weights stacked, as on a GPU, or not; alone they are not."""
+    how = HOW.model_copy(update={"start": "random"})
+    jobs = [
+        Job(design=design, masks=6, photons=photons, seed=seed, training=how, **change)
+        for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
+    ]
+    scenes = Scenes(digits, "cpu")
+    alone = [train(scenes, [job])[0] for job in jobs]
+    monkeypatch.setattr(descent, "Replicas", lambda nets, stacked: Replicas(nets, stacks))
+    stacks = stacked
+    varies = torch.from_numpy(digits.x_train.std(axis=0) > 0.01)
+    tight = 1e-2 if design == "control" else 1e-3
+    together = train(scenes, jobs)
+    for one, other in zip(together, alone, strict=True):
+        assert apart(one, other, varies) <= tight
+    assert apart(together[0], together[3], varies) > 0.01
+
+
 def test_replicas_learn_for_their_own_budget(digits):
     jobs = [Job(masks=6, photons=photons, training=HOW) for photons in (1e2, 1e6)]
     starved, bright = train(Scenes(digits, "cpu"), jobs)
@@ -128,10 +163,10 @@ def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
     assert (loud.spread > quiet.spread).all()
 
 
-@pytest.mark.parametrize("change", [{"masks": 7}, {"seed": 1}, {"light": "free-dwell"}])
+@pytest.mark.parametrize("change", [{"masks": 7}, {"light": "free-dwell"}])
 def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
     job = Job(masks=6, photons=1e3, training=HOW)
-    with pytest.raises(ValueError, match="may differ in photons and sigma only"):
+    with pytest.raises(ValueError, match="may differ in photons, sigma and seed only"):
         train(Scenes(digits, "cpu"), [job, job.model_copy(update=change)])
 
 

@@ -56,9 +56,63 @@ class Mlp(nn.Module):
     def _drop(self, h: Tensor) -> Tensor:
         if not self.training or self.dropout == 0:
             return h
+        return h * self.kept(h)
+
+    def kept(self, h: Tensor) -> Tensor:
+        """Draw what dropout multiplies hidden units with: 0, or 1 / (1 − dropout)."""
         # torch's own dropout takes no generator, and draws one random word a unit where 16 bits do
         words = torch.empty(-(-h.numel() // 4), dtype=torch.int64, device=h.device)
         words.random_(-(2**63), None, generator=self.generator)
         drawn = words.view(torch.int16)[: h.numel()].view(h.shape)
         kept = drawn >= round(self.dropout * 2**16) - 2**15
-        return h * (kept * (1 / (1 - self.dropout)))
+        return kept * (1 / (1 - self.dropout))
+
+
+class Replicas(nn.Module):
+    """Networks of one shape that learn side by side, each from its own features.
+
+    Parameters
+    ----------
+    networks : sequence of Mlp
+        R of them. They are in training mode and keep their own generators.
+    stacked : bool
+        Whether their weights are stacked, so that one product serves all: a GPU needs that, while
+        a processor is as fast with one after another (`benchmarks/sweep.py`). Call `hand_back`
+        after training.
+    """
+
+    def __init__(self, networks: Sequence[Mlp], stacked: bool) -> None:
+        super().__init__()
+        self.stacked = stacked
+        self.networks = list(networks)
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        if not stacked:
+            self.registered = nn.ModuleList(networks)
+            return
+        for layers in zip(*(network.layers for network in networks), strict=True):
+            weights, biases = zip(*(layer.parameters() for layer in layers), strict=True)
+            self.weights.append(torch.stack([weight.detach().T for weight in weights]))
+            self.biases.append(torch.stack([bias.detach()[None] for bias in biases]))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (B, R, C) of features (B, R, m)."""
+        if not self.stacked:
+            pairs = zip(self.networks, features.unbind(1), strict=True)
+            return torch.stack([network(own) for network, own in pairs], dim=1)
+        h = features.transpose(0, 1)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            h = torch.baddbmm(bias, h, weight)
+            if self.networks[0].dropout:
+                drawn = zip(self.networks, h, strict=True)
+                h = h * torch.stack([network.kept(own) for network, own in drawn])
+            h = h.relu()
+        return torch.baddbmm(self.biases[-1], h, self.weights[-1]).transpose(0, 1)
+
+    def hand_back(self) -> None:
+        """Give the networks what they have learned."""
+        with torch.no_grad():
+            for place, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+                for network, w, b in zip(self.networks, weight, bias, strict=True):
+                    own_weight, own_bias = network.layers[place].parameters()
+                    own_weight.copy_(w.T)
+                    own_bias.copy_(b[0])

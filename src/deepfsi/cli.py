@@ -118,7 +118,7 @@ def compare(
         settings.pop("masks", None)
     if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
         settings["training"] = {**settings["training"], "epochs": epochs}
-    from deepfsi.training import reworded
+    from deepfsi.jobs import reworded
 
     with reworded():
         chosen = sweep.Recipe.model_validate(settings)
@@ -241,7 +241,7 @@ def evaluate(
     """
     from deepfsi.artifact import Design
     from deepfsi.evaluation import evaluate as test
-    from deepfsi.training import find_device
+    from deepfsi.scenes import find_device
 
     budgets = _numbers("photons", photons) or []
     made = Design.load(file, find_device(device))

@@ -180,6 +180,18 @@ class Learned(nn.Module):
             return matrix, self._dwell()[..., 0, :, None].expand_as(matrix)
         return matrix, matrix.abs()
 
+    def rails_to_measure(self) -> Tensor:
+        """What `scanner.measure` needs: M alone, or difference and total (2, ..., m, N)."""
+        alone = self.disjoint or self.rails == "single"
+        return self.matrix() if alone else torch.stack(self())
+
+    def lit(self, difference: Tensor) -> Tensor:
+        """How many rails of each mask are not dark, (..., m)."""
+        if self.light == "two-arm":
+            return torch.full_like(difference[..., 0], 2, dtype=torch.int32)
+        least, most = difference.detach().aminmax(dim=-1)
+        return (most > 0).int() + (least < 0).int()
+
     @property
     def disjoint(self) -> bool:
         """Whether there are two rails of which each pixel is on one, so that the total is |M|."""

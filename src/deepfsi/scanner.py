@@ -112,7 +112,7 @@ def project_pair(
     return mean, light
 
 
-def measure(scenes: Tensor, masks: constraints.Learned, epsilon: Tensor) -> Tensor:
+def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> Tensor:
     """Features of centred scenes under MLGauss noise, as one differentiable step of training.
 
     With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
@@ -122,17 +122,18 @@ def measure(scenes: Tensor, masks: constraints.Learned, epsilon: Tensor) -> Tens
     ----------
     scenes : tensor, shape (B + 1, N)
         x_c, and x̄ as the last row. The products have its type; the rest that of the masks.
-    masks : constraints.Learned
-        Gives D and S, each (*lead, m, N).
+    rails : tensor, shape (*lead, m, N) or (2, *lead, m, N)
+        From `Learned.rails_to_measure`: D and S, or D alone where S follows from it.
     epsilon : tensor, shape (B, *lead, m)
         Normal draws, times the root of the noise's variance for unit x S.
+    disjoint : bool
+        Whether S = |D|.
 
     Returns
     -------
     tensor, shape (B, *lead, m)
     """
-    rails = masks.matrix() if masks.disjoint or masks.rails == "single" else torch.stack(masks())
-    return _Measure.apply(scenes, rails, epsilon, masks.disjoint)  # type: ignore[no-untyped-call]
+    return _Measure.apply(scenes, rails, epsilon, disjoint)  # type: ignore[no-untyped-call]
 
 
 class _Measure(torch.autograd.Function):

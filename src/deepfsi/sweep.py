@@ -31,9 +31,11 @@ from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.evaluation import COVERS, evaluate
+from deepfsi.jobs import REVISION, Job, Training, check_job, training_for
 from deepfsi.noise import Noise
 from deepfsi.photons import BUDGETS
-from deepfsi.training import REVISION, Job, Scenes, Training, check_job, train, training_for
+from deepfsi.scenes import Scenes
+from deepfsi.training import train
 
 SCHEMA = 1
 

@@ -1,0 +1,288 @@
+"""The descent itself: steps that train R classifiers side by side, and masks where they learn.
+
+One step, for B scenes and m masks: gather scenes, multiply them with all masks at once, draw noise,
+standardise, classify, descend. The scenes stay on the device, nothing is read back within an epoch,
+and the products of designs that do not learn are taken once before the first.
+
+A seed fixes the order of scenes, the initial weights, the noise and the dropout. Replicas of one
+seed take the same draws, so that a difference between two budgets is not blurred by chance, and up
+to rounding a design does not depend on which others it was trained with.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.classifiers import Mlp, Replicas
+from deepfsi.constraints import Fixed, Learned
+from deepfsi.jobs import Job, Training, products
+from deepfsi.noise import root, variance
+from deepfsi.scanner import lit, measure, project, project_pair
+from deepfsi.scenes import Scenes
+
+Progress = Callable[[float], None]
+"""Called with the share of the work that is done, 0 to 1."""
+
+GRAIN = 2**15
+"""Elements below which torch itself does not share an operation among threads."""
+
+
+def optimise(
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, report: Progress
+) -> list[Mlp]:
+    """Train the classifiers of jobs, and the masks where they learn; masks are changed in place.
+
+    Parameters
+    ----------
+    scenes : Scenes
+    jobs : sequence of Job
+        R jobs that agree in `Job.companions`, those of one seed one after another.
+    masks : Fixed or Learned
+        Of R replicas, or of one for all.
+    report : callable
+        Told the share that is done after each epoch.
+
+    Returns
+    -------
+    list of Mlp
+    """
+    job, how, device = jobs[0], jobs[0].training, scenes.device
+    classifiers = [
+        Mlp(
+            job.masks,
+            len(scenes.data.classes),
+            how.hidden,
+            how.dropout,
+            torch.Generator(device).manual_seed(each.seed),
+        )
+        for each in jobs
+    ]
+    replicas = Replicas(classifiers, stacked=device.type == "cuda")
+    groups: list[dict[str, Any]] = [
+        {"params": list(replicas.parameters()), "lr": how.lr, "weight_decay": how.decay}
+    ]
+    if isinstance(masks, Learned):
+        groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
+    batch = batch_of(how, len(scenes.labels))
+    steps = len(scenes.labels) // batch
+    streams = [
+        _Stream(scenes, jobs, [r for r, _ in members], steps, batch)
+        for _, members in groupby(enumerate(jobs), key=lambda place: place[1].seed)
+    ]
+    features = _features(scenes, jobs, masks)
+    optimiser = torch.optim.AdamW(groups, fused=True)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, [group["lr"] for group in groups], total_steps=how.epochs * steps
+    )
+    with _threads(batch * len(jobs) * max(job.masks, *how.hidden, 1)):
+        report(0.0)
+        for epoch in range(how.epochs):
+            for stream in streams:
+                stream.shuffle()
+            for step in range(steps):
+                logits = replicas(features(streams, step))
+                labels = _beside([stream.labels(step) for stream in streams])
+                loss = functional.cross_entropy(
+                    logits.flatten(0, 1), labels.flatten(), reduction="sum"
+                )
+                (loss / batch).backward()
+                optimiser.step()
+                optimiser.zero_grad(set_to_none=True)
+                schedule.step()
+            report((epoch + 1) / how.epochs)
+    replicas.hand_back()
+    for classifier in classifiers:
+        classifier.generator = None
+        classifier.eval()
+    return classifiers
+
+
+def batch_of(how: Training, count: int) -> int:
+    """Scenes of one step, of `count` in all."""
+    return min(how.batch or min(max(count // 100, 32), 500), count)
+
+
+def statistics(
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, means: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean and spread of the features over the training set and its noise, and mean x S.
+
+    Parameters
+    ----------
+    scenes : Scenes
+    jobs : sequence of Job
+    masks : Fixed or Learned
+    means : tensor, shape (n, R or 1, m), optional
+        x D of all training scenes, where it is known.
+
+    Returns
+    -------
+    tuple of tensor
+        Each (R, m), for scenes of unit reflectance: to be divided by `Scenes.light`.
+    """
+    difference, total = masks()
+    if means is None:
+        means = torch.cat([project(x, difference) for x in scenes.full.split(4096)])
+    light = project(scenes.full.mean(dim=0), total)
+    noise = _Noise(scenes, jobs)
+    power = means.var(dim=0, correction=0) + noise.variance(light, lit(difference, total))
+    if jobs[0].training.scale == "common":
+        power = power.mean(dim=-1, keepdim=True).expand_as(power)
+    spread = torch.where(power > 0, power, 1.0).sqrt()
+    return means.mean(dim=0).expand_as(spread), spread, light.expand_as(spread)
+
+
+def _features(
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned
+) -> Callable[[Sequence["_Stream"], int], Tensor]:
+    """How a step gets its standardised features (B, R, m)."""
+    job = jobs[0]
+    if isinstance(masks, Fixed):
+        return _measured(scenes, jobs, masks)
+    x = scenes.centred(job.light, products(job, scenes.device))
+    scale = job.training.scale
+    if job.noise == "ml_gauss":
+
+        def learned(streams: Sequence[_Stream], step: int) -> Tensor:
+            rails = masks.rails_to_measure()
+            return _standardise(
+                _beside(
+                    [
+                        measure(
+                            x.index_select(0, stream.with_mean[step]),
+                            rails[..., stream.jobs, :, :],
+                            stream.normal(job.masks) * stream.noise.unit,
+                            masks.disjoint,
+                        )
+                        for stream in streams
+                    ]
+                ),
+                scale,
+            )
+
+        return learned
+
+    def learned_under_read_noise(streams: Sequence[_Stream], step: int) -> Tensor:
+        difference = masks.matrix()
+        shown = masks.lit(difference)
+        parts = []
+        for stream in streams:
+            mean = project(x.index_select(0, stream.rows[step]), difference[stream.jobs])
+            deviation = stream.noise.deviation(mean, shown[stream.jobs])
+            parts.append(mean + deviation * stream.normal(job.masks))
+        return _standardise(_beside(parts), scale)
+
+    return learned_under_read_noise
+
+
+def _measured(
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed
+) -> Callable[[Sequence["_Stream"], int], Tensor]:
+    difference, total = masks()
+    shown = lit(difference, total)
+    pairs = [project_pair(x, difference, total, both=True) for x in scenes.full.split(4096)]
+    means = torch.cat([mean for mean, _ in pairs])
+    lights = means if difference is total else torch.cat([light for _, light in pairs])
+    centre, spread, _ = statistics(scenes, jobs, masks, means)
+
+    def measured(streams: Sequence[_Stream], step: int) -> Tensor:
+        parts = []
+        for stream in streams:
+            mean, light = (stream.of(every, step) for every in (means, lights))
+            own = shown[stream.jobs] if len(shown) > 1 else shown
+            deviation = stream.noise.deviation(light, own)
+            parts.append(mean + deviation * stream.normal(mean.shape[-1]))
+        return (_beside(parts) - centre) / spread
+
+    return measured
+
+
+class _Stream:
+    """What the jobs of one seed draw, the same for all of them."""
+
+    rows: Tensor
+    with_mean: Tensor
+
+    def __init__(
+        self, scenes: Scenes, jobs: Sequence[Job], places: list[int], steps: int, batch: int
+    ) -> None:
+        self.jobs = slice(places[0], places[-1] + 1)
+        self.noise = _Noise(scenes, jobs[self.jobs])
+        self.generator = torch.Generator(scenes.device).manual_seed(jobs[places[0]].seed)
+        self.scenes, self.steps, self.batch = scenes, steps, batch
+
+    def shuffle(self) -> None:
+        """Draw the order of an epoch's scenes."""
+        count = len(self.scenes.labels)
+        order = torch.randperm(count, generator=self.generator, device=self.scenes.device)
+        self.rows = order[: self.steps * self.batch].view(self.steps, self.batch)
+        self.with_mean = functional.pad(self.rows, (0, 1), value=count)
+        self._labels = self.scenes.labels[self.rows]
+
+    def labels(self, step: int) -> Tensor:
+        """Labels (B, R) of a step."""
+        return self._labels[step].unsqueeze(1).expand(-1, self.jobs.stop - self.jobs.start)
+
+    def normal(self, masks: int) -> Tensor:
+        """Normal draws (B, 1, m)."""
+        return torch.randn(
+            self.batch, 1, masks, generator=self.generator, device=self.scenes.device
+        )
+
+    def of(self, every: Tensor, step: int) -> Tensor:
+        """A step's part of what is known of all scenes and jobs, (n, R or 1, m)."""
+        own = every[:, self.jobs] if every.shape[1] > 1 else every
+        return own.index_select(0, self.rows[step])
+
+
+class _Noise:
+    """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts."""
+
+    def __init__(self, scenes: Scenes, jobs: Sequence[Job]) -> None:
+        self.kind = jobs[0].noise
+        gain = [[job.photons / scenes.light] for job in jobs]
+        self.gain = torch.tensor(gain, device=scenes.device)
+        self.unit = self.gain.rsqrt()
+        self.sigma = torch.tensor([[job.sigma] for job in jobs], device=scenes.device)
+
+    def deviation(self, light: Tensor, shown: Tensor) -> Tensor:
+        """Standard deviation where the rails together see `light` = x S, (..., R, m)."""
+        if self.kind == "ml_gauss":
+            return root(light) * self.unit
+        return root(self.variance(light, shown))
+
+    def variance(self, light: Tensor, shown: Tensor) -> Tensor:
+        """The same, squared; `shown` (R, m) says how many rails are read out."""
+        if self.kind == "ml_gauss":
+            return light / self.gain
+        return variance(light, shown, self.kind, self.sigma) / self.gain.square()
+
+
+def _beside(parts: list[Tensor]) -> Tensor:
+    """Replicas (B, R_i, …) of several seeds as one (B, R, …)."""
+    return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
+
+
+def _standardise(features: Tensor, scale: str) -> Tensor:
+    """Scale centred features (B, R, m) with the spread of their batch."""
+    if scale == "each":
+        columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
+        return columns.view_as(features)
+    size = torch.linalg.vector_norm(features, dim=(0, 2)) / (features[:, 0].numel() ** 0.5)
+    return features / size[:, None]
+
+
+@contextmanager
+def _threads(units: int) -> Iterator[None]:
+    """Use one thread where a step is too small for several: they would wait for one another."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(threads if units >= GRAIN else 1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
