@@ -108,7 +108,7 @@ def test_options_override_a_recipe(call, tmp_path):
     )  # fmt: skip
     used = json.loads(text)["recipe"]
     assert code == 0
-    assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": 1})
+    assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": [1]})
 
 
 def test_own_matrix(call, tmp_path):

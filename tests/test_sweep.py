@@ -1,22 +1,30 @@
 """Recipes, records and their summary."""
 
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import polars
 import pytest
+import torch
 from scipy import stats
 
-from deepfsi import sweep
+from deepfsi import recipes, sweep
 from deepfsi.artifact import Design
 from deepfsi.datasets import load_dataset
+from deepfsi.descent import footprint
 from deepfsi.errors import InputError
 from deepfsi.evaluation import evaluate
+from deepfsi.forecast import forecast
+from deepfsi.records import write_table
+from deepfsi.scenes import Scenes
 
 RECIPES = sorted((Path(__file__).parent.parent / "recipes").glob("*.toml"))
 SHORT = {"epochs": 2}
@@ -36,16 +44,16 @@ def small(**changes):
         "training": SHORT,
         **changes,
     }
-    return sweep.Recipe(**settings)
+    return recipes.Recipe(**settings)
 
 
 def test_plan_holds_every_point_once(digits):
-    trials = sweep.plan(small(trials=2), digits)
+    trials = recipes.plan(small(trials=2), digits)
     assert len({trial.key for trial in trials}) == len(trials) == 2 * 2 * 2 * 2
 
 
 def test_designs_without_a_choice_of_masks_appear_once(digits):
-    trials = sweep.plan(small(designs=("impulse", "raster", "hadamard"), photons=1e3), digits)
+    trials = recipes.plan(small(designs=("impulse", "raster", "hadamard"), photons=1e3), digits)
     assert [trial.job.masks for trial in trials] == [64, 64, 64]
 
 
@@ -54,7 +62,7 @@ def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
 
 
 def test_paper_ratios_are_the_default(digits):
-    counts = sweep.Recipe(designs="pca").mask_counts("pca", digits)
+    counts = recipes.Recipe(designs="pca").mask_counts("pca", digits)
     assert counts == [1, 3, 6, 10, 16, 23, 31, 41, 52, 64]
 
 
@@ -72,30 +80,30 @@ def test_paper_ratios_are_the_default(digits):
     ],
 )
 def test_every_setting_changes_the_key(digits, change):
-    before = {trial.key for trial in sweep.plan(small(), digits)}
-    after = {trial.key for trial in sweep.plan(small(**change), digits)}
+    before = {trial.key for trial in recipes.plan(small(), digits)}
+    after = {trial.key for trial in recipes.plan(small(**change), digits)}
     assert len(after - before) >= len(before) / 2
 
 
 def test_other_data_changes_the_key(digits):
     other = load_dataset("digits", rescale=(0.1, 1.0))
-    keys = [{trial.key for trial in sweep.plan(small(), data)} for data in (digits, other)]
+    keys = [{trial.key for trial in recipes.plan(small(), data)} for data in (digits, other)]
     assert not keys[0] & keys[1]
 
 
 def test_all_mistakes_of_a_recipe_are_reported():
     with pytest.raises(ValueError, match="photons") as error:
-        sweep.Recipe(photons=(-1.0,), trials=0, light="colum")
+        recipes.Recipe(photons=(-1.0,), trials=0, light="colum")
     assert {fault["loc"][0] for fault in error.value.errors()} == {"photons", "trials", "light"}
 
 
 def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
-    trials = sweep.plan(small(), digits)
+    trials = recipes.plan(small(), digits)
     first = sweep.run(trials, digits, tmp_path)
     monkeypatch.setattr(sweep, "train", lambda *_: pytest.fail("a finished trial was repeated"))
     assert sweep.run(trials, digits, tmp_path) == first
     record = first[-1]
-    design = Design.load(tmp_path / "designs" / f"{record['key']}.safetensors")
+    design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
     job = record["trial"]["job"]
     again = evaluate(design, digits, job["photons"], draws=1, seed=job["seed"])[0]
     assert again.accuracy == record["test"][0]["accuracy"]
@@ -103,7 +111,7 @@ def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, mo
 
 
 def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
-    trials = sweep.plan(small(), digits)
+    trials = recipes.plan(small(), digits)
     real, calls = sweep.train, []
 
     def stop_at_third(*arguments):
@@ -151,13 +159,150 @@ def test_a_killed_process_leaves_only_whole_records(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in left} == left
 
 
+@pytest.fixture
+def trained(monkeypatch):
+    """Keys of all jobs that are trained, as often as they are."""
+    real, seen = sweep.train, []
+
+    def train(scenes, jobs, *rest):
+        seen.extend(job.model_dump_json() for job in jobs)
+        return real(scenes, jobs, *rest)
+
+    monkeypatch.setattr(sweep, "train", train)
+    return seen
+
+
+def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained):
+    trials = recipes.plan(small(trials=4, designs=("pca", "random", "lda")), digits)
+    with ThreadPoolExecutor() as pool:
+        runs = [pool.submit(sweep.run, trials, digits, tmp_path) for _ in range(3)]
+        found = [run.result() for run in runs]
+    assert len(trained) == len(trials)
+    assert found[0] == found[1] == found[2]
+    assert [record["key"] for record in found[0]] == [trial.key for trial in trials]
+    assert not list(tmp_path.glob("**/*.lock"))
+
+
+def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
+    sweep.run(recipes.plan(small(), digits), digits, tmp_path)
+    count = len(trained)
+    more = small(test_photons=(1e3, 1e5), test_noise=("poisson", "ml_gauss"), test_levels=(0, 8))
+    records = sweep.run(recipes.plan(more, digits), digits, tmp_path)
+    assert len(trained) == count
+    assert {len(record["test"]) for record in records} == {2 * 2 * 2}
+    fresh = sweep.run(recipes.plan(more, digits), digits, tmp_path / "fresh")
+    for one, other in zip(records, fresh, strict=True):
+        assert [t["accuracy"] for t in one["test"]] == [t["accuracy"] for t in other["test"]]
+
+
+def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
+    sweep.run(recipes.plan(small(), digits), digits, tmp_path)
+    trained.clear()
+    grown = small(masks=(3, 6, 9), trials=2)
+    sweep.run(recipes.plan(grown, digits), digits, tmp_path)
+    assert len(trained) == 2 * 2 * 3 * 2 - 2 * 2 * 2
+
+
+def test_processes_give_what_one_process_gives(digits, tmp_path):
+    trials = recipes.plan(small(designs=("deepfsi", "random", "control"), trials=2), digits)
+    one = sweep.run(trials, digits, tmp_path / "one")
+    two = sweep.run(trials, digits, tmp_path / "two", workers=2)
+    for first, second in zip(one, two, strict=True):
+        assert first["key"] == second["key"]
+        assert first["test"] == second["test"]
+
+
+def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
+    trials = recipes.plan(small(designs="deepfsi", training={"epochs": 2, "lr": 1e30}), digits)
+    with pytest.raises(InputError, match="diverged"):
+        sweep.run(trials, digits, tmp_path, workers=2)
+
+
+def test_batches_are_split_to_fit_the_memory(digits):
+    trials = recipes.plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
+    scenes = Scenes(digits, "cpu")
+    need = [footprint(scenes, [trial.job for trial in trials[:n]]) for n in (1, 2, 4)]
+    assert need == sorted(set(need))
+    for limit, sizes in ((0, [1, 1, 1, 1]), (need[1], [2, 2]), (need[2], [4])):
+        assert [len(batch) for batch in sweep.batches(trials, scenes, limit)] == sizes
+
+
+def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch):
+    real = sweep.train
+
+    def train(scenes, jobs, *rest):
+        if len(jobs) > 1:
+            raise torch.OutOfMemoryError
+        return real(scenes, jobs, *rest)
+
+    trials = recipes.plan(small(photons=(1e2, 1e3, 1e4)), digits)
+    monkeypatch.setattr(sweep, "train", train)
+    assert len(sweep.run(trials, digits, tmp_path)) == len(trials)
+
+
+def test_every_trial_is_in_one_batch(digits):
+    trials = recipes.plan(small(trials=3, photons=(1e2, 1e7)), digits)
+    found = sweep.batches(trials, Scenes(digits, "cpu"), 1e12)
+    assert sorted(trial.key for batch in found for trial in batch) == sorted(
+        trial.key for trial in trials
+    )
+    costs = [sweep.effort(batch) for batch in found]
+    assert costs == sorted(costs, reverse=True)
+
+
+def test_every_list_of_the_training_is_an_axis(digits, tmp_path):
+    recipe = small(
+        designs="deepfsi",
+        masks=3,
+        photons=1e3,
+        training={"epochs": 1, "start": ["pca", "random"], "hidden": [[8], [4, 4]]},
+    )
+    trials = recipes.plan(recipe, digits)
+    assert len({trial.key for trial in trials}) == 4
+    results, _ = sweep.compare(recipe, digits, tmp_path, command="deepfsi")
+    assert len({point["variant"] for point in results["points"]}) == 4
+    assert all(point["best"] for point in results["points"])
+
+
+def test_gaussian_noise_may_have_budgets_of_its_own(digits):
+    both = small(noise=("poisson", "gaussian"), photons=1e3, gaussian_photons=(30, 300))
+    budgets = {(trial.job.noise, trial.job.photons) for trial in recipes.plan(both, digits)}
+    assert budgets == {("ml_gauss", 1e3), ("gaussian", 30), ("gaussian", 300)}
+
+
+def test_a_table_has_a_row_for_each_test(digits, tmp_path):
+    recipe = small(test_photons=(1e2, 1e4), test_levels=(0, 768))
+    records = sweep.run(recipes.plan(recipe, digits), digits, tmp_path)
+    csv = polars.read_csv(write_table(records, tmp_path / "all.csv"))
+    parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
+    assert csv.shape == parquet.shape
+    assert len(csv) == len(records) * 4
+    assert csv["accuracy"].to_list() == [t["accuracy"] for r in records for t in r["test"]]
+    assert set(csv["levels"]) == {0, 768}
+    with pytest.raises(InputError, match=r"\.csv or \.parquet"):
+        write_table(records, tmp_path / "all.xls")
+
+
+def test_a_forecast_counts_what_is_left(digits, tmp_path):
+    recipe = small(trials=2)
+    before = forecast(recipe, digits, tmp_path)
+    first = recipes.plan(small(), digits)
+    sweep.run(first, digits, tmp_path)
+    after = forecast(recipe, digits, tmp_path)
+    assert (before.trials, before.done, after.done) == (16, 0, len(first))
+    assert before.operations == pytest.approx(2 * after.operations)
+    assert 0 < after.seconds < math.inf
+    sweep.run(recipes.plan(recipe, digits), digits, tmp_path)
+    assert forecast(recipe, digits, tmp_path).seconds == 0
+
+
 def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
-    alone = sweep.plan(small(photons=1e3, masks=3), digits)
-    together = sweep.plan(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
+    alone = recipes.plan(small(photons=1e3, masks=3), digits)
+    together = recipes.plan(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
     sweep.run(alone, digits, tmp_path / "alone")
     sweep.run(together, digits, tmp_path / "together")
     for trial in alone:
-        name = f"{trial.key}.safetensors"
+        name = f"{trial.design_key}.safetensors"
         one = Design.load(tmp_path / "alone" / "designs" / name)
         other = Design.load(tmp_path / "together" / "designs" / name)
         np.testing.assert_allclose(one.matrix, other.matrix, rtol=0, atol=1e-4)
@@ -165,11 +310,13 @@ def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
 
 def record(photons, masks, seed, validation, test, noise="ml_gauss"):
     result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
+    result["levels"] = 0
     job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
     job["noise"] = noise
     return {
         "key": f"{masks}-{seed}",
-        "trial": {"job": job},
+        "design": f"{masks}-{seed}",
+        "trial": {"job": job, "variant": ""},
         "validation": [{**result, "accuracy": validation}],
         "test": [{**result, "accuracy": test}],
         "info": {"seconds": 1.0},
@@ -213,7 +360,7 @@ def test_trials_of_different_training_noise_are_different_points(digits):
 
 @pytest.mark.parametrize("loss", ["record", "design", "damage"])
 def test_what_is_lost_is_made_again(digits, tmp_path, loss):
-    trials = sweep.plan(small(designs="pca", masks=3, photons=1e3), digits)
+    trials = recipes.plan(small(designs="pca", masks=3, photons=1e3), digits)
     sweep.run(trials, digits, tmp_path)
     (path,) = (tmp_path / ("designs" if loss == "design" else "trials")).iterdir()
     path.write_text('{"key":') if loss == "damage" else path.unlink()
@@ -223,25 +370,25 @@ def test_what_is_lost_is_made_again(digits, tmp_path, loss):
 
 
 def test_repeated_values_of_an_axis_count_once(digits):
-    assert len(sweep.plan(small(designs="pca", masks=(3, 3), photons=(1e3, 1e3)), digits)) == 1
+    assert len(recipes.plan(small(designs="pca", masks=(3, 3), photons=(1e3, 1e3)), digits)) == 1
 
 
 def test_impulse_imaging_is_one_reference_for_every_constraint(digits):
     recipe = small(designs="impulse", light=("column", "free-dwell"), rails=("dual", "single"))
-    assert len(sweep.plan(recipe, digits)) == len(recipe.photons)
+    assert len(recipes.plan(recipe, digits)) == len(recipe.photons)
 
 
 def test_designs_that_a_constraint_rules_out_are_left_out(digits):
     designs = ("raster", "pca", "hadamard", "impulse")
-    two_arm = sweep.plan(small(designs=designs, light="two-arm"), digits)
-    single = sweep.plan(small(designs=designs, rails="single"), digits)
+    two_arm = recipes.plan(small(designs=designs, light="two-arm"), digits)
+    single = recipes.plan(small(designs=designs, rails="single"), digits)
     assert {trial.job.design for trial in two_arm} == {"pca", "hadamard", "impulse"}
     assert {trial.job.design for trial in single} == {"raster", "pca", "impulse"}
 
 
 def test_more_masks_than_pixels_are_refused(digits):
     with pytest.raises(InputError, match="64"):
-        sweep.plan(small(masks=(4, 100)), digits)
+        recipes.plan(small(masks=(4, 100)), digits)
 
 
 def test_without_validation_nothing_is_chosen(digits):
@@ -254,8 +401,8 @@ def test_without_validation_nothing_is_chosen(digits):
 def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
     seen = []
     real = sweep.Scenes
-    monkeypatch.setattr(sweep, "Scenes", lambda data, device: seen.append(data) or real(data))
-    sweep.run(sweep.plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
+    monkeypatch.setattr(sweep, "Scenes", lambda data, *_: seen.append(data) or real(data))
+    sweep.run(recipes.plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
     (parts,) = seen
     assert len(parts.x_train) == len(digits.x_train) - 200
     assert np.array_equal(parts.x_test, digits.x_train[-200:])
@@ -263,22 +410,22 @@ def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
 
 def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
     matrix = np.eye(64)[:5] / 5
-    trials = sweep.plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
+    trials = recipes.plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
     assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
     assert len(sweep.run(trials, digits, tmp_path, matrix=matrix)) == len(trials)
 
 
 def test_the_control_group_is_for_photon_noise(digits):
-    both = sweep.plan(small(designs=("control", "pca"), noise=("poisson", "gaussian")), digits)
+    both = recipes.plan(small(designs=("control", "pca"), noise=("poisson", "gaussian")), digits)
     noises = {trial.test_noise for trial in both if trial.job.design == "control"}
     assert noises == {("poisson",)}
     with pytest.raises(InputError, match="photon noise"):
-        sweep.plan(small(designs="control", noise="gaussian"), digits)
+        recipes.plan(small(designs="control", noise="gaussian"), digits)
 
 
 def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
     with pytest.raises(InputError, match="two-arm"):
-        sweep.plan(small(light="two-arm", rails="single"), digits)
+        recipes.plan(small(light="two-arm", rails="single"), digits)
 
 
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
@@ -286,7 +433,7 @@ def test_every_recipe_runs_small(path, digits, tmp_path):
     import tomllib
 
     settings = tomllib.loads(path.read_text())
-    sweep.Recipe(**settings)
+    recipes.Recipe(**settings)
     tiny = {
         "data": "digits",
         "masks": 4,
@@ -295,6 +442,6 @@ def test_every_recipe_runs_small(path, digits, tmp_path):
         "trials": 1,
         "training": {**settings.get("training", {}), "epochs": 1},
     }
-    recipe = sweep.Recipe(**{**settings, **tiny})
-    results = sweep.compare(recipe, digits, tmp_path, command="deepfsi")
+    recipe = recipes.Recipe(**{**settings, **tiny})
+    results, _ = sweep.compare(recipe, digits, tmp_path, command="deepfsi")
     assert {point["design"] for point in results["points"]} == set(recipe.designs)

@@ -5,7 +5,7 @@ import math
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -145,8 +145,26 @@ class Design:
         self.classifier = self.classifier.to(device)
         return self
 
+    def quantised(self, levels: int) -> "Design":
+        """The design as shown with k / `levels` grey levels of each frame's peak (paper: 768).
+
+        Classifier and statistics stay as they are.
+        """
+        rails = constraints.quantise(self.rails, self.light, levels)
+        return replace(self, rails=rails)
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one safetensors file, all or nothing.
+
+        Raises
+        ------
+        InputError
+            As `to_bytes`.
+        """
+        return write_atomically(path, self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Content of the design file.
 
         Raises
         ------
@@ -182,7 +200,7 @@ class Design:
             "info": self.info,
         }
         whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
-        return write_atomically(path, to_bytes(whole, metadata={"deepfsi": json.dumps(header)}))
+        return to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], device: str | torch.device = "cpu") -> "Design":

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
+    from deepfsi.recipes import Recipe
 
 app = typer.Typer(
     name="deepfsi",
@@ -41,6 +42,10 @@ SizeOption = Annotated[
     str | None, typer.Option(help="resize folder images to HEIGHTxWIDTH, or one number for both")
 ]
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, help="processes; one for each core unless given")
+]
+RayOption = Annotated[str | None, typer.Option(help="work on a Ray cluster: its address, or auto")]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON and nothing else")]
 LightOption = Annotated[
     str, typer.Option(help="light constraint: column, equal-dwell, free-dwell or two-arm")
@@ -78,6 +83,7 @@ def compare(
         Path | None, typer.Option(help="TOML file; options given here override it")
     ] = None,
     device: DeviceOption = "auto",
+    workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Train every design at every budget, and report which sees best.
@@ -90,7 +96,7 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
-    from deepfsi import report, sweep
+    from deepfsi.recipes import Recipe
 
     if masks is not None and ratios is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
@@ -121,27 +127,123 @@ def compare(
     from deepfsi.jobs import reworded
 
     with reworded():
-        chosen = sweep.Recipe.model_validate(settings)
+        chosen = Recipe.model_validate(settings)
         if own is not None and "custom" not in chosen.designs:
             chosen = chosen.model_copy(update={"designs": (*chosen.designs, "custom")})
-    scenes = _load(chosen.data, chosen.size)
-    _writable(out)
-    with _progress("compare", quiet=as_json) as tell:
-        results = sweep.compare(
-            chosen,
+    _sweep(chosen, out, "compare", matrix=own, device=device, workers=workers, as_json=as_json)
+
+
+@app.command()
+def sweep(
+    recipe: Annotated[Path, typer.Argument(help="TOML file: every list in it is an axis")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/sweep"),
+    workers: WorkersOption = None,
+    ray: RayOption = None,
+    device: DeviceOption = "auto",
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="say what it would cost here, and do nothing")
+    ] = False,
+    table: Annotated[
+        Path | None, typer.Option(help="write all records as one table, .csv or .parquet")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run all trials of a recipe, on all cores, a GPU or a Ray cluster.
+
+    It may be stopped at any moment: run again with the same output folder it goes on where it was,
+    also after a change of the recipe. Several may work on one folder.
+
+    Example: deepfsi sweep recipes/baseline.toml -o runs/baseline --table runs/baseline.csv
+    """
+    from deepfsi.jobs import reworded
+    from deepfsi.recipes import Recipe
+    from deepfsi.records import check_table
+
+    if table is not None:
+        check_table(table)
+    with reworded():
+        chosen = Recipe.model_validate(_toml(recipe))
+    if dry_run:
+        _forecast(chosen, out, device, workers, as_json)
+        return
+    _sweep(
+        chosen,
+        out,
+        "sweep",
+        device=device,
+        workers=workers,
+        ray=ray,
+        table=table,
+        as_json=as_json,
+    )
+
+
+def _sweep(
+    recipe: "Recipe",
+    out: Path,
+    what: str,
+    *,
+    matrix: "np.ndarray | None" = None,
+    device: str,
+    workers: int | None,
+    ray: str | None = None,
+    table: Path | None = None,
+    as_json: bool,
+) -> None:
+    from deepfsi import report
+    from deepfsi.records import write_table
+    from deepfsi.sweep import compare as run
+
+    scenes = _load(recipe.data, recipe.size)
+    for folder in (out, *([table.parent] if table else [])):
+        _writable(folder)
+    with _progress(what, quiet=as_json) as tell:
+        results, records = run(
+            recipe,
             scenes,
             out,
             command=_command(),
-            matrix=own,
+            matrix=matrix,
             device=device,
+            workers=workers,
+            ray=ray,
             report=tell,
         )
     page = report.build(out)
+    if table:
+        write_table(records, table)
     if as_json:
         _print_json(results)
         return
     _print_points(results)
     print(f"report: {page}")
+    if table:
+        print(f"table: {table}")
+
+
+def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from deepfsi.forecast import forecast
+
+    scenes = _load(recipe.data, recipe.size)
+    with _progress("timing a few steps of each kind", quiet=as_json):
+        expected = forecast(recipe, scenes, out, device, workers)
+    if as_json:
+        _print_json(asdict(expected))
+        return
+    print(
+        f"{expected.trials} trials, {expected.done} of them done; the others in "
+        f"{expected.batches} batches by {expected.workers} workers\n"
+        f"products: {expected.operations:.2g} floating-point operations\n"
+        f"expected here: {_duration(expected.seconds)}"
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 @app.command()
@@ -168,17 +270,18 @@ def design(
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
-    from deepfsi import coding, sweep
+    from deepfsi import coding
     from deepfsi.evaluation import evaluate as test
+    from deepfsi.recipes import TRAINING_NOISE
     from deepfsi.training import learn
 
     own = _matrix(matrix)
     budget = _one("photons", photons)
     scenes = _load(data, _size(size))
-    if noise not in sweep.TRAINING_NOISE:
+    if noise not in TRAINING_NOISE:
         from deepfsi.errors import closest
 
-        raise InputError(f"unknown noise {noise!r}: {closest(noise, sweep.TRAINING_NOISE)}")
+        raise InputError(f"unknown noise {noise!r}: {closest(noise, TRAINING_NOISE)}")
     if own is not None and (masks is not None or name not in (None, "custom")):
         raise InputError("--matrix is a design with its own masks: leave --masks and --design out")
     kind = "custom" if own is not None else coding.check_design(name or "deepfsi")
@@ -200,7 +303,7 @@ def design(
             photons=budget,
             masks=count,
             design=kind,
-            noise=sweep.TRAINING_NOISE[noise],
+            noise=TRAINING_NOISE[noise],
             sigma=sigma,
             light=light,
             rails=rails,
@@ -369,7 +472,8 @@ def main() -> NoReturn:
     except OSError as error:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == _STOPPED:
-        kept = "; finished trials are kept, run again to go on" if "compare" in sys.argv[:2] else ""
+        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"])
+        kept = "; finished trials are kept, run again to go on" if resumes else ""
         print(f"deepfsi: stopped{kept}", file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)
 

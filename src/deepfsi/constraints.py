@@ -84,6 +84,36 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     return parts / (_peak(parts) * len(frames(parts)))
 
 
+def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
+    """Rails as a device shows them: each frame in steps of its own peak / `levels`.
+
+    Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two
+    arms the positive rail is the pattern, and the other gets what is left of the time.
+
+    Parameters
+    ----------
+    rails : tensor, shape (2 or 1, m, N)
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    levels : int
+        Steps from dark to the peak, at least 1.
+
+    Returns
+    -------
+    tensor
+        Of the shape of `rails`.
+    """
+    if levels < 1:
+        raise InputError(f"{levels} grey levels are not allowed: give at least 1")
+    if light == "two-arm":
+        time = rails.sum(dim=0)
+        plus = (rails[0] / _or_one(time) * levels).round() / levels * time
+        return torch.stack([plus, time - plus])
+    step = _peak(rails) / levels
+    shown = (rails / step).round() * step
+    over = excess(shown, light)
+    return shown / (1 + over) if light == "column" and over > 0 else shown
+
+
 def excess(rails: Tensor, light: Light) -> float:
     """How far rails (2 or 1, m, N) break a constraint: 0 or less if they obey it."""
     if light == "column":
@@ -240,5 +270,8 @@ def separate(difference: Tensor, total: Tensor) -> Tensor:
 
 
 def _peak(parts: Tensor) -> Tensor:
-    peak = parts.amax(dim=-1, keepdim=True)
-    return torch.where(peak > 0, peak, 1.0)
+    return _or_one(parts.amax(dim=-1, keepdim=True))
+
+
+def _or_one(divisor: Tensor) -> Tensor:
+    return torch.where(divisor > 0, divisor, 1.0)

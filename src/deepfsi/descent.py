@@ -28,6 +28,15 @@ from deepfsi.scenes import Scenes
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, 0 to 1."""
 
+MASK_TENSORS = 16
+"""Copies of the masks alive in a step: weights, gradients, moments, their stages and products."""
+
+STEP_TENSORS = 12
+"""The same for the features."""
+
+CHUNK = 4096
+"""Scenes that are multiplied at once outside the steps."""
+
 GRAIN = 2**15
 """Elements below which torch itself does not share an operation among threads."""
 
@@ -126,15 +135,38 @@ def statistics(
         Each (R, m), for scenes of unit reflectance: to be divided by `Scenes.light`.
     """
     difference, total = masks()
-    if means is None:
-        means = torch.cat([project(x, difference) for x in scenes.full.split(4096)])
-    light = project(scenes.full.mean(dim=0), total)
-    noise = _Noise(scenes, jobs)
-    power = means.var(dim=0, correction=0) + noise.variance(light, lit(difference, total))
+    centre, light = (project(scenes.full.mean(dim=0), rails) for rails in (difference, total))
+    power = torch.zeros_like(centre)
+    for place, x in enumerate(scenes.full.split(CHUNK)):
+        rows = slice(place * CHUNK, place * CHUNK + len(x))
+        mean = project(x, difference) if means is None else means[rows]
+        power += (mean - centre).square().sum(dim=0)
+    power = power / len(scenes.full)
+    power = power + _Noise(scenes, jobs).variance(light, lit(difference, total))
     if jobs[0].training.scale == "common":
         power = power.mean(dim=-1, keepdim=True).expand_as(power)
     spread = torch.where(power > 0, power, 1.0).sqrt()
-    return means.mean(dim=0).expand_as(spread), spread, light.expand_as(spread)
+    return centre.expand_as(spread), spread, light.expand_as(spread)
+
+
+def footprint(scenes: Scenes, jobs: Sequence[Job]) -> float:
+    """Bytes that training jobs together takes at most, the scenes included, by the tensors alive.
+
+    Parameters
+    ----------
+    scenes : Scenes
+    jobs : sequence of Job
+        As for `optimise`.
+    """
+    job, scene = jobs[0], scenes.full[0].numel()
+    count, replicas = len(scenes.labels), len(jobs)
+    masks, batch = replicas * job.masks, batch_of(job.training, count)
+    single = 4.0
+    learned = MASK_TENSORS * masks * scene if job.masks_from().code.learned else 0
+    own = replicas if job.design in ("control", "random") else 1
+    products_of_all = 0 if job.code.learned else (2 * own + 1) * count * job.masks
+    step = STEP_TENSORS * batch * (masks + replicas * sum(job.training.hidden))
+    return single * (3 * scenes.full.numel() + learned + products_of_all + step)
 
 
 def _features(
@@ -185,7 +217,7 @@ def _measured(
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
     difference, total = masks()
     shown = lit(difference, total)
-    pairs = [project_pair(x, difference, total, both=True) for x in scenes.full.split(4096)]
+    pairs = [project_pair(x, difference, total, both=True) for x in scenes.full.split(CHUNK)]
     means = torch.cat([mean for mean, _ in pairs])
     lights = means if difference is total else torch.cat([light for _, light in pairs])
     centre, spread, _ = statistics(scenes, jobs, masks, means)

@@ -87,6 +87,11 @@ class Job(BaseModel):
         return coding.DESIGNS[self.design]
 
     @property
+    def drawn_from(self) -> str:
+        """The named design whose matrix the masks are or start from."""
+        return self.training.start if self.masks_from().code.learned else self.design
+
+    @property
     def optics(self) -> tuple[Light, Rails]:
         """Constraint and rails in force: designs with one rail by definition keep it.
 

@@ -68,6 +68,11 @@ class Scenes:
             self._centred[key] = centred[:, pixels].to(kind)
         return self._centred[key]
 
+    def prepare(self, name: str) -> None:
+        """Compute what the trainings of a design share, so that processes need not each do it."""
+        if name == "pca":
+            self.matrix(name, 1, 0)
+
     def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m."""
         coding.check_count(name, masks, self.data)

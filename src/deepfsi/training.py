@@ -147,7 +147,7 @@ def _masks(
 ) -> constraints.Fixed | constraints.Learned:
     job = jobs[0]
     light, rails = job.optics
-    name = job.training.start if job.code.learned else job.design
+    name = job.drawn_from
     if matrix is not None:
         own = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
         if rails == "single":

@@ -1,0 +1,283 @@
+"""Recipes name axes; a trial is a point of them: one training and its tests.
+
+A recipe is a TOML file or `Recipe(...)`. Every list in it is an axis, in its training settings too,
+and `plan` gives the trials of their product.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    model_validator,
+)
+
+from deepfsi import coding
+from deepfsi.constraints import Light, Rails
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.jobs import REVISION, Job, Training, check_job, reworded, training_for
+from deepfsi.noise import Noise
+from deepfsi.photons import BUDGETS
+
+SCHEMA = 2
+
+PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
+"""1, 4, 9, … 100 %."""
+
+Physical = Literal["poisson", "gaussian", "none"]
+TRAINING_NOISE: dict[Physical, Literal["ml_gauss", "gaussian", "none"]] = {
+    "poisson": "ml_gauss",
+    "gaussian": "gaussian",
+    "none": "none",
+}
+
+
+def _axis(value: Any) -> Any:
+    return tuple(dict.fromkeys(value)) if isinstance(value, (list, tuple)) else (value,)
+
+
+def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
+    """Fields of `Training`, each an axis, all of whose values are allowed."""
+    axes = {}
+    for name, value in given.items():
+        one = not isinstance(value, (list, tuple)) or (
+            name == "hidden" and not any(isinstance(part, (list, tuple)) for part in value)
+        )
+        axes[name] = (value,) if one else tuple(value)
+    with reworded():
+        for name, values in axes.items():
+            for value in values:
+                Training.model_validate({name: value})
+    return axes
+
+
+def _tuned(given: dict[str, dict[str, Any]]) -> dict[str, dict[str, tuple[Any, ...]]]:
+    return {coding.check_design(design): _settings(own) for design, own in given.items()}
+
+
+Name = Annotated[str, AfterValidator(coding.check_design)]
+Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
+Ratio = Annotated[float, Field(gt=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+Levels = Annotated[int, Field(ge=0, le=2**24)]
+Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
+
+
+class Resources(BaseModel):
+    """What each task takes of a cluster."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cpus: float = Field(1, gt=0, allow_inf_nan=False)
+    gpus: float = Field(0, ge=0, allow_inf_nan=False)
+
+
+class Recipe(BaseModel):
+    """What to compare. Each tuple is an axis; a single value stands for an axis of one."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    data: str = Field("digits", description="name, folder of images or .npz file")
+    size: tuple[int, int] | None = Field(None, description="height, width of folder images")
+    designs: Annotated[tuple[Name, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+        "impulse",
+        "raster",
+        "hadamard",
+        "truncated-hadamard",
+        "pca",
+        "deepfsi",
+        "control",
+    )
+    photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+        1e2,
+        1e3,
+        1e4,
+        1e5,
+    )
+    gaussian_photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis)] = Field(
+        (), description="budgets under gaussian noise, if others"
+    )
+    ratios: Annotated[tuple[Ratio, ...], BeforeValidator(_axis)] = Field(
+        (), description="m / N; the paper's unless given"
+    )
+    masks: Annotated[tuple[Count, ...], BeforeValidator(_axis)] = Field(
+        (), description="mask counts, instead of ratios"
+    )
+    noise: Annotated[tuple[Physical, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+        "poisson",
+    )
+    sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    light: Annotated[tuple[Light, ...], BeforeValidator(_axis), Field(min_length=1)] = ("column",)
+    rails: Annotated[tuple[Rails, ...], BeforeValidator(_axis), Field(min_length=1)] = ("dual",)
+    trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
+    validation: int | None = Field(
+        None, ge=0, description="training scenes held out to choose on; a sixth unless given"
+    )
+    draws: int = Field(3, ge=1, description="noise draws of each test scene")
+    test_photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis)] = Field(
+        (), description="budgets of the tests; that of the training unless given"
+    )
+    test_noise: Annotated[tuple[Noise, ...], BeforeValidator(_axis)] = Field(
+        (), description="noises of the tests; that of the training unless given"
+    )
+    test_levels: Annotated[tuple[Levels, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
+        (0,), description="grey levels of the masks shown in the tests; 0 for continuous"
+    )
+    training: Axes = Field({}, description="fields of Training, for every design")
+    tuned: Annotated[dict[str, dict[str, Any]], AfterValidator(_tuned)] = Field(
+        {}, description="the same for single designs"
+    )
+    resources: Resources = Resources()
+
+    @model_validator(mode="after")
+    def _one_or_the_other(self) -> "Recipe":
+        if self.ratios and self.masks:
+            raise ValueError("give ratios or masks, not both")
+        return self
+
+    def trainings(self, design: str) -> Iterator[tuple[str, Training]]:
+        """Every setting of the training of a design, with a name where there are several."""
+        axes = {**self.training, **self.tuned.get(design, {})}
+        several = [name for name, values in axes.items() if len(values) > 1]
+        for values in product(*axes.values()):
+            chosen = dict(zip(axes, values, strict=True))
+            variant = ", ".join(f"{name} {chosen[name]}" for name in several)
+            yield variant, training_for(design, **chosen)
+
+    def budgets(self, noise: Physical) -> tuple[float, ...]:
+        """Budgets to train at under a noise."""
+        return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
+
+    def mask_counts(self, design: str, data: Dataset) -> list[int]:
+        """Mask counts of one design: those asked for that it can have, else the most it can have.
+
+        Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper.
+        """
+        low, high = coding.count_allowed(design, data)
+        asked = self.masks or [
+            coding.mask_count(ratio, data.pixels) for ratio in self.ratios or PAPER_RATIOS
+        ]
+        return sorted({count for count in asked if low <= count <= high}) or [high]
+
+    def held_out(self, data: Dataset) -> int:
+        """How many training scenes are kept for validation."""
+        return len(data.x_train) // 6 if self.validation is None else self.validation
+
+
+class Trial(BaseModel):
+    """One training and its tests, with all that the result depends on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    job: Job
+    variant: str = Field("", description="which of several training settings, in words")
+    data: str = Field(description="name")
+    data_hash: str
+    matrix_hash: str = ""
+    validation: int
+    draws: int
+    test_photons: tuple[float, ...]
+    test_noise: tuple[Noise, ...]
+    test_levels: tuple[int, ...] = (0,)
+
+    @property
+    def key(self) -> str:
+        """Content hash that names the record."""
+        return _hash(self.model_dump(mode="json", exclude={"data", "variant"}))
+
+    @property
+    def design_key(self) -> str:
+        """Content hash that names the design: of what the training depends on."""
+        fields = {"job", "data_hash", "matrix_hash", "validation"}
+        return _hash(self.model_dump(mode="json", include=fields))
+
+
+def _hash(settings: Mapping[str, Any]) -> str:
+    whole = {"schema": SCHEMA, "revision": REVISION, **settings}
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
+    """All trials of a recipe, each once.
+
+    Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
+    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail.
+
+    Raises
+    ------
+    InputError
+        If a trial asks for what its data or constraint does not allow.
+    """
+    for count in recipe.masks:
+        if count > data.pixels:
+            raise InputError(
+                f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
+            )
+    trials = {}
+    for design, noise, light, rails in product(
+        recipe.designs, recipe.noise, recipe.light, recipe.rails
+    ):
+        if not _possible(design, noise, light, rails):
+            continue
+        own = matrix if design == "custom" else None
+        counts = recipe.mask_counts(design, data) if own is None else [len(own)]
+        for masks, (variant, training), seed, photons in product(
+            counts, recipe.trainings(design), range(recipe.trials), recipe.budgets(noise)
+        ):
+            job = Job(
+                design=design,
+                masks=masks,
+                photons=photons,
+                noise=TRAINING_NOISE[noise],
+                sigma=recipe.sigma,
+                light=light,
+                rails=rails,
+                seed=seed,
+                training=training,
+            )
+            job = job.model_copy(update=dict(zip(("light", "rails"), job.optics, strict=True)))
+            check_job(job, data, own)
+            trial = Trial(
+                job=job,
+                variant=variant,
+                data=data.name,
+                data_hash=data.hash,
+                matrix_hash=_matrix_hash(own),
+                validation=recipe.held_out(data),
+                draws=recipe.draws,
+                test_photons=recipe.test_photons or (photons,),
+                test_noise=recipe.test_noise or (noise,),
+                test_levels=recipe.test_levels,
+            )
+            trials[trial.key] = trial
+    if not trials:
+        raise InputError(
+            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
+            f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
+            f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
+        )
+    return list(trials.values())
+
+
+def _possible(design: str, noise: str, light: str, rails: str) -> bool:
+    one_rail = coding.DESIGNS[design].single_rail and design != "impulse"
+    return not (
+        (design == "control" and noise != "poisson")
+        or (light == "two-arm" and (one_rail or rails == "single"))
+        or (design == "hadamard" and rails == "single")
+    )
+
+
+def _matrix_hash(matrix: np.ndarray | None) -> str:
+    if matrix is None:
+        return ""
+    return hashlib.sha256(np.ascontiguousarray(matrix, dtype=np.float32).tobytes()).hexdigest()

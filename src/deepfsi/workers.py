@@ -1,0 +1,101 @@
+"""Tasks in processes of their own on this machine, each with its share of the cores."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
+
+from deepfsi.errors import InputError
+
+Task = TypeVar("Task")
+Shared = TypeVar("Shared")
+Result = TypeVar("Result")
+
+_shared: Any = None
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def processes(
+    work: Callable[[Shared, Task], Result], shared: Shared, tasks: Iterable[Task], workers: int
+) -> Iterator[Result]:
+    """Results of tasks as they finish.
+
+    Parameters
+    ----------
+    work : callable
+        Of a module, so that another process can import it.
+    shared : object
+        What every task needs; sent once to each process.
+    tasks : iterable
+        Taken one by one, when a process is about to become free.
+    workers : int
+        Processes, each with an equal share of the cores.
+
+    Raises
+    ------
+    InputError
+        If a process was killed, most likely for want of memory.
+    Exception
+        Whatever `work` raises. The other processes are then stopped.
+    """
+    pool = ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_settle,
+        initargs=(shared, max(1, cores() // workers)),
+    )
+    queue = iter(tasks)
+    running: set[Future[Result]] = set()
+    try:
+        while True:
+            for task in queue:
+                running.add(pool.submit(_run, work, task))
+                if len(running) == workers:
+                    break
+            if not running:
+                pool.shutdown()
+                return
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    except BrokenProcessPool:
+        raise InputError(
+            f"one of {workers} worker processes was killed, perhaps for want of memory: finished "
+            "work is kept; run again with fewer --workers"
+        ) from None
+    finally:
+        for child in multiprocessing.active_children():
+            child.terminate()
+        pool.shutdown(cancel_futures=True)
+
+
+def _settle(shared: Any, threads: int) -> None:
+    """Prepare a process: Ctrl-C is its parent's to handle, and it dies with its parent."""
+    import torch
+
+    global _shared
+    _shared = shared
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(threads)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+
+
+def _die_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _run(work: Callable[[Any, Task], Result], task: Task) -> Result:
+    return work(_shared, task)
