@@ -14,6 +14,7 @@ from markupsafe import Markup
 from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
 from deepfsi.report import figures
 from deepfsi.report.figures import Point, Results, noise_text, photons_text
 
@@ -73,18 +74,8 @@ def build(folder: str | os.PathLike[str]) -> Path:
     text = render(results, home / "designs")
     picture = io.BytesIO()
     figures.accuracy_figure(results).savefig(picture, dpi=160)
-    _replace(home / "accuracy.png", picture.getvalue())
-    return _replace(home / "report.html", text.encode())
-
-
-def _replace(path: Path, content: bytes) -> Path:
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path
+    write_atomically(home / "accuracy.png", picture.getvalue())
+    return write_atomically(home / "report.html", text.encode())
 
 
 def read_results(folder: Path) -> Results:
