@@ -100,8 +100,8 @@ def example(folder) -> list[Section]:
         title="Accuracy under photon noise",
         found="DeepFSI leads at every budget. At 10⁴ photons it reaches 0.924 (0.919 to 0.929) "
         "with ten masks, PCA 0.843 (0.836 to 0.850); above 10⁶ photons the designs differ by less "
-        "than the spread between seeds. Impulse imaging, which has a detector for each pixel, is the "
-        "bound that nothing passes.",
+        "than the spread between seeds. Impulse imaging, which has a detector for each pixel, is "
+        "the bound that nothing passes.",
         paper="DeepFSI needs about a tenth of the photons that PCA needs for the same accuracy, "
         "and the advantage grows as light gets scarce. Raster scan and Hadamard fall to chance "
         "below 10⁴ photons.",
