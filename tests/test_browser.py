@@ -291,7 +291,8 @@ def test_paper_gets_everything_in_black_on_white(opened):
     assert box.get_property("scrollHeight") <= box.get_property("clientHeight") + 1
     for cell in opened.find_elements(By.CSS_SELECTOR, "td:last-child"):
         assert cell.rect["x"] + cell.rect["width"] <= A4_WIDTH + 0.5
-    assert all(word.size["height"] > 0 for word in opened.find_elements(By.TAG_NAME, "dd"))
+    facts = "return [...document.querySelectorAll('dd')].map(fact => fact.checkVisibility())"
+    assert set(opened.execute_script(facts)) == {True}
     for figure in opened.find_elements(By.CSS_SELECTOR, "figure:has(svg)"):
         assert style(figure, "break-inside") == "avoid"
 
