@@ -20,7 +20,7 @@ from torch import nn
 
 import deepfsi
 from conftest import RECIPE, every_design, generator, light_on
-from deepfsi.artifact import SCHEMA, Design, write_atomically
+from deepfsi.artifact import SCHEMA, Design
 from deepfsi.errors import InputError
 from deepfsi.jobs import Job, Training
 from deepfsi.scenes import Scenes
@@ -255,21 +255,6 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(saved, made, monkey
         made("pca", "column", "dual").save(saved)
     assert list(saved.parent.iterdir()) == [saved]
     assert saved.read_bytes() == whole
-
-
-def test_a_write_onto_a_folder_leaves_nothing(tmp_path):
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(OSError, match="folder"):
-        write_atomically(tmp_path / "folder", b"content")
-    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
-
-
-def test_a_write_makes_parent_folders_and_a_readable_file(tmp_path):
-    path = write_atomically(tmp_path / "a" / "b" / "file", b"content")
-    assert path.read_bytes() == b"content"
-    umask = os.umask(0)
-    os.umask(umask)
-    assert path.stat().st_mode & 0o777 == 0o666 & ~umask
 
 
 @pytest.fixture(params=["dual", "single"])

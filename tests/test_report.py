@@ -102,7 +102,7 @@ def make_results(
 
 
 def write_design(path, matrix, shape):
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     rails = np.stack([matrix.clip(min=0), -matrix.clip(max=0)]).astype(np.float32)
     header = {"deepfsi": json.dumps({"schema": 1, "image_shape": list(shape)})}
     save_file({"rails": rails}, path, metadata=header)

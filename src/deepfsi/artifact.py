@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -20,6 +19,7 @@ from deepfsi import constraints
 from deepfsi.classifiers import Mlp
 from deepfsi.constraints import Light
 from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
 from deepfsi.scanner import Scanner, subtract
 
 SCHEMA = 1
@@ -292,30 +292,6 @@ def read_design(
             f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
         )
     return header, tensors
-
-
-def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
-    """Write a file so that it is either whole or not there; parent folders are made."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, draft = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(draft, 0o666 & ~_umask())
-        os.replace(draft, target)
-    except BaseException:
-        Path(draft).unlink(missing_ok=True)
-        raise
-    return target
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
 
 
 def _damaged(path: str | os.PathLike[str]) -> InputError:

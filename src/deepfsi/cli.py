@@ -389,7 +389,8 @@ def show(
     Example: deepfsi show digits.safetensors -o masks.png
     """
     from deepfsi import report
-    from deepfsi.artifact import Design, write_atomically
+    from deepfsi.artifact import Design
+    from deepfsi.files import write_atomically
 
     kind = out.suffix.lower()
     if kind not in (".png", ".svg", ".pdf") or out.is_dir():

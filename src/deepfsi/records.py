@@ -16,8 +16,9 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from deepfsi.artifact import Design, write_atomically
+from deepfsi.artifact import Design
 from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
 from deepfsi.recipes import Trial
 
 

@@ -33,8 +33,10 @@ class Scenes:
         self.data = data
         self.device = find_device(device)
         self.light = mean_light(data.x_train)
-        self.labels = torch.from_numpy(data.y_train).to(self.device)
-        self.full = torch.from_numpy(data.x_train).to(self.device)
+        labels = np.require(data.y_train, requirements="W")
+        self.labels = torch.from_numpy(labels).to(self.device)
+        x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only
+        self.full = torch.from_numpy(x).to(self.device)
         self.matrices = {} if matrices is None else matrices
         self._centred: dict[tuple[torch.dtype, bool], Tensor] = {}
 

@@ -20,11 +20,12 @@ import psutil
 import torch
 
 from deepfsi import coding
-from deepfsi.artifact import Design, write_atomically
+from deepfsi.artifact import Design
 from deepfsi.datasets import Dataset
 from deepfsi.descent import footprint
 from deepfsi.errors import InputError
 from deepfsi.evaluation import COVERS, evaluate
+from deepfsi.files import write_atomically
 from deepfsi.recipes import Recipe, Resources, Trial, plan
 from deepfsi.records import Records
 from deepfsi.scenes import Matrices, Scenes

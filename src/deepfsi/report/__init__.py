@@ -1,6 +1,18 @@
-"""What a comparison found, as one HTML page and as figures. Reads files; needs no torch."""
+"""What comparisons and studies found, as HTML pages and as figures. Reads files; needs no torch."""
 
 from deepfsi.report.figures import accuracy_figure, count_figure, masks_figure, values_figure
 from deepfsi.report.page import build
+from deepfsi.report.study import Claim, Picture, Section, Table, write_study
 
-__all__ = ["accuracy_figure", "build", "count_figure", "masks_figure", "values_figure"]
+__all__ = [
+    "Claim",
+    "Picture",
+    "Section",
+    "Table",
+    "accuracy_figure",
+    "build",
+    "count_figure",
+    "masks_figure",
+    "values_figure",
+    "write_study",
+]

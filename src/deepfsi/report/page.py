@@ -3,19 +3,19 @@
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
 from deepfsi.report import figures
 from deepfsi.report.figures import Point, Results, noise_text, photons_text
+from deepfsi.report.rendering import flat, render, share_text
 
 SCHEMA = 1
 MASKS_SHOWN = 12
@@ -70,21 +70,11 @@ def build(folder: str | os.PathLike[str]) -> Path:
     """
     home = Path(folder)
     results = read_results(home)
-    text = render(results, home / "designs")
+    text = page_text(results, home / "designs")
     picture = io.BytesIO()
     figures.accuracy_figure(results).savefig(picture, dpi=160)
-    _replace(home / "accuracy.png", picture.getvalue())
-    return _replace(home / "report.html", text.encode())
-
-
-def _replace(path: Path, content: bytes) -> Path:
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path
+    write_atomically(home / "accuracy.png", picture.getvalue())
+    return write_atomically(home / "report.html", text.encode())
 
 
 def read_results(folder: Path) -> Results:
@@ -116,24 +106,15 @@ def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
         raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
 
 
-def render(results: Results, designs: Path) -> str:
+def page_text(results: Results, designs: Path) -> str:
     """Text of the page."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(photons=photons_text, noise=noise_text, share=share_text)
     data = results["data"]
     points = results["points"]
     axes = figures.series_axes(results)
     learned = list(learned_masks(results, designs))
-    return environment.get_template("page.html.jinja").render(
+    return render(
+        "page.html.jinja",
         results=results,
-        colours=figures.COLOURS,
-        dark_colours=figures.DARK_COLOURS,
         summary=[summary(results, noise) for noise in figures.noises(results)],
         variants=len(figures.series(points, axes)) > len({p["design"] for p in points}),
         accuracy=list(accuracy_panels(results)),
@@ -154,31 +135,11 @@ def render(results: Results, designs: Path) -> str:
     )
 
 
-def share_text(value: float | None) -> str:
-    """Write a share between 0 and 1 with three decimals; a dash where there is none."""
-    return "–" if value is None else f"{value:.3f}"
-
-
 def scene_text(shape: list[int]) -> str:
     """Scene's size in words."""
     if len(shape) == 1:
         return f"{shape[0]} bands"
     return f"{' × '.join(map(str, shape))} = {int(np.prod(shape))} pixels"
-
-
-def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield settings as name and value, nested names joined with a dot."""
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from flat(value, f"{above}{name}.")
-        else:
-            items = value if isinstance(value, list | tuple) else [value]
-            yield (
-                above + name,
-                ", ".join(
-                    f"{item:.6g}" if isinstance(item, float) else str(item) for item in items
-                ),
-            )
 
 
 def chosen(results: Results, noise: str) -> list[Point]:

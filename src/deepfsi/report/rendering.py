@@ -1,0 +1,45 @@
+"""What every page shares: templates, colours, and settings written as name and value."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from deepfsi.report import figures
+from deepfsi.report.figures import noise_text, photons_text
+
+
+def render(template: str, **values: Any) -> str:
+    """Text of a page: a template of this folder, filled in; every value is escaped."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(photons=photons_text, noise=noise_text, share=share_text)
+    return environment.get_template(template).render(
+        colours=figures.COLOURS, dark_colours=figures.DARK_COLOURS, **values
+    )
+
+
+def share_text(value: float | None) -> str:
+    """Write a share between 0 and 1 with three decimals; a dash where there is none."""
+    return "–" if value is None else f"{value:.3f}"
+
+
+def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Yield settings as name and value, nested names joined with a dot."""
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{above}{name}.")
+        else:
+            items = value if isinstance(value, list | tuple) else [value]
+            yield (
+                above + name,
+                ", ".join(
+                    f"{item:.6g}" if isinstance(item, float) else str(item) for item in items
+                ),
+            )
