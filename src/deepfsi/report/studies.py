@@ -22,6 +22,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
+from deepfsi.errors import InputError
 from deepfsi.photons import impulse_imaging_error
 from deepfsi.report.figures import (
     COLOURS,
@@ -77,10 +78,20 @@ def error_figure(results: Results) -> Figure:
         A panel for gaussian and one for photon noise, as far as they were tested, with the same
         axes. Less noise is on the right, as in figures against the budget. Bars are the points'
         intervals; circles are feature-specific designs, squares others.
+
+    Raises
+    ------
+    InputError
+        If neither noise was tested.
     """
     data, sigma = results["data"], results["recipe"]["sigma"]
     pixels = math.prod(data["image_shape"])
     panels = [noise for noise in AXIS_NOISES if noise in noises(results)]
+    if not panels:
+        raise InputError(
+            f"no impulse-imaging error for {', '.join(noises(results))}: give results of tests "
+            "under gaussian or poisson noise"
+        )
     points: dict[str, list[Point]] = {
         noise: [
             {
@@ -111,9 +122,9 @@ def error_figure(results: Results) -> Figure:
         ax.label_outer()
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
-    figure.supxlabel(
-        "impulse-imaging reconstruction error (RMSE, reflectance); less noise →", fontsize=9
-    )
+    gap = "; " if len(panels) > 1 else "\n"
+    label = f"impulse-imaging reconstruction error (RMSE, reflectance){gap}less noise →"
+    figure.supxlabel(label, fontsize=9)
     return figure
 
 
@@ -203,18 +214,11 @@ def heat_figure(
         ax.label_outer()
         if trained_at is not None and trained_at in budgets:
             column = list(budgets).index(trained_at)
-            ax.add_patch(
-                Rectangle(
-                    (edges[column], 0),
-                    edges[column + 1] - edges[column],
-                    len(ratios),
-                    fill=False,
-                    edgecolor=INK,
-                    linewidth=1.4,
-                    clip_on=False,
-                    zorder=4,
-                )
-            )
+            corner, wide = (edges[column], 0), edges[column + 1] - edges[column]
+            for colour, width in ((ON_DARK, 3.0), (ON_LIGHT, 1.3)):
+                frame = Rectangle(corner, wide, len(ratios), fill=False, clip_on=False, zorder=4)
+                frame.set(edgecolor=colour, linewidth=width)
+                ax.add_patch(frame)
         labels += _cell_labels(ax, edges, accuracy, norm)
     for ax in list(axes.flat)[len(panels) :]:
         ax.remove()
@@ -222,7 +226,11 @@ def heat_figure(
     figure.supxlabel(f"photon budget Φ of the test{framed}", fontsize=9)
     figure.supylabel("compression ratio m/N", fontsize=9)
     bar = figure.colorbar(
-        ScalarMappable(norm, SEQUENTIAL), ax=axes, label="accuracy", aspect=30, pad=0.02
+        ScalarMappable(norm, SEQUENTIAL),
+        ax=list(figure.axes),
+        label="accuracy",
+        aspect=30,
+        pad=0.02,
     )
     _plain(bar)
     _keep_if_they_fit(figure, labels, edges)
@@ -347,6 +355,7 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
     row_height = down * (tall + gap) + 0.23
     total = head + row_height * len(rows) + foot
     figure = Figure(figsize=(PAGE_WIDTH, total))
+    floor = 0.5 / max(signed(row[noise]).size for row in rows for noise in AXIS_NOISES)
 
     def at(left: float, bottom: float, wide: float, high: float) -> Axes:
         page = (PAGE_WIDTH, total, PAGE_WIDTH, total)
@@ -372,7 +381,7 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
             words.set(fontsize=8, verticalalignment="top")
         left = 0.27 + 2 * block + 0.5
         ax = at(left, bottom, PAGE_WIDTH - left - 0.15, top - bottom)
-        _value_shares(ax, row)
+        _value_shares(ax, row, floor)
         ax.tick_params(labelsize=SMALL, labelbottom=place == len(rows) - 1)
         if place == 0:
             ax.set_title("distribution of values")
@@ -388,7 +397,7 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
     )
     bar = figure.colorbar(
         ScalarMappable(Normalize(-1, 1), GREYS),
-        cax=at(0.27, 0.36, 2 * block - gap - 0.1, 0.1),
+        cax=at(0.7, 0.36, 3.0, 0.1),
         orientation="horizontal",
     )
     bar.set_ticks([-1, 0, 1], labels=["−peak", "0", "peak"])
@@ -404,7 +413,8 @@ def measures_figure(rows: Sequence[Point]) -> Figure:
     ----------
     rows : sequence of mapping
         `measure`, the panel's heading; `series`, what its line shows: "gaussian", "poisson" or
-        other words; `photons`; `value`, `low` and `high`, all three in the measure's own unit.
+        other words; `photons`; `value`, `low` and `high`, all three in the measure's own unit,
+        the last two None where there is no interval.
 
     Returns
     -------
@@ -446,7 +456,8 @@ def starts_figure(results: Results) -> Figure:
     results : mapping
         `data`, as in a `results.json`; `points`, its points with `start`, the name of the initial
         matrix, added; and `differences`, mappings with `noise`, `start`, `photons`, `difference`,
-        `low` and `high`: accuracy less that of the start "pca" in the same trial.
+        `low` and `high`: accuracy less that of the start "pca" in the same trial, and its interval,
+        None where there is none (one trial).
 
     Returns
     -------
@@ -479,11 +490,11 @@ def starts_figure(results: Results) -> Figure:
                     handles[start] = _line(ax, own, field, look, shift)
         left.set_ylim(0, 1)
         left.set_ylabel("accuracy")
-        right.set_ylabel("accuracy less that of pca")
+        right.set_ylabel("accuracy less that of pca in a trial")
         right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _signed_text(value)))
         several = f"{noise_text(noise)}: " if len(rows) > 1 else ""
         left.set_title(f"{several}accuracy")
-        right.set_title(f"{several}difference in a trial")
+        right.set_title(f"{several}difference")
         budgets = {point["photons"] for point in results["points"] if point["noise"] == noise}
         for ax in (left, right):
             ax.grid(axis="y")
@@ -499,7 +510,7 @@ def _legend(figure: Figure, lines: Mapping[str, Line2D]) -> None:
         lines.values(),
         lines.keys(),
         loc="outside lower center",
-        ncols=4,
+        ncols=max(1, int(figure.get_figwidth() / 1.8)),
         frameon=False,
         handlelength=3,
     )
@@ -681,18 +692,16 @@ def _dim_line(ax: Axes, pixels: int) -> None:
         )
 
 
-def _value_shares(ax: Axes, row: Point) -> None:
-    """Share of all entries per bin of M/peak, an outline for each noise."""
-    floor = 1.0
+def _value_shares(ax: Axes, row: Point, floor: float) -> None:
+    """Share of all entries per bin of M/peak, an outline for each noise; `floor` is below all."""
     for noise in AXIS_NOISES:
         values = signed(row[noise]).ravel()
         counts, edges = np.histogram(values / peak(values), bins=41, range=(-1, 1))
-        floor = min(floor, 0.5 / values.size)
         look = LOOKS[noise]
         ax.stairs(
             counts / values.size,
             edges,
-            baseline=0.5 / values.size,
+            baseline=floor,
             color=look["color"],
             linestyle=look["linestyle"],
             linewidth=1.2,
