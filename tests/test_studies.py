@@ -426,6 +426,14 @@ def test_line_of_dim_measurements():
         assert low < ax.lines[0].get_xdata()[0] < ax.lines[0].get_xdata()[1] < high
 
 
+def test_line_that_no_panel_holds_is_not_named():
+    grid = accuracies()
+    for pixels, held in ((64, True), (4, False), (10**6, False)):
+        figure = studies.contour_figure(grid, grid, BUDGETS, RATIOS, ("A", "B"), pixels=pixels)
+        assert len(figure.legends) == held
+        assert all(len(ax.lines) == 2 * held for ax in figure.axes[:3])
+
+
 def test_triangles_point_where_the_difference_goes():
     first = np.full((2, 3), 0.5)
     second = first + np.array([[0.02, -0.02, 0.02], [-0.02, np.nan, 0.0]])

@@ -291,11 +291,9 @@ def contour_figure(
     ax = axes[2]
     _contours(ax, x, y, difference, difference_norm, DIVERGING)
     clear = np.zeros(difference.shape, dtype=bool) if apart is None else np.asarray(apart)
-    for marker, where in (
-        ("o", np.isfinite(difference) & ~clear),
-        ("^", clear & (difference > 0)),
-        ("v", clear & (difference < 0)),
-    ):
+    up, down = clear & (difference > 0), clear & (difference < 0)
+    same = np.isfinite(difference) & ~up & ~down
+    for marker, where in (("o", same), ("^", up), ("v", down)):
         _dots(ax, x, y, difference, where, marker, difference_norm, DIVERGING)
     ax.set_title("difference")
     for ax in axes:
@@ -306,26 +304,28 @@ def contour_figure(
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(10**value)))
         ax.tick_params(labelsize=SMALL)
         ax.set_xlabel("photon budget Φ")
-        if pixels:
-            _dim_line(ax, pixels)
-    if pixels:
+    if pixels and _dim_lines(axes, pixels):
         key = Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
         words = "0.1 photons per pixel and measurement; fewer above and left of it"
         figure.legend(
             [key], [words], loc="outside lower center", frameon=False, fontsize=8, handlelength=3
         )
     axes[0].set_ylabel("compression ratio m/N")
-    where = {"location": "right", "aspect": 22, "pad": 0.02}
-    for scale, colours, label, panels in (
-        (accuracy_norm, SEQUENTIAL, "accuracy", list(axes[:2])),
-        (difference_norm, DIVERGING, f"{names[1]}\n− {names[0]}", [axes[2]]),
+    beside: dict[str, Any] = {"location": "right", "aspect": 22, "pad": 0.02}
+    middles = (top[1:] + top[:-1]) / 2
+    for scale, colours, label, panels, ticks, text in (
+        (accuracy_norm, SEQUENTIAL, "accuracy", axes[:2], levels[::-2], "{:g}".format),
+        (difference_norm, DIVERGING, f"{names[1]}\n− {names[0]}", axes[2:], middles, _signed_text),
     ):
         bar = figure.colorbar(
-            ScalarMappable(scale, colours), ax=panels, label=label, spacing="proportional", **where
+            ScalarMappable(scale, colours),
+            ax=list(panels),
+            label=label,
+            spacing="proportional",
+            **beside,
         )
         _plain(bar)
-    middles = (top[1:] + top[:-1]) / 2
-    bar.set_ticks(middles, labels=[_signed_text(value) for value in middles])
+        bar.set_ticks(ticks, labels=[text(value) for value in ticks])
     return figure
 
 
@@ -675,21 +675,21 @@ def _dots(
     )
 
 
-def _dim_line(ax: Axes, pixels: int) -> None:
-    """Line of 0.1 photons per pixel and measurement: Φ = 0.1 N m = 0.1 N² · m/N, in log10."""
-    low, high = ax.get_ylim()
+def _dim_lines(axes: Iterable[Axes], pixels: int) -> bool:
+    """Line of 0.1 photons per pixel and measurement: Φ = 0.1 N m = 0.1 N² · m/N, in log10.
+
+    Returns whether it crosses the panels.
+    """
     offset = math.log10(0.1 * pixels**2)
-    for colour, width, dashes in ((ON_DARK, 3.0, "-"), (ON_LIGHT, 1.3, (0, (4, 2)))):
-        ax.plot(
-            [low + offset, high + offset],
-            [low, high],
-            color=colour,
-            linewidth=width,
-            linestyle=dashes,
-            scalex=False,
-            scaley=False,
-            zorder=3,
-        )
+    for ax in axes:
+        (left, right), ratios = ax.get_xlim(), ax.get_ylim()
+        budgets = [ratio + offset for ratio in ratios]
+        if budgets[0] > right or budgets[1] < left:
+            return False
+        for colour, width, dashes in ((ON_DARK, 3.0, "-"), (ON_LIGHT, 1.3, (0, (4, 2)))):
+            (line,) = ax.plot(budgets, ratios, color=colour, scalex=False, scaley=False, zorder=3)
+            line.set(linewidth=width, linestyle=dashes)
+    return True
 
 
 def _value_shares(ax: Axes, row: Point, floor: float) -> None:
