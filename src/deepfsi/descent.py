@@ -219,17 +219,24 @@ def _measured(
     shown = lit(difference, total)
     pairs = [project_pair(x, difference, total, both=True) for x in scenes.full.split(CHUNK)]
     means = torch.cat([mean for mean, _ in pairs])
-    lights = means if difference is total else torch.cat([light for _, light in pairs])
     centre, spread, _ = statistics(scenes, jobs, masks, means)
+    noise = _Noise(scenes, jobs)
+    if noise.kind == "ml_gauss":
+        roots = root(means if difference is total else torch.cat([light for _, light in pairs]))
+        gain = noise.unit / spread
+    else:
+        roots = None
+        gain = noise.variance(centre, shown).sqrt() / spread
 
     def measured(streams: Sequence[_Stream], step: int) -> Tensor:
         parts = []
         for stream in streams:
-            mean, light = (stream.of(every, step) for every in (means, lights))
-            own = shown[stream.jobs] if len(shown) > 1 else shown
-            deviation = stream.noise.deviation(light, own)
-            parts.append(mean + deviation * stream.normal(mean.shape[-1]))
-        return (_beside(parts) - centre) / spread
+            draws = stream.normal(means.shape[-1])
+            if roots is not None:
+                draws = draws * stream.of(roots, step)
+            scaled = (stream.of(means, step) - stream.part(centre)) / stream.part(spread)
+            parts.append(torch.addcmul(scaled, draws, stream.part(gain)))
+        return _beside(parts)
 
     return measured
 
@@ -265,6 +272,10 @@ class _Stream:
         return torch.randn(
             self.batch, 1, masks, generator=self.generator, device=self.scenes.device
         )
+
+    def part(self, every: Tensor) -> Tensor:
+        """What of all jobs, (R or 1, m), is of these."""
+        return every[self.jobs] if len(every) > 1 else every
 
     def of(self, every: Tensor, step: int) -> Tensor:
         """A step's part of what is known of all scenes and jobs, (n, R or 1, m)."""

@@ -185,7 +185,7 @@ def accuracy_figure(results: Results) -> Figure:
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
         points = [p for p in results["points"] if p["noise"] == noise and p["best"]]
-        _accuracy_axes(ax, results, points, series_axes(results), "photons")
+        accuracy_axes(ax, results, points, series_axes(results), "photons")
         ax.set_xlabel("photon budget Φ")
         budgets = sorted({p["photons"] for p in points})
         ax.xaxis.set_major_locator(
@@ -215,7 +215,7 @@ def count_figure(results: Results) -> Figure:
     several = len(noises(results)) > 1
     for ax, (noise, photons) in zip(axes, panels, strict=False):
         points = [p for p in results["points"] if (p["noise"], p["photons"]) == (noise, photons)]
-        _accuracy_axes(ax, results, points, CHOSEN, "masks")
+        accuracy_axes(ax, results, points, CHOSEN, "masks")
         ax.set_xlabel("number of masks m")
         ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -227,12 +227,22 @@ def count_figure(results: Results) -> Figure:
     return figure
 
 
-def _accuracy_axes(
-    ax: Axes, results: Results, points: list[Point], axes: Fields, across: str
+def accuracy_axes(
+    ax: Axes,
+    results: Results,
+    points: list[Point],
+    axes: Fields,
+    across: str,
+    *,
+    values: Iterable[float] = (),
+    falling: bool = False,
 ) -> None:
-    """Draw one line per series over the field `across`, named at the right edge."""
+    """Draw one line per series over the field `across`, named at the right edge.
+
+    Panels that share an axis are given all of its `values`; a `falling` axis has the largest left.
+    """
     groups, names = series(points, axes), series_names(points, axes)
-    values = sorted({p[across] for p in points})
+    values = sorted({*values, *(p[across] for p in points)})
     decades = max(1.0, math.log10(values[-1] / values[0]))
     apart = 10 ** (0.004 * decades)
     ends: list[tuple[str, str, float, float]] = []
@@ -241,7 +251,7 @@ def _accuracy_axes(
         design, variant = key[0], seen.setdefault(key[0], 0)
         seen[design] += 1
         colour = COLOURS.get(design, INK)
-        rows = sorted(members, key=lambda p: p[across])
+        rows = sorted(members, key=lambda p: p[across], reverse=falling)
         x = np.array([p[across] for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
         y = np.array([p["accuracy"] for p in rows])
         reach = [
@@ -273,7 +283,8 @@ def _accuracy_axes(
         ends.append((names[key], colour, float(x[-1]), float(y[-1])))
     chance = 1 / len(results["data"]["classes"])
     ax.set_xscale("log")
-    ax.set_xlim(values[0] / 10 ** (0.06 * decades), values[-1] * 10 ** (0.06 * decades))
+    edges = values[0] / 10 ** (0.06 * decades), values[-1] * 10 ** (0.06 * decades)
+    ax.set_xlim(edges[::-1] if falling else edges)
     ax.axhline(chance, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
     ax.set_ylim(0, 1)
     ax.set_ylabel("accuracy")
@@ -377,18 +388,7 @@ def masks_figure(
             continue
         mask = matrix[chosen[place]]
         if images:
-            finer = -(
-                -128 // max(image_shape)
-            )  # printers smooth pixels: leave them little to smooth
-            ax.imshow(
-                mask.reshape(image_shape).repeat(finer, axis=0).repeat(finer, axis=1),
-                cmap=DIVERGING,
-                vmin=-end,
-                vmax=end,
-                interpolation="none",
-            )
-            ax.set(xticks=[], yticks=[])
-            ax.spines[:].set(visible=True, color=GRID)
+            mask_axes(ax, mask.reshape(image_shape), end)
         else:
             ax.axhline(0, color=MUTED, linewidth=0.6)
             ax.plot(np.arange(1, len(mask) + 1), mask, color=COLOURS["pca"], linewidth=1.1)
@@ -402,6 +402,20 @@ def masks_figure(
     if bar and images:
         _colour_bar(figure, end, ax=grid, aspect=32, shrink=0.7, pad=0.03)
     return figure
+
+
+def mask_axes(ax: Axes, mask: np.ndarray, end: float, colours: str = DIVERGING) -> None:
+    """Draw a mask (height, width) as an image on a scale from −`end` to `end`."""
+    finer = -(-128 // max(mask.shape))  # printers smooth pixels: leave them little to smooth
+    ax.imshow(
+        mask.repeat(finer, axis=0).repeat(finer, axis=1),
+        cmap=colours,
+        vmin=-end,
+        vmax=end,
+        interpolation="none",
+    )
+    ax.set(xticks=[], yticks=[])
+    ax.spines[:].set(visible=True, color=GRID)
 
 
 @styled

@@ -1,0 +1,150 @@
+"""Measures of sensing matrices: what light they use, how much they repeat, how alike two are.
+
+Matrices are numpy arrays (m, N), one signed mask a row, as everywhere.
+"""
+
+import numpy as np
+import scipy.linalg
+import scipy.special
+
+from deepfsi.errors import InputError
+
+
+def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
+    """Share of a scene's light that the detectors count, Σ_ij |M_ij| x̄_j / Σ_j x̄_j.
+
+    Parameters
+    ----------
+    matrix : array, shape (m, N)
+        Shares of each pixel's photons.
+    mean_scene : array, shape (N,)
+        x̄, mean reflectance of each pixel over the training scenes.
+
+    Returns
+    -------
+    float
+        Dimensionless; at most 1 for a single detector.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit, a number is not finite, or the scene has no light.
+    """
+    masks = _masks(matrix)
+    scene = np.asarray(mean_scene, dtype=np.float64)
+    if scene.shape != masks.shape[1:]:
+        raise InputError(
+            f"a mean scene of shape {scene.shape} does not fit masks of {masks.shape[1]} pixels: "
+            "give one number for each pixel"
+        )
+    light = float(scene.sum())
+    if not (np.isfinite(light) and (scene >= 0).all() and light > 0):
+        raise InputError("the mean scene holds no light, or is negative: give reflectances")
+    return float((np.abs(masks) @ scene).sum() / light)
+
+
+def effective_directions(matrix: np.ndarray) -> float:
+    """How many independent directions masks measure: their effective rank.
+
+    It is exp(H), with H the Shannon entropy of the singular values divided by their sum: m for
+    orthogonal masks of equal norm, 1 for copies of one mask, in between where masks resemble each
+    other or some hardly measure. The singular values themselves, not their squares, as in the
+    published definition; and it is to them that the counts along a direction are proportional.
+
+    Parameters
+    ----------
+    matrix : array, shape (m, N)
+
+    Returns
+    -------
+    float
+        1 to min(m, N), or 0 where every mask is dark. The masks' signs, order and common scale do
+        not matter; their scales relative to each other do.
+
+    References
+    ----------
+    O. Roy and M. Vetterli, "The effective rank: A measure of effective dimensionality", European
+    Signal Processing Conference (EUSIPCO), 2007.
+    """
+    strengths = scipy.linalg.svdvals(_masks(matrix))
+    if not strengths.any():
+        return 0.0
+    shares = strengths / strengths.sum()
+    return float(np.exp(scipy.special.entr(shares).sum()))
+
+
+def matched_similarity(first: np.ndarray, second: np.ndarray) -> float:
+    """Likeness of two sets of masks, mask by mask: mean |cosine| of the best pairing.
+
+    Each mask of the smaller set gets one of the larger for itself, so that the sum of |cosine| is
+    largest. Order, signs and the scale of each mask do not matter; mixing masks does.
+
+    Parameters
+    ----------
+    first, second : array, shape (m₁, N), (m₂, N)
+
+    Returns
+    -------
+    float
+        0 to 1. Dark masks resemble nothing. Unrelated masks are above 0: of two single random
+        directions |cosine| is √(2/πN) on average for large N, and the choice of pairs adds to it.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    a, b = _pair(first, second)
+    cosines = np.abs(_units(a) @ _units(b).T)
+    return float(cosines[linear_sum_assignment(cosines, maximize=True)].mean())
+
+
+def subspace_similarity(first: np.ndarray, second: np.ndarray) -> float:
+    """Likeness of what two sets of masks can tell: mean cos² of the angles between row spaces.
+
+    The angles are the principal ones, as many as the smaller row space has dimensions. Mixing masks
+    does not matter either: sets of which each mask is a linear combination of the other's give 1.
+    How strongly a direction is measured does not count, unless it is below rounding.
+
+    Parameters
+    ----------
+    first, second : array, shape (m₁, N), (m₂, N)
+
+    Returns
+    -------
+    float
+        0 to 1. Unrelated (random) row spaces give max(m₁, m₂) / N on average; dark masks give 0.
+    """
+    a, b = _pair(first, second)
+    own, other = _row_space(a), _row_space(b)
+    smaller = min(len(own), len(other))
+    return float(np.square(own @ other.T).sum() / smaller) if smaller else 0.0
+
+
+def _masks(matrix: np.ndarray) -> np.ndarray:
+    masks = np.asarray(matrix)
+    if masks.ndim != 2 or not masks.size:
+        raise InputError(f"masks of shape {masks.shape} are not allowed: give (m, N), a mask a row")
+    if not np.isfinite(masks).all():
+        raise InputError("masks hold numbers that are not finite: give finite ones")
+    return masks if masks.dtype == np.float32 else masks.astype(np.float64)
+
+
+def _pair(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    a, b = _masks(first), _masks(second)
+    if a.shape[1] != b.shape[1]:
+        raise InputError(
+            f"masks of {a.shape[1]} and {b.shape[1]} pixels cannot be compared: give sets for "
+            "scenes of one size"
+        )
+    return a, b
+
+
+def _units(masks: np.ndarray) -> np.ndarray:
+    """Masks at unit norm, float64; dark ones stay dark."""
+    norms = np.linalg.norm(masks.astype(np.float64), axis=1, keepdims=True)
+    return masks / np.where(norms > 0, norms, 1.0)
+
+
+def _row_space(masks: np.ndarray) -> np.ndarray:
+    """Orthonormal rows that span the masks', but for directions below rounding of their type."""
+    _, strengths, rows = scipy.linalg.svd(masks.astype(np.float64), full_matrices=False)
+    rounding = max(masks.shape) * np.finfo(masks.dtype).eps * strengths[0]
+    return rows[strengths > rounding]
