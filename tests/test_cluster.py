@@ -27,8 +27,17 @@ SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
 """Ray settings under which the death of a node is noticed within seconds."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_token() -> Iterator[None]:
+    """Keep Ray from reading or writing a token in the home folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_AUTH_MODE", "disabled")
+        patch.delenv("RAY_ADDRESS", raising=False)
+        yield
+
+
 @pytest.fixture(scope="module")
-def nodes() -> Iterator[Cluster]:
+def nodes(no_token: None) -> Iterator[Cluster]:
     """Give a cluster of one node with two CPUs, to which tests may add."""
     made = Cluster(True, head_node_args={"num_cpus": 2, "_system_config": SEEN_SOON})
     yield made
@@ -219,7 +228,9 @@ def test_what_no_node_has_is_refused(nodes):
 
 
 @pytest.mark.parametrize(
-    ("cpus", "gpus"), [(0, 0), (-1, 1), (1, -0.5), (1, 1.5)], ids="none less less-gpu part".split()
+    ("cpus", "gpus"),
+    [(0, 0), (-1, 1), (1, -0.5), (1, 1.5)],
+    ids=["none", "less", "less-gpu", "part"],
 )
 def test_what_no_task_can_ask_for_is_refused(cpus, gpus):
     with pytest.raises(InputError, match="cannot ask for"):
@@ -239,8 +250,7 @@ def test_no_address_at_all():
         next(spread(max, 0, [0], address="nonsense"))
 
 
-def test_auto_is_the_running_cluster(nodes, monkeypatch):
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+def test_auto_is_the_running_cluster(nodes):
 
     def work(_: None, task: int) -> str:
         import ray
@@ -256,7 +266,6 @@ def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
 
         return ray.get_runtime_context().gcs_address
 
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
     with socket.create_server(("127.0.0.1", 0)) as server:
         crashed = f"127.0.0.1:{server.getsockname()[1]}"
     monkeypatch.setattr(

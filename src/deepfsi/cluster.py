@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
@@ -47,8 +48,8 @@ def spread(
         Sent as they are; small.
     address
         `auto` is the running cluster (`$RAY_ADDRESS` or this machine's), and where there is none
-        one started here for this call; `local` always starts one; else `host:port` of a cluster
-        that this machine belongs to, or `ray://host:port` of one that it does not.
+        one started here for this call; `local` always starts one; else `host:port` of the head of
+        a cluster that this machine belongs to. A process that is connected to one stays with it.
     cpus, gpus
         What a task holds while it runs. Workers see `OMP_NUM_THREADS` = `cpus` rounded down.
         A fraction of a GPU shares it.
@@ -59,7 +60,8 @@ def spread(
     ------
     index, result
         Index of the task and what `work` returned, as they finish. Stopping early cancels the
-        rest, and stops a cluster that was started here.
+        rest, and stops a cluster that was started here. Where every node that could run a task
+        has gone, it waits for one to come.
 
     Raises
     ------
@@ -88,8 +90,8 @@ def spread(
     try:
         if not _slots(cpus, gpus):
             raise InputError(
-                f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task asks "
-                f"for (there are: {_nodes()}): ask for less, or add a node that has them"
+                f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task "
+                f"asks for (there are: {_nodes()}): ask for less, or add a node that has them"
             )
         remote = ray.remote(run).options(
             name=getattr(work, "__name__", "work"),
@@ -133,26 +135,30 @@ def _join(address: str) -> None:
     import ray
     from ray._private.services import get_ray_address_from_environment
 
+    where = address
     if address == "auto":
         try:
-            address = get_ray_address_from_environment("auto", None)
+            where = get_ray_address_from_environment("auto", None)
         except ConnectionError:
-            address = "local"
-        if not os.environ.get("RAY_ADDRESS") and not _answers(address):
-            address = "local"  # a cluster that crashed leaves its address behind
-    if address != "local" and not _answers(address):
+            where = "local"
+        if not os.environ.get("RAY_ADDRESS") and not _answers(where):
+            where = "local"  # a cluster that crashed leaves its address behind
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if where == "local":
+        ray.init("local", include_dashboard=False, **quiet)
+        return
+    if not _answers(where):
         raise InputError(
-            f"no Ray cluster answers at '{address}': give host:port of a running one "
-            "(ray start --head --port=6379), or 'auto' to start one here"
+            f"no Ray cluster answers at '{where}': give host:port of a running one "
+            "(ray start --head --port=6379), or 'local' to start one here"
         )
-    alone = {"include_dashboard": False} if address == "local" else {}
     try:
-        ray.init(address, log_to_driver=False, logging_level="error", **alone)
-    except (ConnectionError, RuntimeError, ValueError, ImportError) as error:
+        ray.init(address, **quiet)  # "auto" as it is: then Ray finds its token, too
+    except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
         first = str(error).strip().split("\n")[0]
         raise InputError(
-            f"cannot join the Ray cluster at '{address}' ({first}): it needs the same versions of "
-            "Ray and Python as this process, and this machine as one of its nodes or ray://"
+            f"cannot join the Ray cluster at '{where}' ({first}): it needs this process's versions "
+            "of Ray and Python, its token (RAY_AUTH_MODE=token), and this machine as a node"
         ) from error
 
 
