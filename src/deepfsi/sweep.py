@@ -8,7 +8,8 @@ import json
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
@@ -136,7 +137,8 @@ def run(
         if ray is not None or min(processors, len(todo)) > 1:
             for trial in missing:
                 bench.scenes.prepare(trial.job.drawn_from)
-        _work_off(todo, bench, records, tell, min(processors, len(todo)), ray, resources)
+        count = min(processors, len(todo))
+        _work_off(todo, bench, records, tell, count, ray, resources or Resources())
         tell(1.0, "done")
     found = [records.read(trial) for trial in trials]
     return [record for record in found if record is not None]
@@ -190,9 +192,24 @@ def _work_off(
     tell: Report,
     workers: int,
     ray: str | None,
-    resources: Resources | None,
+    resources: Resources,
 ) -> None:
     total, done = sum(map(effort, todo)), 0.0
+
+    def finished_of(claimed: Iterator[Batch]) -> Generator[list[Done], None, None]:
+        if ray is not None:
+            from deepfsi.cluster import spread
+
+            cpus, gpus = resources.cpus, resources.gpus
+            with closing(spread(work, bench, claimed, address=ray, cpus=cpus, gpus=gpus)) as tasks:
+                for _, result in tasks:
+                    yield result
+        elif workers > 1:
+            with closing(processes(work, bench, claimed, workers)) as results:
+                yield from results
+        else:
+            for batch in claimed:
+                yield work(bench, batch, inside(batch))
 
     def inside(batch: Batch) -> Callable[[float], None]:
         return lambda share: tell((done + share * effort(batch)) / total, _title(batch))
@@ -200,24 +217,14 @@ def _work_off(
     try:
         while todo:
             postponed: list[Batch] = []
-            claimed = _claimed(todo, records, postponed)
-            results: Iterable[list[Done]]
-            if ray is not None:
-                from deepfsi.cluster import spread
-
-                need = resources or Resources()
-                results = spread(work, bench, claimed, address=ray, cpus=need.cpus, gpus=need.gpus)
-            elif workers > 1:
-                results = processes(work, bench, claimed, workers)
-            else:
-                results = (work(bench, batch, inside(batch)) for batch in claimed)
             tell(done / total, f"{len(todo)} batches")
-            for finished in results:
-                for trial, record, design in finished:
-                    records.write(trial, record, design)
-                batch = [trial for trial, _, _ in finished]
-                done += effort(batch)
-                tell(min(done / total, 1.0), _title(batch))
+            with closing(finished_of(_claimed(todo, records, postponed))) as arriving:
+                for finished in arriving:
+                    for trial, record, design in finished:
+                        records.write(trial, record, design)
+                    batch = [trial for trial, _, _ in finished]
+                    done += effort(batch)
+                    tell(min(done / total, 1.0), _title(batch))
             todo = postponed
             if todo:
                 time.sleep(1)  # another process has them

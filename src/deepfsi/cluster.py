@@ -1,0 +1,187 @@
+"""Many tasks on a Ray cluster: what is shared is sent once, results come back as they finish."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+from collections.abc import Callable, Generator, Iterable
+from itertools import islice
+from typing import Any, TypeVar
+
+from deepfsi.errors import InputError
+
+__all__ = ["spread"]
+
+Shared = TypeVar("Shared")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+AHEAD = 2
+"""Tasks submitted for each that can run: the next one waits beside it, a growing cluster sees
+demand, and a hundred thousand do not flood the driver."""
+
+REACH = 5.0
+"""Seconds in which a cluster must answer. Ray itself tries for minutes."""
+
+
+def spread(
+    work: Callable[[Shared, Task], Result],
+    shared: Shared,
+    tasks: Iterable[Task],
+    *,
+    address: str = "auto",
+    cpus: float = 1,
+    gpus: float = 0,
+    retries: int = 3,
+) -> Generator[tuple[int, Result], None, None]:
+    """Do `work(shared, task)` for every task on a Ray cluster.
+
+    Parameters
+    ----------
+    work
+        Runs in another process, perhaps twice where a node dies: it should give the same result
+        again and leave nothing behind.
+    shared
+        What all tasks need. It goes into Ray's object store once; on the workers its arrays are
+        read-only.
+    tasks
+        Taken one by one, as the cluster can run them; small.
+    address
+        `auto` is the running cluster (`$RAY_ADDRESS` or this machine's), and where there is none
+        one started here for this call; `local` always starts one; else `host:port` of the head of
+        a cluster that this machine belongs to. A process that is connected to one stays with it.
+    cpus, gpus
+        What a task holds while it runs. Workers see `OMP_NUM_THREADS` = `cpus` rounded down.
+        A fraction of a GPU shares it.
+    retries
+        How often a task is run again after its worker or node died.
+
+    Yields
+    ------
+    index, result
+        Index of the task and what `work` returned, as they finish. Stopping early cancels the
+        rest, and stops a cluster that was started here. Where every node that could run a task
+        has gone, it waits for one to come.
+
+    Raises
+    ------
+    InputError
+        Ray is missing, nothing answers at `address`, no node has what a task asks for, or a task
+        died more than `retries` times. What `work` raises arrives as it was raised, and is not
+        tried again.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise InputError("Ray is not installed: pip install 'deepfsi[ray]'") from None
+    if cpus < 0 or gpus < 0 or cpus + gpus == 0 or (gpus > 1 and gpus % 1):
+        raise InputError(
+            f"a task cannot ask for {cpus:g} CPUs and {gpus:g} GPUs: give numbers ≥ 0, "
+            "not both 0, and whole GPUs or a share of one"
+        )
+
+    def run(shared: Shared, task: Task) -> Result:
+        return work(shared, task)
+
+    joined = not ray.is_initialized()
+    if joined:
+        _join(address)
+    running: dict[Any, int] = {}
+    try:
+        if not _slots(cpus, gpus):
+            raise InputError(
+                f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task "
+                f"asks for (there are: {_nodes()}): ask for less, or add a node that has them"
+            )
+        remote = ray.remote(run).options(
+            name=getattr(work, "__name__", "work"),
+            num_cpus=cpus,
+            num_gpus=gpus,
+            max_retries=retries,
+            runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(cpus)))}},
+        )
+        everywhere = ray.put(shared)
+        waiting = iter(enumerate(tasks))
+        while True:
+            room = max(1, AHEAD * _slots(cpus, gpus)) - len(running)
+            for index, task in islice(waiting, max(0, room)):
+                running[remote.remote(everywhere, task)] = index
+            if not running:
+                return
+            [ready], _ = ray.wait(list(running), num_returns=1)
+            index = running.pop(ready)
+            try:
+                result = ray.get(ready)
+            except ray.exceptions.RayTaskError as error:
+                raise error.cause from error
+            except ray.exceptions.RayError as error:
+                first = str(error).strip().split("\n")[0]
+                raise InputError(
+                    f"task {index} was lost and {retries} retries did not save it "
+                    f"({type(error).__name__}: {first}): if nodes run out of memory, give each "
+                    "task more CPUs, so that fewer share a node; Ray's logs on the node say more"
+                ) from error
+            yield index, result
+    finally:
+        for reference in running:
+            ray.cancel(reference, force=True)
+        if joined:
+            ray.shutdown()
+
+
+def _join(address: str) -> None:
+    """Connect this process to a cluster, or start one."""
+    import ray
+    from ray._private.services import get_ray_address_from_environment
+
+    where = address
+    if address == "auto":
+        try:
+            where = get_ray_address_from_environment("auto", None)
+        except ConnectionError:
+            where = "local"
+        if not os.environ.get("RAY_ADDRESS") and not _answers(where):
+            where = "local"  # a cluster that crashed leaves its address behind
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if where == "local":
+        ray.init("local", include_dashboard=False, **quiet)
+        return
+    if not _answers(where):
+        raise InputError(
+            f"no Ray cluster answers at '{where}': give host:port of a running one "
+            "(ray start --head --port=6379), or 'local' to start one here"
+        )
+    try:
+        ray.init(address, **quiet)  # "auto" as it is: then Ray finds its token, too
+    except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
+        first = str(error).strip().split("\n")[0]
+        raise InputError(
+            f"cannot join the Ray cluster at '{where}' ({first}): it needs this process's versions "
+            "of Ray and Python, its token (RAY_AUTH_MODE=token), and this machine as a node"
+        ) from error
+
+
+def _answers(address: str) -> bool:
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), REACH).close()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def _nodes() -> list[tuple[float, float]]:
+    """CPUs and GPUs of each node."""
+    import ray
+
+    each = (node["Resources"] for node in ray.nodes() if node["Alive"])
+    return [(has.get("CPU", 0.0), has.get("GPU", 0.0)) for has in each]
+
+
+def _slots(cpus: float, gpus: float) -> int:
+    """Tasks that can run at once."""
+    return sum(
+        int(min(has / need for has, need in zip(node, (cpus, gpus), strict=True) if need) + 1e-9)
+        for node in _nodes()
+    )
