@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.recipes import Recipe
+    from deepfsi.report.study import Section
 
 app = typer.Typer(
     name="deepfsi",
@@ -176,6 +177,102 @@ def sweep(
         table=table,
         as_json=as_json,
     )
+
+
+@app.command()
+def reproduce(
+    name: Annotated[str, typer.Argument(help="mnist, compression, mlgauss, quantization, or list")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/paper"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="a coarse grid: minutes instead of hours")
+    ] = False,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="training seeds for each point, if not the recipe's")
+    ] = None,
+    workers: WorkersOption = None,
+    ray: RayOption = None,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Repeat an experiment of the paper: figures, the numbers behind them, and its claims.
+
+    Experiments in one folder share what they train and one page. Stopped, they go on when run
+    again; with more --trials they add what is missing.
+
+    Example: deepfsi reproduce mnist --quick -o runs/paper
+    """
+    from dataclasses import asdict
+
+    from deepfsi import experiments
+
+    if name == "list":
+        _list_experiments(as_json)
+        return
+    chosen = experiments.find(name)
+    _writable(out)
+    for each in chosen:
+        with _progress(each.name, quiet=as_json) as tell:
+            each.run(
+                out,
+                command=_command(),
+                quick=quick,
+                trials=trials,
+                device=device,
+                workers=workers,
+                ray=ray,
+                report=tell,
+            )
+    page = experiments.page(out)
+    sections = [section for each in chosen if (section := each.section(out))]
+    if as_json:
+        claims = {section.name: [asdict(claim) for claim in section.claims] for section in sections}
+        _print_json({"report": str(page), "claims": claims})
+        return
+    for section in sections:
+        _print_claims(section)
+    print(f"report: {page}")
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="output of compare, sweep or reproduce")],
+) -> None:
+    """Write the page of a comparison, or of all experiments in a folder, anew.
+
+    Example: deepfsi report runs/paper
+    """
+    from deepfsi import experiments
+    from deepfsi.report import build
+
+    write = experiments.page if experiments.is_study(folder) else build
+    print(f"report: {write(folder)}")
+
+
+def _list_experiments(as_json: bool) -> None:
+    from deepfsi import experiments
+
+    rows = [
+        (study, each.name, each.title)
+        for study, members in experiments.STUDIES.items()
+        for each in members
+    ]
+    if as_json:
+        _print_json([dict(zip(("name", "part", "title"), row, strict=True)) for row in rows])
+        return
+    _print_table("experiments of the paper", ("name", "part", "what it shows"), rows)
+
+
+def _print_claims(section: "Section") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=section.title, title_justify="left", show_lines=True)
+    for head in ("claim of the paper", "holds", "measured", "why"):
+        table.add_column(head)
+    answers = {True: "yes", False: "no", None: "open"}
+    for claim in section.claims:
+        table.add_row(claim.text, answers[claim.holds], claim.measured, claim.why)
+    Console().print(table)
 
 
 def _sweep(

@@ -140,8 +140,9 @@ def run(
         count = min(processors, len(todo))
         _work_off(todo, bench, records, tell, count, ray, resources or Resources())
         tell(1.0, "done")
-    found = [records.read(trial) for trial in trials]
-    return [record for record in found if record is not None]
+    found = [(trial, records.read(trial)) for trial in trials]
+    # a record is found by what it depends on; its words are those of who asks
+    return [{**record, "trial": trial.model_dump(mode="json")} for trial, record in found if record]
 
 
 def batches(trials: Sequence[Trial], scenes: Scenes, limit: float) -> list[Batch]:
@@ -446,6 +447,7 @@ def _point(
         "high": min(high, 1.0),
         "covers": covers,
         "throughput": float(np.mean([test["throughput"] for test in tests])),
+        "seconds": float(np.mean([record["info"]["seconds"] for record, _ in members])),
         "accuracies": [float(value) for value in accuracy],
         "keys": [record["design"] for record, _ in members],
     }

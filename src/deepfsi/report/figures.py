@@ -136,8 +136,17 @@ CHOSEN: Fields = ("design", "light", "rails")
 
 
 def series_axes(results: Results) -> Fields:
-    """Fields that tell series apart: the number of masks too, where none was chosen."""
-    return (*CHOSEN, "masks") if results["chosen_on"] == "nothing" else CHOSEN
+    """Fields that tell series apart, of those in which points differ beside noise and budget."""
+    points = results["points"]
+    apart = [axis for axis in ("variant", "levels") if len({p.get(axis) for p in points}) > 1]
+    if any(p.get("trained_at", p["photons"]) != p["photons"] for p in points):
+        apart.append("trained_at")
+    pairs = {(p["noise"], p.get("trained_under")) for p in points}
+    if len(pairs) > len({noise for noise, _ in pairs}):
+        apart.append("trained_under")
+    if results["chosen_on"] == "nothing":
+        apart.append("masks")
+    return (*CHOSEN, *apart)
 
 
 def series(points: Iterable[Point], axes: Fields) -> dict[tuple[str, ...], list[Point]]:
@@ -215,7 +224,8 @@ def count_figure(results: Results) -> Figure:
     several = len(noises(results)) > 1
     for ax, (noise, photons) in zip(axes, panels, strict=False):
         points = [p for p in results["points"] if (p["noise"], p["photons"]) == (noise, photons)]
-        accuracy_axes(ax, results, points, CHOSEN, "masks")
+        axes_but_masks = tuple(axis for axis in series_axes(results) if axis != "masks")
+        accuracy_axes(ax, results, points, axes_but_masks, "masks")
         ax.set_xlabel("number of masks m")
         ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -1,0 +1,48 @@
+"""The paper's experiments by name: each a recipe, figures, the numbers behind them, and claims."""
+
+from pathlib import Path
+
+from deepfsi.errors import InputError, closest
+from deepfsi.experiments import compression, masks, mlgauss, mnist, quantization, starts
+from deepfsi.experiments.study import Experiment
+from deepfsi.report.study import write_study
+
+__all__ = ["STUDIES", "Experiment", "find", "is_study", "page"]
+
+STUDIES: dict[str, tuple[Experiment, ...]] = {
+    "mnist": (mnist.EXPERIMENT, masks.EXPERIMENT, starts.EXPERIMENT),
+    "compression": (compression.EXPERIMENT,),
+    "mlgauss": (mlgauss.EXPERIMENT,),
+    "quantization": (quantization.EXPERIMENT,),
+}
+"""Experiments by the name under which they are reproduced, in the order of the page."""
+
+
+def find(name: str) -> tuple[Experiment, ...]:
+    """Experiments of that name, or `InputError`."""
+    if name not in STUDIES:
+        raise InputError(f"unknown experiment {name!r}: {closest(name, STUDIES)}")
+    return STUDIES[name]
+
+
+def is_study(folder: Path) -> bool:
+    """Whether a folder holds results of an experiment."""
+    return any((folder / f"{each.name}.json").is_file() for each in _every())
+
+
+def page(folder: Path) -> Path:
+    """Write `report.html` from whatever experiments a folder holds.
+
+    Raises
+    ------
+    InputError
+        If it holds none, or one that cannot be read.
+    """
+    sections = [section for each in _every() if (section := each.section(folder))]
+    if not sections:
+        raise InputError(f"no experiment in {folder}: run `deepfsi reproduce mnist -o {folder}`")
+    return write_study(folder, "Deep feature-specific imaging, reproduced", sections)
+
+
+def _every() -> list[Experiment]:
+    return [each for study in STUDIES.values() for each in study]

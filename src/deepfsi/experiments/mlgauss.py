@@ -1,0 +1,65 @@
+"""What the MLGauss approximation of photon noise costs."""
+
+from deepfsi.experiments.grids import pair
+from deepfsi.experiments.study import Experiment, Finding, Results
+from deepfsi.report.figures import photons_text
+from deepfsi.report.studies import contour_figure
+from deepfsi.report.study import Claim, Picture
+
+NOTICED = 0.02
+STARVED = 0.1
+"""Photons per pixel and measurement, Φ / (N m)."""
+
+PAPER = (
+    "DeepFSI is trained with MLGauss and tested with MLGauss and with exact Poisson noise. "
+    "Discrepancies arise mainly below 0.1 photons per pixel per measurement, where accuracy is low "
+    "in any case; elsewhere MLGauss is a reasonable approximation."
+)
+
+
+def show(results: Results) -> Finding:
+    """Contour maps of both tests and of their difference."""
+    both = pair(results, "noise", "ml_gauss", "poisson")
+    pixels = round(results["points"][0]["masks"] / results["points"][0]["ratio"])
+    large = {place: each for place, each in both.differences.items() if abs(each.mean) > NOTICED}
+    bright = {
+        place: each
+        for place, each in large.items()
+        if place[1] / (pixels * place[0] * pixels) >= STARVED
+    }
+    most = max(both.differences, key=lambda place: abs(both.differences[place].mean))
+    where = f"{most[0]:.0%} and {photons_text(most[1])} photons"
+    said = f"largest: {both.differences[most]} at {where}; {len(large)} above {NOTICED}"
+    if bright:
+        (ratio, photons), each = max(bright.items(), key=lambda item: abs(item[1].mean))
+        said += f", {len(bright)} of them in brighter light: {each} at {ratio:.0%}, "
+        said += f"{photons_text(photons)} photons"
+    claim = Claim(
+        f"Differences above {NOTICED} arise only below {STARVED} photons per pixel per measurement",
+        not bright,
+        said,
+    )
+    found = (
+        f"Exact Poisson less MLGauss test: {both.differences[most]} at most, at {where}. "
+        f"{len(large)} of {len(both.differences)} points differ by more than {NOTICED}, "
+        f"{len(large) - len(bright)} of them below {STARVED} photons per pixel per measurement. "
+        "The same trained designs are read in both tests."
+    )
+    picture = Picture(
+        contour_figure(
+            both.first,
+            both.second,
+            both.budgets,
+            both.ratios,
+            ("tested with MLGauss", "tested with Poisson"),
+            pixels=pixels,
+            apart=both.apart,
+        ),
+        "Accuracy by budget and compression ratio, trained with MLGauss; triangles mark "
+        "differences beyond their interval.",
+        "Contour maps of accuracy under two test noises, and of their difference.",
+    )
+    return Finding(found, (picture,), (claim,))
+
+
+EXPERIMENT = Experiment(name="mlgauss", title="What MLGauss leaves out", paper=PAPER, show=show)

@@ -1,0 +1,65 @@
+"""What the grey levels of a real DMD cost."""
+
+import numpy as np
+
+from deepfsi.experiments.contrast import Difference, of_trials
+from deepfsi.experiments.grids import pair
+from deepfsi.experiments.study import Experiment, Finding, Results, points
+from deepfsi.report.figures import photons_text
+from deepfsi.report.studies import contour_figure
+from deepfsi.report.study import Claim, Picture
+
+LOSS = 0.005
+
+PAPER = (
+    "Masks were quantised to the instrument's accuracy of 1/768. The quantisation has minimal "
+    "impact on accuracy."
+)
+
+
+def show(results: Results) -> Finding:
+    """Contour maps with continuous masks, with quantised ones, and their difference."""
+    levels = max(point["levels"] for point in results["points"])
+    both = pair(results, "levels", 0, levels)
+    loss = _mean_loss(results, levels)
+    most = max(both.differences, key=lambda place: abs(both.differences[place].mean))
+    where = f"{most[0]:.0%} and {photons_text(most[1])} photons"
+    claim = Claim(
+        f"1/{levels} grey levels cost less than {LOSS} on average",
+        loss.high < LOSS if np.isfinite(loss.high) else loss.mean < LOSS,
+        f"mean loss {loss}; largest change {both.differences[most]} at {where}",
+    )
+    found = (
+        f"With k/{levels} grey levels of each frame's peak accuracy changes by "
+        f"{-loss.mean:+.4f} on average over the grid. The largest change is "
+        f"{both.differences[most]}, at {where}. Noise draws are the same in both tests."
+    )
+    picture = Picture(
+        contour_figure(
+            both.first,
+            both.second,
+            both.budgets,
+            both.ratios,
+            ("continuous", f"1/{levels} of the peak"),
+            apart=both.apart,
+        ),
+        "Accuracy by budget and compression ratio, exact photon noise; triangles mark differences "
+        "beyond their interval.",
+        "Contour maps of accuracy with and without quantised masks, and of their difference.",
+    )
+    return Finding(found, (picture,), (claim,))
+
+
+def _mean_loss(results: Results, levels: int) -> Difference:
+    """Loss averaged over the grid, for each trial."""
+    one, other = (
+        np.array([point["accuracies"] for point in points(results, levels=level)])
+        for level in (0, levels)
+    )
+    values = (one - other).mean(axis=0).tolist()
+    return of_trials(values) if len(values) > 1 else Difference(values[0], -np.inf, np.inf)
+
+
+EXPERIMENT = Experiment(
+    name="quantization", title="Grey levels of a micromirror device", paper=PAPER, show=show
+)

@@ -1,0 +1,160 @@
+"""What an experiment is: a recipe, numbers beyond its accuracies, and what it shows."""
+
+import io
+import json
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import polars
+
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.jobs import reworded
+from deepfsi.recipes import Recipe
+from deepfsi.records import write_table
+from deepfsi.report.study import Claim, Picture, Section, Table
+from deepfsi.sweep import Report, compare
+
+Results = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the numbers of an experiment show."""
+
+    found: str
+    pictures: tuple[Picture, ...]
+    claims: tuple[Claim, ...] = ()
+    tables: tuple[Table, ...] = ()
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment of the paper.
+
+    Attributes
+    ----------
+    name : str
+        Of its recipe and its files.
+    title : str
+    paper : str
+        What the paper found.
+    show : callable
+        Results → Finding.
+    measure : callable, optional
+        (results, data, folder of the designs) → further numbers, kept in the results as `extra`.
+    """
+
+    name: str
+    title: str
+    paper: str
+    show: Callable[[Results], Finding]
+    measure: Callable[[Results, Dataset, Path], dict[str, Any]] | None = field(default=None)
+
+    def recipe(self, quick: bool, trials: int | None = None) -> Recipe:
+        """The experiment's recipe, or its coarse one, with another number of trials if given."""
+        name = f"{self.name}-quick.toml" if quick else f"{self.name}.toml"
+        text = (files("deepfsi.experiments") / "recipes" / name).read_text(encoding="utf-8")
+        given = {} if trials is None else {"trials": trials}
+        with reworded():
+            return Recipe.model_validate({**tomllib.loads(text), **given})
+
+    def run(
+        self,
+        folder: Path,
+        *,
+        command: str,
+        quick: bool = False,
+        trials: int | None = None,
+        device: str = "auto",
+        workers: int | None = 1,
+        ray: str | None = None,
+        report: Report | None = None,
+    ) -> Results:
+        """Train and test what the folder does not hold yet, and write the numbers.
+
+        The experiments of a study share one folder of records, so that what one has trained
+        another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
+        figures, and `NAME-trials.csv` one for each test.
+        """
+        recipe = self.recipe(quick, trials)
+        data = load_dataset(recipe.data, size=recipe.size)
+        results, records = compare(
+            recipe,
+            data,
+            folder,
+            command=command,
+            device=device,
+            workers=workers,
+            ray=ray,
+            report=report,
+        )
+        if self.measure:
+            results["extra"] = self.measure(results, data, folder / "designs")
+        write_table(records, folder / f"{self.name}-trials.csv")
+        rows = [
+            {name: value for name, value in point.items() if not isinstance(value, list)}
+            for point in results["points"]
+        ]
+        text = io.BytesIO()
+        polars.DataFrame(rows, infer_schema_length=None).write_csv(text)
+        write_atomically(folder / f"{self.name}.csv", text.getvalue())
+        write_atomically(folder / f"{self.name}.json", json.dumps(results, indent=1).encode())
+        (folder / "results.json").unlink()
+        return results
+
+    def section(self, folder: Path) -> Section | None:
+        """The experiment's part of the page, or None where it was not run."""
+        path = folder / f"{self.name}.json"
+        if not path.is_file():
+            return None
+        try:
+            results = json.loads(path.read_text(encoding="utf-8"))
+            shown = self.show(results)
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                f"{path} does not hold the results of this version: run the experiment again"
+            ) from error
+        return Section(
+            name=self.name,
+            title=self.title,
+            found=shown.found,
+            paper=self.paper,
+            pictures=shown.pictures,
+            claims=shown.claims,
+            tables=shown.tables,
+            files=(f"{self.name}.csv", f"{self.name}-trials.csv"),
+            command=results["command"],
+            facts={key: results[key] for key in ("data", "recipe", "provenance")},
+        )
+
+
+def points(results: Results, **fields: Any) -> list[Mapping[str, Any]]:
+    """Points of results that have these values."""
+    return [
+        point
+        for point in results["points"]
+        if all(point[name] == value for name, value in fields.items())
+    ]
+
+
+def best(results: Results, **fields: Any) -> dict[tuple[str, float], Mapping[str, Any]]:
+    """Points at their chosen number of masks, by design and budget."""
+    return {
+        (point["design"], point["photons"]): point for point in points(results, best=True, **fields)
+    }
+
+
+def budgets(chosen: Iterable[Mapping[str, Any]]) -> list[float]:
+    """Budgets of points, rising."""
+    return sorted({point["photons"] for point in chosen})
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as an English list."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]])) if words else "none"
