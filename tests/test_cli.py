@@ -13,7 +13,18 @@ from PIL import Image
 from deepfsi import cli
 from deepfsi.artifact import Design
 
-COMMANDS = ["compare", "design", "evaluate", "show", "data list", "data download", "data check"]
+COMMANDS = [
+    "compare",
+    "sweep",
+    "reproduce",
+    "report",
+    "design",
+    "evaluate",
+    "show",
+    "data list",
+    "data download",
+    "data check",
+]
 
 
 @pytest.fixture
@@ -252,3 +263,77 @@ def expect_refusal(call, folder, *words):
     assert out == ""
     assert sorted(folder.rglob("*")) == before
     return err
+
+
+RECIPE = 'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n'
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+def test_a_dry_run_says_what_it_would_cost_and_does_nothing(call, recipe, tmp_path):
+    out = tmp_path / "out"
+    code, text, _ = call("sweep", recipe, "-o", out, "--dry-run", "--json")
+    assert code == 0
+    assert json.loads(text)["trials"] == 2
+    code, text, _ = call("sweep", recipe, "-o", out, "--dry-run")
+    assert (code, out.exists()) == (0, False)
+    assert "2 trials, 0 of them done" in text
+    call("sweep", recipe, "-o", out, "--workers", 1)
+    assert "2 trials, 2 of them done" in call("sweep", recipe, "-o", out, "--dry-run")[1]
+
+
+def test_a_sweep_writes_its_table(call, recipe, tmp_path):
+    table = tmp_path / "tables" / "all.parquet"
+    code, text, _ = call("sweep", recipe, "-o", tmp_path / "out", "--workers", 1, "--table", table)
+    assert (code, table.is_file()) == (0, True)
+    assert str(table) in text.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sweep", "none.toml"),
+        ("sweep", "own.toml", "--table", "all.xls"),
+        ("sweep", "own.toml", "--workers", "0"),
+        ("sweep", "own.toml", "--ray", "nowhere:1"),
+        ("reproduce", "mnst"),
+        ("reproduce", "mnist", "--trials", "0"),
+        ("report", "."),
+        ("report", "none"),
+    ],
+    ids=" ".join,
+)
+def test_bad_input_to_sweeps_is_one_line(call, recipe, monkeypatch, tmp_path, words):
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    code, text, errors = call(*words)
+    assert (code, text, errors.count("\n")) == (2, "", 1)
+    if "--ray" not in words:
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_all_mistakes_of_a_recipe_are_told_at_once(call, tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'designs = ["pca", "hadamrd"]\nphotons = [-1.0]\ntrials = 0\ncolour = "red"\n'
+        "[training]\nepochs = [1, 0]\n"
+    )
+    code, _, errors = call("sweep", path, "-o", tmp_path / "out")
+    assert code == 2
+    for part in ("did you mean 'hadamard'", "photons.0", "trials", "colour", "epochs"):
+        assert part in errors
+
+
+def test_experiments_are_listed(call):
+    assert {row["name"] for row in json.loads(call("reproduce", "list", "--json")[1])} == {
+        "mnist",
+        "compression",
+        "mlgauss",
+        "quantization",
+    }
+    assert "compression" in call("reproduce", "list")[1]

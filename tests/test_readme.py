@@ -8,6 +8,9 @@ import pytest
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+LINES = re.findall(
+    r"^(deepfsi (?:sweep|reproduce|report) .*?)(?: +#.*)?$", README, flags=re.MULTILINE
+)
 COMMANDS = sorted(set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show) -?[^`]+)`", README)))
 
 
@@ -35,3 +38,26 @@ def test_commands(tmp_path, monkeypatch):
         assert stop.value.code == 0, command
     assert (tmp_path / "runs/digits/report.html").stat().st_size > 10_000
     assert (tmp_path / "masks.png").stat().st_size > 1000
+
+
+def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
+    """On digits and small; the cluster's line is for `test_cluster`."""
+    from deepfsi import cli
+    from test_experiments import EVERY, study, tiny
+
+    monkeypatch.chdir(tmp_path)
+    recipes = {each.name: tiny(each, 1) for each in EVERY}
+    monkeypatch.setattr(study.Experiment, "recipe", lambda self, quick, trials: recipes[self.name])
+    (tmp_path / "recipes").mkdir()
+    (tmp_path / "recipes/mnist-quick.toml").write_text(
+        'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n'
+    )
+    lines = [line for line in LINES if "--ray" not in line]
+    assert len(lines) == len(LINES) - 1 == 5
+    for line in lines:
+        monkeypatch.setattr("sys.argv", shlex.split(line))
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 0, line
+    for made in ("runs/quick/report.html", "runs/quick.csv", "runs/paper/report.html"):
+        assert (tmp_path / made).stat().st_size > 100

@@ -251,15 +251,18 @@ def report(
 def _list_experiments(as_json: bool) -> None:
     from deepfsi import experiments
 
-    rows = [
-        (study, each.name, each.title)
-        for study, members in experiments.STUDIES.items()
-        for each in members
-    ]
     if as_json:
-        _print_json([dict(zip(("name", "part", "title"), row, strict=True)) for row in rows])
+        _print_json(
+            [
+                {"name": study, "part": each.name, "title": each.title}
+                for study, members in experiments.STUDIES.items()
+                for each in members
+            ]
+        )
         return
-    _print_table("experiments of the paper", ("name", "part", "what it shows"), rows)
+    for study, members in experiments.STUDIES.items():
+        for each in members:
+            print(f"{study if each is members[0] else '':14s}{each.title}")
 
 
 def _print_claims(section: "Section") -> None:
@@ -330,8 +333,8 @@ def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_
         _print_json(asdict(expected))
         return
     print(
-        f"{expected.trials} trials, {expected.done} of them done; the others in "
-        f"{expected.batches} batches by {expected.workers} workers\n"
+        f"{expected.trials} trials, {expected.done} of them done\n"
+        f"batches: {expected.batches}, by {expected.workers} processes\n"
         f"products: {expected.operations:.2g} floating-point operations\n"
         f"expected here: {_duration(expected.seconds)}"
     )
