@@ -13,6 +13,8 @@ machine's noise in it: run it alone.
 """
 
 import argparse
+import itertools
+import statistics
 import tempfile
 import time
 from dataclasses import replace
@@ -20,7 +22,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import nn
 
+from deepfsi.classifiers import Mlp, Replicas
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.evaluation import evaluate
 from deepfsi.jobs import Job, Training
@@ -98,6 +102,35 @@ def one_against_many(scenes: Scenes) -> None:
             jobs = [short(masks, photons) for photons in np.geomspace(1e3, 1e5, together)]
             costs.append(seconds_an_epoch(scenes, jobs) / together)
         print(f"{masks:5d}  " + "  ".join(f"{cost:5.2f}" for cost in costs), flush=True)
+
+
+def classifiers() -> None:
+    """Milliseconds of a step of R classifiers: one after another, by vmap, and stacked."""
+    print("ms a step and classifier, batch 500, one thread\nmasks   R  loop  vmap  stacked")
+    for masks, count in itertools.product((92, 1024), (1, 4, 20)):
+        networks = [Mlp(masks, 10, generator=torch.Generator()) for _ in range(count)]
+        features = torch.randn(BATCH, count, masks, requires_grad=True)
+        labels = torch.randint(10, (BATCH * count,))
+        stacked, _ = torch.func.stack_module_state(networks)
+        mapped = {name: value.detach().requires_grad_() for name, value in stacked.items()}
+
+        def one(parameters: dict[str, torch.Tensor], own: torch.Tensor) -> torch.Tensor:
+            return torch.func.functional_call(networks[0], parameters, own)  # noqa: B023
+
+        ways = {
+            "loop": Replicas(networks, stacked=False),
+            "vmap": lambda x: torch.func.vmap(one, (0, 1), 1)(mapped, x),  # noqa: B023
+            "stacked": Replicas(networks, stacked=True),
+        }
+        costs = []
+        for way in ways.values():
+            seconds = []
+            for _ in range(30):
+                began = time.perf_counter()
+                nn.functional.cross_entropy(way(features).flatten(0, 1), labels).backward()
+                seconds.append(time.perf_counter() - began)
+            costs.append(statistics.median(seconds) * 1e3 / count)
+        print(f"{masks:5d}  {count:2d}  " + "  ".join(f"{cost:4.2f}" for cost in costs), flush=True)
 
 
 def growth(data: Dataset, device: str) -> None:
@@ -181,6 +214,7 @@ def main() -> None:
         torch.set_num_threads(1)
     if "many" in arguments.parts:
         one_against_many(scenes)
+        classifiers()
     if "growth" in arguments.parts:
         growth(data, device)
 

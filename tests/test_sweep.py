@@ -227,6 +227,13 @@ def test_batches_are_split_to_fit_the_memory(digits):
         assert [len(batch) for batch in sweep.batches(trials, scenes, limit)] == sizes
 
 
+def test_a_processor_is_not_crowded_with_learned_masks(digits, monkeypatch):
+    monkeypatch.setattr(sweep, "CROWD", 12)
+    recipe = small(designs=("pca", "deepfsi"), masks=6, photons=(1e1, 1e2, 1e3, 1e4))
+    found = sweep.batches(recipes.plan(recipe, digits), Scenes(digits, "cpu"), 1e12)
+    assert {batch[0].job.design: len(batch) for batch in found} == {"pca": 4, "deepfsi": 2}
+
+
 def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch):
     real = sweep.train
 

@@ -49,6 +49,9 @@ AXES = (
 )
 """Fields that tell the points of a summary apart."""
 
+CROWD = 2048
+"""Learned masks that a processor trains at once: with more its caches lose what batching gains."""
+
 MEMORY = 0.7
 """Share of the free memory that is planned for."""
 
@@ -149,8 +152,14 @@ def batches(trials: Sequence[Trial], scenes: Scenes, limit: float) -> list[Batch
     """Trials to be trained together, the longest work first.
 
     On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share their
-    scenes and noise. A batch that would take more than `limit` bytes is split.
+    scenes and noise, up to `CROWD`. A batch that would take more than `limit` bytes is split.
     """
+
+    def full(batch: Batch, trial: Trial) -> bool:
+        masks = (len(batch) + 1) * trial.job.masks
+        crowded = trial.job.code.learned and scenes.device.type == "cpu" and masks > CROWD
+        return crowded or footprint(scenes, [each.job for each in [*batch, trial]]) > limit
+
     groups: dict[Any, Batch] = defaultdict(list)
     for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
         seed = None if scenes.device.type == "cuda" else trial.job.seed
@@ -159,7 +168,7 @@ def batches(trials: Sequence[Trial], scenes: Scenes, limit: float) -> list[Batch
     for group in groups.values():
         batch: Batch = []
         for trial in group:
-            if batch and footprint(scenes, [each.job for each in [*batch, trial]]) > limit:
+            if batch and full(batch, trial):
                 found.append(batch)
                 batch = []
             batch.append(trial)
