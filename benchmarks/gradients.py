@@ -206,7 +206,7 @@ def learn(
     how = job.training
     gain = job.photons / scenes.light
     main = torch.Generator().manual_seed(job.seed)
-    second = torch.Generator().manual_seed(job.seed + 2**32)
+    second = torch.Generator().manual_seed(job.seed + 2**31)
     network = Mlp(
         job.masks,
         len(scenes.data.classes),
