@@ -91,6 +91,14 @@ def residual(draw: Draw, generator: torch.Generator) -> Tensor:
     return straight(draw, generator) * (1 + ratio) / 2
 
 
+def paired(draw: Draw, generator: torch.Generator) -> Tensor:
+    """The same for y = k⁺ − k⁻, of mean μ and variance L: f'(y) (dμ + (y − μ) dL / 2L)."""
+    mean, light = draw.rates[:, 0] - draw.rates[:, 1], draw.rates.sum(dim=1)
+    excess = draw.counts[:, 0] - draw.counts[:, 1] - mean
+    by_light = draw.slope * draw.step * torch.nan_to_num(excess / (2 * light), nan=0.0)
+    return straight(draw, generator) + by_light.unsqueeze(1)
+
+
 def midpoint(draw: Draw, generator: torch.Generator) -> Tensor:
     """f'(k + ½), all readouts at once: half a photon more on one rail of each mask, at random."""
     rail = torch.randint(2, draw.scaled.shape, generator=generator)
@@ -149,6 +157,7 @@ ESTIMATORS: dict[str, Estimator | None] = {
     REFERENCE: None,
     "straight": straight,
     "residual": residual,
+    "paired": paired,
     "midpoint": midpoint,
     "score": score,
     "sampled": sampled,

@@ -28,7 +28,7 @@ from deepfsi.classifiers import Mlp
 from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
-from deepfsi.noise import root, variance
+from deepfsi.noise import follow, poisson, root, variance
 from deepfsi.photons import BUDGETS, mean_light
 from deepfsi.scanner import lit, measure, project, project_pair
 
@@ -98,7 +98,7 @@ class Job(BaseModel):
     design: str = "deepfsi"
     masks: int = Field(ge=1)
     photons: float = Field(ge=BUDGETS[0], le=BUDGETS[1])
-    noise: Literal["ml_gauss", "gaussian", "none"] = "ml_gauss"
+    noise: Literal["ml_gauss", "poisson", "gaussian", "none"] = "ml_gauss"
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
     light: Light = "column"
     rails: Rails = "dual"
@@ -213,7 +213,11 @@ def products(job: Job, device: torch.device) -> torch.dtype:
     )
     readouts = job.masks * (2 if job.rails == "dual" else 1)
     counts = job.photons / readouts
-    limit = {"ml_gauss": BFLOAT16_COUNTS, "gaussian": job.sigma * BFLOAT16_COUNTS**0.5}
+    limit = {
+        "ml_gauss": BFLOAT16_COUNTS,
+        "poisson": BFLOAT16_COUNTS,
+        "gaussian": job.sigma * BFLOAT16_COUNTS**0.5,
+    }
     return torch.bfloat16 if fast and counts <= limit.get(job.noise, 0) else torch.float32
 
 
@@ -463,13 +467,22 @@ def _optimise(
             epsilon = torch.randn(batch, 1, job.masks, generator=generator, device=device)
             if isinstance(masks, constraints.Learned) and job.noise == "ml_gauss":
                 features = measure(x.index_select(0, with_mean[step]), masks, epsilon * noise.unit)
+            elif learns and job.noise == "poisson":
+                difference, total = masks()
+                chosen = x.index_select(0, with_mean[step])
+                pair = project_pair(chosen, difference, total, both=True)
+                mean, light = (part[:-1] + part[-1] for part in pair)
+                features = noise.counted(mean, light) - pair[0][-1]
             elif learns:
                 shown = masks()
                 mean = project(x.index_select(0, rows), shown[0])
                 features = mean + noise.scaled(epsilon, mean, shown)
             else:
                 mean, light = means.index_select(0, rows), lights.index_select(0, rows)
-                features = mean + noise.scaled(epsilon, light, shown)
+                if job.noise == "poisson":
+                    features = noise.counted(mean, light)
+                else:
+                    features = mean + noise.scaled(epsilon, light, shown)
             scaled = _standardise(features, how.scale) if learns else (features - centre) / spread
             losses = [
                 functional.cross_entropy(classifier(features), labels_of[step])
@@ -512,6 +525,18 @@ class _Noise:
         self.gain = torch.tensor(gain, device=scenes.device)
         self.unit = self.gain.rsqrt()
         self.sigma = torch.tensor([[job.sigma] for job in jobs], device=scenes.device)
+        # one for each replica, since what a Poisson draw takes from its generator depends on rates
+        self.generators = [
+            torch.Generator(scenes.device).manual_seed(job.seed ^ 2**31) for job in jobs
+        ]
+
+    def counted(self, mean: Tensor, light: Tensor) -> Tensor:
+        """Features (B, R, m) from exact counts of two rails with `mean` = x D and `light` = x S."""
+        with torch.no_grad():
+            rates = torch.stack([light + mean, light - mean]).mul(self.gain / 2).clamp(min=0)
+            drawn = zip(rates.unbind(dim=2), self.generators, strict=True)
+            plus, minus = torch.stack([poisson(*each) for each in drawn], dim=2)
+        return follow((plus - minus) / self.gain, mean, light)
 
     def scaled(self, epsilon: Tensor, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
         """Normal draws (B, 1, m) brought to the noise of features that see `light` = x S."""
@@ -521,7 +546,7 @@ class _Noise:
 
     def variance(self, light: Tensor, masks: tuple[Tensor, Tensor]) -> Tensor:
         """Variance (..., R, m) where the rails together see `light` = x S, (..., R, m)."""
-        if self.kind == "ml_gauss":
+        if self.kind in ("ml_gauss", "poisson"):
             return light / self.gain
         counts = variance(light, lit(*masks), self.kind, self.sigma)
         return counts / self.gain.square()
