@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from conftest import generator
 from deepfsi.classifiers import Mlp
+from deepfsi.noise import follow
 from deepfsi.training import Job, Scenes, Training, train
 
 DRAWS = 400_000
@@ -81,10 +82,25 @@ def test_estimators_that_claim_it_are_unbiased(name):
     assert ((mean - exact_slopes()).abs() <= 5 * error)[lit].all()
 
 
-@pytest.mark.parametrize("name", ["straight", "residual", "midpoint"])
+@pytest.mark.parametrize("name", ["straight", "residual", "paired", "midpoint"])
 def test_the_others_are_biased(name):
     mean, error = drawn_slopes(name)
     assert ((mean - exact_slopes()).abs() > 10 * error).any()
+
+
+def test_paired_is_what_the_package_trains_with():
+    gradients, net = benchmark("gradients"), network()
+    rates = RATES.repeat(50, 1, 1).requires_grad_()
+    counts = torch.poisson(rates.detach(), generator=generator(2))
+    y = follow(counts[:, 0] - counts[:, 1], rates[:, 0] - rates[:, 1], rates.sum(dim=1))
+    labels = torch.zeros(len(rates)).long()
+    losses = functional.cross_entropy(net(0.3 * y), labels, reduction="none")
+    wanted, slope = torch.autograd.grad(losses.sum(), [rates, y])
+    step = torch.tensor(0.3, dtype=torch.float64)
+    draw = gradients.Draw(
+        net, labels, rates.detach(), counts, 0.3 * y.detach(), step, losses.detach(), slope / step
+    )
+    assert torch.allclose(gradients.paired(draw, generator()), wanted, rtol=1e-9, atol=1e-12)
 
 
 def test_a_step_with_straight_slopes_is_what_autograd_gives():
@@ -135,6 +151,6 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
     printed = capsys.readouterr().out
     for name in (*gradients.ESTIMATORS, gradients.LONGER, gradients.RETRAINED):
         assert f"| 100 | 6 | {name} |" in printed
-    seven, grid, seeds = len(gradients.ESTIMATORS), 2, 2
+    estimators, grid, seeds = len(gradients.ESTIMATORS), 2, 2
     rows = table.read_text().splitlines()
-    assert len(rows) == 1 + seven * (grid + seeds) + 2 * seeds
+    assert len(rows) == 1 + estimators * (grid + seeds) + 2 * seeds
