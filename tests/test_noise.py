@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from torch.nn.functional import softplus
 
 from conftest import assert_moments, generator
 from deepfsi import noise
@@ -102,7 +103,7 @@ def test_readouts_are_independent():
 
 
 def test_trap_exact_poisson_gives_the_rate_no_gradient():
-    """Why masks must be trained with ml_gauss."""
+    """Why masks must be trained with ml_gauss, or through `follow`."""
     for sample in (torch.poisson, noise.poisson):
         rate = torch.full((100,), 50.0, requires_grad=True)
         sample(rate).square().sum().backward()
@@ -116,16 +117,67 @@ def test_trap_torch_normal_gives_no_gradient():
     assert (rate.grad != 0).all()
 
 
-@pytest.mark.parametrize("rate", [0.01, 1.0, 1e4])
-def test_ml_gauss_has_the_gradient_of_mean_and_variance(rate):
+def slopes(name: str, rate: float, function) -> torch.Tensor:
+    """Gradient of function(y) in the rate of one rail, one for each draw."""
+    rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
+    y = noise.readout(rates, name, 1.0, generator())
+    if name == "poisson":
+        y = noise.follow(y, rates, rates)
+    function(y).sum().backward()
+    return rates.grad
+
+
+def assert_mean(samples: torch.Tensor, mean: float) -> None:
+    assert abs(samples.mean() - mean) <= 5 * float(samples.std()) / math.sqrt(len(samples))
+
+
+@pytest.mark.parametrize("rate", [0.01, 1.0, 1e4, 1e7])
+@pytest.mark.parametrize("name", ["ml_gauss", "poisson"])
+def test_photon_noise_has_the_gradient_of_mean_and_variance(name, rate):
     """E[y²] = rate² + rate, whose slope is 2 rate + 1."""
-    r = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
-    noise.ml_gauss(r, generator()).square().sum().backward()
-    slope, spread = float(r.grad.mean()), float(r.grad.std())
-    assert abs(slope - (2 * rate + 1)) <= 5 * spread / math.sqrt(DRAWS)
-    first = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
-    noise.ml_gauss(first, generator()).sum().backward()
-    assert abs(first.grad.mean() - 1) <= 5 * float(first.grad.std()) / math.sqrt(DRAWS)
+    assert_mean(slopes(name, rate, torch.square), 2 * rate + 1)
+    assert_mean(slopes(name, rate, torch.clone), 1)
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.5, 2.0])
+def test_counts_of_one_rail_follow_their_rate_by_the_trapezoid_rule(rate):
+    """∂ E f / ∂r is E ∫₀¹ f′(k + t) dt; counts summed over, as far as they are at all likely."""
+    counts = torch.arange(60, dtype=torch.float64, requires_grad=True)
+    law = torch.exp(counts * math.log(rate) - rate - torch.lgamma(counts + 1)).detach()
+    losses = softplus(counts)
+    (slope,) = torch.autograd.grad(losses.sum(), counts)
+    found = slopes("poisson", rate, softplus)
+    assert_mean(found, float(law[:-1] @ (slope[:-1] + slope[1:]) / 2))
+
+    exact, straight = float(law[:-1] @ losses.detach().diff()), float(law @ slope)
+    assert abs(found.mean() - exact) < abs(straight - exact) / 4
+
+
+@pytest.mark.parametrize(("plus", "minus"), [(0.3, 0.9), (2.0, 0.5), (40.0, 40.0), (3.0, 0.0)])
+def test_counts_of_two_rails_follow_mean_and_variance(plus, minus):
+    """E[y²] = (r⁺ − r⁻)² + r⁺ + r⁻, whose slopes are ±2 (r⁺ − r⁻) + 1."""
+    rates = torch.tensor([plus, minus], dtype=torch.float64).repeat(DRAWS, 1).requires_grad_()
+    mean, light = rates[:, 0] - rates[:, 1], rates.sum(dim=1)
+    counts = noise.poisson(rates.detach(), generator())
+    y = noise.follow(counts[:, 0] - counts[:, 1], mean, light)
+    assert torch.equal(y, counts[:, 0] - counts[:, 1])
+    y.square().sum().backward()
+    for slope, sign in zip(rates.grad.T, (1, -1), strict=True):
+        assert_mean(slope, 2 * sign * (plus - minus) + 1)
+
+
+def test_counts_follow_as_ml_gauss_does_at_the_same_noise():
+    rate = torch.tensor([0.3, 4.0, 1e3, 1e8], dtype=torch.float64, requires_grad=True)
+    counts = noise.poisson(rate.detach(), generator())
+    epsilon = ((counts - rate) / rate.sqrt()).detach()
+    (ours,) = torch.autograd.grad(noise.follow(counts, rate, rate).sum(), rate)
+    (theirs,) = torch.autograd.grad((rate + noise.root(rate) * epsilon).sum(), rate)
+    assert torch.allclose(ours, theirs, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ml_gauss", "poisson"])
+def test_a_dark_rail_has_a_finite_gradient(name):
+    assert (slopes(name, 0.0, torch.clone) == 1).all()
 
 
 def test_gradients_equal_finite_differences():

@@ -271,6 +271,13 @@ def test_every_list_of_the_training_is_an_axis(digits, tmp_path):
     assert all(point["best"] for point in results["points"])
 
 
+def test_noise_of_the_training_may_be_another_than_that_of_the_test(digits, tmp_path):
+    recipe = small(designs="deepfsi", masks=3, train_noise=("ml_gauss", "poisson", "gaussian"))
+    results, _ = sweep.compare(recipe, digits, tmp_path, command="deepfsi")
+    kinds = {(point["trained_under"], point["noise"]) for point in results["points"]}
+    assert kinds == {(train, "poisson") for train in ("ml_gauss", "poisson", "gaussian")}
+
+
 def test_gaussian_noise_may_have_budgets_of_its_own(digits):
     both = small(noise=("poisson", "gaussian"), photons=1e3, gaussian_photons=(30, 300))
     budgets = {(trial.job.noise, trial.job.photons) for trial in recipes.plan(both, digits)}

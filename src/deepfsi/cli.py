@@ -55,6 +55,10 @@ RailsOption = Annotated[
     str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
 ]
 SigmaOption = Annotated[float, typer.Option(help="gaussian read noise, counts per readout")]
+TrainNoiseOption = Annotated[
+    str | None,
+    typer.Option(help="noise of the training, if another: ml_gauss, poisson, gaussian, none"),
+]
 MatrixOption = Annotated[
     Path | None, typer.Option(help="your own sensing matrix, .npy of shape (m, N)")
 ]
@@ -74,6 +78,7 @@ def compare(
     ] = None,
     masks: Annotated[str | None, typer.Option(help="mask counts, instead of ratios")] = None,
     noise: Annotated[str | None, typer.Option(help="poisson, gaussian, none")] = None,
+    train_noise: TrainNoiseOption = None,
     sigma: Annotated[float | None, typer.Option(help="gaussian noise, counts per readout")] = None,
     light: Annotated[str | None, typer.Option(help="light constraints")] = None,
     rails: Annotated[str | None, typer.Option(help="dual, single")] = None,
@@ -113,6 +118,7 @@ def compare(
         "ratios": _numbers("ratios", ratios),
         "masks": _numbers("masks", masks, whole=True),
         "noise": _list(noise),
+        "train_noise": _list(train_noise),
         "sigma": sigma,
         "light": _list(light),
         "rails": _list(rails),
@@ -357,6 +363,7 @@ def design(
         str | None, typer.Option("--design", help="which design; deepfsi unless given")
     ] = None,
     noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
+    train_noise: TrainNoiseOption = None,
     sigma: SigmaOption = 1.0,
     light: LightOption = "column",
     rails: RailsOption = "dual",
@@ -403,7 +410,7 @@ def design(
             photons=budget,
             masks=count,
             design=kind,
-            noise=TRAINING_NOISE[noise],
+            noise=train_noise or TRAINING_NOISE[noise],
             sigma=sigma,
             light=light,
             rails=rails,

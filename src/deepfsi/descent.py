@@ -21,7 +21,7 @@ from torch.nn import functional
 from deepfsi.classifiers import Mlp, Replicas
 from deepfsi.constraints import Fixed, Learned
 from deepfsi.jobs import Job, Training, products
-from deepfsi.noise import root, variance
+from deepfsi.noise import follow, poisson, root, variance
 from deepfsi.scanner import lit, measure, project, project_pair
 from deepfsi.scenes import Scenes
 
@@ -199,6 +199,21 @@ def _features(
 
         return learned
 
+    if job.noise == "poisson":
+
+        def learned_from_counts(streams: Sequence[_Stream], step: int) -> Tensor:
+            difference, total = masks()
+            parts = []
+            for stream in streams:
+                seen = x.index_select(0, stream.with_mean[step])
+                own = (difference[stream.jobs], total[stream.jobs])
+                mean, light = project_pair(seen, *own, both=True)
+                counts = stream.noise.counted(mean[:-1] + mean[-1], light[:-1] + light[-1])
+                parts.append(counts - mean[-1])
+            return _standardise(_beside(parts), scale)
+
+        return learned_from_counts
+
     def learned_under_read_noise(streams: Sequence[_Stream], step: int) -> Tensor:
         difference = masks.matrix()
         shown = masks.lit(difference)
@@ -221,6 +236,17 @@ def _measured(
     means = torch.cat([mean for mean, _ in pairs])
     centre, spread, _ = statistics(scenes, jobs, masks, means)
     noise = _Noise(scenes, jobs)
+    if noise.kind == "poisson":
+        lights = means if difference is total else torch.cat([light for _, light in pairs])
+
+        def counted(streams: Sequence[_Stream], step: int) -> Tensor:
+            counts = [
+                stream.noise.counted(stream.of(means, step), stream.of(lights, step))
+                for stream in streams
+            ]
+            return (_beside(counts) - centre) / spread
+
+        return counted
     if noise.kind == "ml_gauss":
         roots = root(means if difference is total else torch.cat([light for _, light in pairs]))
         gain = noise.unit / spread
@@ -292,6 +318,18 @@ class _Noise:
         self.gain = torch.tensor(gain, device=scenes.device)
         self.unit = self.gain.rsqrt()
         self.sigma = torch.tensor([[job.sigma] for job in jobs], device=scenes.device)
+        # one for each replica, since what a Poisson draw takes from its generator depends on rates
+        self.generators = [
+            torch.Generator(scenes.device).manual_seed(job.seed ^ 2**31) for job in jobs
+        ]
+
+    def counted(self, mean: Tensor, light: Tensor) -> Tensor:
+        """Features (B, R, m) from exact counts of two rails with `mean` = x D and `light` = x S."""
+        with torch.no_grad():
+            rates = torch.stack([light + mean, light - mean]).mul(self.gain / 2).clamp(min=0)
+            drawn = zip(rates.unbind(dim=2), self.generators, strict=True)
+            plus, minus = torch.stack([poisson(*each) for each in drawn], dim=2)
+        return follow((plus - minus) / self.gain, mean, light)
 
     def deviation(self, light: Tensor, shown: Tensor) -> Tensor:
         """Standard deviation where the rails together see `light` = x S, (..., R, m)."""
@@ -301,7 +339,7 @@ class _Noise:
 
     def variance(self, light: Tensor, shown: Tensor) -> Tensor:
         """The same, squared; `shown` (R, m) says how many rails are read out."""
-        if self.kind == "ml_gauss":
+        if self.kind in ("ml_gauss", "poisson"):
             return light / self.gain
         return variance(light, shown, self.kind, self.sigma) / self.gain.square()
 

@@ -66,6 +66,9 @@ def training_for(design: str, **settings: Any) -> Training:
     return Training(**{**TUNED.get(design, {}), **settings})
 
 
+TrainingNoise = Literal["ml_gauss", "poisson", "gaussian", "none"]
+
+
 class Job(BaseModel):
     """One design to be trained: what it is, and the light and noise it is trained under."""
 
@@ -74,7 +77,7 @@ class Job(BaseModel):
     design: str = "deepfsi"
     masks: int = Field(ge=1)
     photons: float = Field(ge=BUDGETS[0], le=BUDGETS[1])
-    noise: Literal["ml_gauss", "gaussian", "none"] = "ml_gauss"
+    noise: TrainingNoise = "ml_gauss"
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
     light: Light = "column"
     rails: Rails = "dual"
@@ -126,7 +129,11 @@ def products(job: Job, device: torch.device) -> torch.dtype:
     )
     readouts = job.masks * (2 if job.rails == "dual" else 1)
     counts = job.photons / readouts
-    limit = {"ml_gauss": BFLOAT16_COUNTS, "gaussian": job.sigma * BFLOAT16_COUNTS**0.5}
+    limit = {
+        "ml_gauss": BFLOAT16_COUNTS,
+        "poisson": BFLOAT16_COUNTS,
+        "gaussian": job.sigma * BFLOAT16_COUNTS**0.5,
+    }
     return torch.bfloat16 if fast and counts <= limit.get(job.noise, 0) else torch.float32
 
 

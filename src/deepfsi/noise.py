@@ -3,9 +3,10 @@
     none      F(r) = r
     gaussian  F(r) = r + σ ε          read noise, σ in counts per readout (the paper's AGN)
     poisson   F(r) ~ Poisson(r)       photon noise, exact; used for testing
-    ml_gauss  F(r) = r + √r ε         its differentiable stand-in; used for training
+    ml_gauss  F(r) = r + √r ε         its smooth stand-in; used for training
 
-ε is standard normal. A rail that is dark by construction is not read out and adds no noise.
+ε is standard normal. Exact counts train masks too, with the gradient of `follow`. A rail that is
+dark by construction is not read out and adds no noise.
 """
 
 from typing import Any, Literal, get_args
@@ -46,8 +47,7 @@ def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     Returns
     -------
     tensor
-        Counts, of the shape and type of `rate`. No gradient flows to `rate`: use `ml_gauss` to
-        train masks.
+        Counts, of the shape and type of `rate`. No gradient flows to `rate`: see `follow`.
     """
     exact = torch.poisson(rate.clamp(max=POISSON_LIMIT), generator=generator)
     bright = rate > POISSON_LIMIT
@@ -64,6 +64,33 @@ def gaussian(rate: Tensor, sigma: float, generator: torch.Generator | None = Non
 def ml_gauss(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """Add Gaussian noise whose variance is the rate (the paper's MLGauss); shapes as `poisson`."""
     return rate + root(rate) * _normal(rate, generator)
+
+
+def follow(counts: Tensor, mean: Tensor, light: Tensor) -> Tensor:
+    """Let exact counts follow what their mean and variance depend on, as those of `ml_gauss` do.
+
+    Parameters
+    ----------
+    counts : tensor, shape (..., m)
+        y, of one rail or the difference of two, drawn at a mean μ and a variance L.
+    mean, light : tensor, shape (..., m)
+        μ and L: difference and sum of the rails' expected counts; of one rail, both its own.
+
+    Returns
+    -------
+    tensor, shape (..., m)
+        The counts, with the derivatives 1 in μ and (y − μ) / 2L in L; 0 where L is 0.
+
+    Notes
+    -----
+    These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
+    f(y) is right where f is at most quadratic. For one rail, where it is f′(k) (1 + k/r) / 2, its
+    mean is that of [f′(k) + f′(k + 1)] / 2, because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule
+    for what is exact, ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt.
+    """
+    fixed = light.detach()
+    pull = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)
+    return counts + (mean - mean.detach()) + pull * (light - fixed)
 
 
 def root(rate: Tensor) -> Tensor:

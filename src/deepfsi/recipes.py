@@ -24,7 +24,7 @@ from deepfsi import coding
 from deepfsi.constraints import Light, Rails
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
-from deepfsi.jobs import REVISION, Job, Training, check_job, reworded, training_for
+from deepfsi.jobs import REVISION, Job, Training, TrainingNoise, check_job, reworded, training_for
 from deepfsi.noise import Noise
 from deepfsi.photons import BUDGETS
 
@@ -34,7 +34,7 @@ PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""
 
 Physical = Literal["poisson", "gaussian", "none"]
-TRAINING_NOISE: dict[Physical, Literal["ml_gauss", "gaussian", "none"]] = {
+TRAINING_NOISE: dict[Physical, TrainingNoise] = {
     "poisson": "ml_gauss",
     "gaussian": "gaussian",
     "none": "none",
@@ -115,6 +115,9 @@ class Recipe(BaseModel):
     noise: Annotated[tuple[Physical, ...], BeforeValidator(_axis), Field(min_length=1)] = (
         "poisson",
     )
+    train_noise: Annotated[tuple[TrainingNoise, ...], BeforeValidator(_axis)] = Field(
+        (), description="noises of the training, if others: photon noise is trained by ml_gauss"
+    )
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
     light: Annotated[tuple[Light, ...], BeforeValidator(_axis), Field(min_length=1)] = ("column",)
     rails: Annotated[tuple[Rails, ...], BeforeValidator(_axis), Field(min_length=1)] = ("dual",)
@@ -152,6 +155,10 @@ class Recipe(BaseModel):
             chosen = dict(zip(axes, values, strict=True))
             variant = ", ".join(f"{name} {chosen[name]}" for name in several)
             yield variant, training_for(design, **chosen)
+
+    def train_noises(self, noise: Physical) -> tuple[TrainingNoise, ...]:
+        """Noises to train under where tests are under `noise`."""
+        return self.train_noise or (TRAINING_NOISE[noise],)
 
     def budgets(self, noise: Physical) -> tuple[float, ...]:
         """Budgets to train at under a noise."""
@@ -230,14 +237,18 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
             continue
         own = matrix if design == "custom" else None
         counts = recipe.mask_counts(design, data) if own is None else [len(own)]
-        for masks, (variant, training), seed, photons in product(
-            counts, recipe.trainings(design), range(recipe.trials), recipe.budgets(noise)
+        for masks, train_noise, (variant, training), seed, photons in product(
+            counts,
+            recipe.train_noises(noise),
+            recipe.trainings(design),
+            range(recipe.trials),
+            recipe.budgets(noise),
         ):
             job = Job(
                 design=design,
                 masks=masks,
                 photons=photons,
-                noise=TRAINING_NOISE[noise],
+                noise=train_noise,
                 sigma=recipe.sigma,
                 light=light,
                 rails=rails,

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi import constraints
-from deepfsi.noise import Noise, check_noise, readout, root, variance
+from deepfsi.noise import Noise, check_noise, follow, readout, root, variance
 
 
 class Scanner(nn.Module):
@@ -19,7 +19,7 @@ class Scanner(nn.Module):
     masks : constraints.Fixed or constraints.Learned
         Gives the difference and the total of the rails, each ([replicas,] m, N).
     noise : {"poisson", "gaussian", "ml_gauss", "none"}
-        `ml_gauss` to train under photon noise, `poisson` to test.
+        Under photon noise `poisson` to test, and either it or `ml_gauss` to train.
     sigma : float
         Read noise in counts per readout, for gaussian noise.
     """
@@ -47,11 +47,13 @@ class Scanner(nn.Module):
         Returns
         -------
         tensor, shape (..., [replicas,] m)
-            y⁺ − y⁻ in counts. Under every noise but `poisson` the two rails' noise is drawn at
-            once, which is the same in distribution and differentiable in the masks.
+            y⁺ − y⁻ in counts, differentiable in the masks. Under every noise but `poisson` the two
+            rails' noise is drawn at once, which is the same in distribution.
         """
         if self.noise == "poisson":
-            return subtract(self.counts(photons, generator))
+            rates = self.rates(photons)
+            counts = subtract(self.read(rates.detach(), generator))
+            return follow(counts, subtract(rates), rates.sum(dim=-2))
         difference, total = self.masks()
         if self.noise == "none":
             return project(photons, difference)

@@ -1,0 +1,156 @@
+"""The benchmarks run, and what they compare is what they say."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from conftest import generator
+from deepfsi.classifiers import Mlp
+from deepfsi.noise import follow
+from deepfsi.training import Job, Scenes, Training, train
+
+DRAWS = 400_000
+RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
+"""Two readouts; the second has one rail."""
+
+
+@cache
+def benchmark(name: str) -> ModuleType:
+    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"benchmarks_{name}", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def network() -> Mlp:
+    made = Mlp(2, 3, (6, 5), generator=generator(3)).double()
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter *= 3  # so that it is far from linear over one count
+    return made
+
+
+def exact_slopes() -> Tensor:
+    """∂ E[f] / ∂r by summing over all counts that are at all likely."""
+    rates = RATES.clone().requires_grad_()
+    each = torch.arange(16, dtype=torch.float64)
+    law = (
+        torch.exp(-rates[..., None]) * rates[..., None] ** each / torch.exp(torch.lgamma(each + 1))
+    )
+    joint = torch.einsum("a,b,c,d->abcd", *law.flatten(0, 1))
+    counts = torch.cartesian_prod(each, each, each, each)
+    with torch.no_grad():
+        logits = network()(counts[:, :2] - counts[:, 2:])
+        losses = benchmark("gradients").cross_entropy(logits, torch.ones(len(counts)).long())
+    assert 1 - joint.sum() < 1e-9
+    (joint.flatten() @ losses).backward()
+    return rates.grad
+
+
+def drawn_slopes(name: str) -> tuple[Tensor, Tensor]:
+    """Mean of an estimator over many draws, and the standard deviation of that mean."""
+    gradients, seeded = benchmark("gradients"), generator(8)
+    rates = RATES.expand(DRAWS, 2, 2)
+    counts = torch.poisson(rates, generator=seeded)
+    scaled = (counts[:, 0] - counts[:, 1]).requires_grad_()
+    labels = torch.ones(DRAWS).long()
+    losses = gradients.cross_entropy(network()(scaled), labels)
+    (slope,) = torch.autograd.grad(losses.sum(), scaled)
+    one = torch.ones((), dtype=torch.float64)
+    draw = gradients.Draw(
+        network(), labels, rates, counts, scaled.detach(), one, losses.detach(), slope
+    )
+    slopes = gradients.ESTIMATORS[name](draw, seeded)
+    return slopes.mean(dim=0), slopes.std(dim=0) / DRAWS**0.5
+
+
+@pytest.mark.parametrize("name", ["difference", "sampled", "score"])
+def test_estimators_that_claim_it_are_unbiased(name):
+    mean, error = drawn_slopes(name)
+    lit = RATES > 0 if name == "score" else torch.ones_like(RATES, dtype=torch.bool)
+    assert ((mean - exact_slopes()).abs() <= 5 * error)[lit].all()
+
+
+@pytest.mark.parametrize("name", ["straight", "residual", "paired", "midpoint"])
+def test_the_others_are_biased(name):
+    mean, error = drawn_slopes(name)
+    assert ((mean - exact_slopes()).abs() > 10 * error).any()
+
+
+def test_paired_is_what_the_package_trains_with():
+    gradients, net = benchmark("gradients"), network()
+    rates = RATES.repeat(50, 1, 1).requires_grad_()
+    counts = torch.poisson(rates.detach(), generator=generator(2))
+    y = follow(counts[:, 0] - counts[:, 1], rates[:, 0] - rates[:, 1], rates.sum(dim=1))
+    labels = torch.zeros(len(rates)).long()
+    losses = functional.cross_entropy(net(0.3 * y), labels, reduction="none")
+    wanted, slope = torch.autograd.grad(losses.sum(), [rates, y])
+    step = torch.tensor(0.3, dtype=torch.float64)
+    draw = gradients.Draw(
+        net, labels, rates.detach(), counts, 0.3 * y.detach(), step, losses.detach(), slope / step
+    )
+    assert torch.allclose(gradients.paired(draw, generator()), wanted, rtol=1e-9, atol=1e-12)
+
+
+def test_a_step_with_straight_slopes_is_what_autograd_gives():
+    """All that `descend` writes out by hand but the slopes themselves: centre, size, classifier."""
+    gradients, net = benchmark("gradients"), network()
+    rates = (4 * torch.rand(7, 2, 2, generator=generator()).double()).requires_grad_()
+    centre = torch.tensor([0.3, -0.2], dtype=torch.float64, requires_grad=True)
+    size = torch.tensor(1.7, dtype=torch.float64, requires_grad=True)
+    labels = torch.arange(7) % 3
+    parts = [rates, centre, size, *net.parameters()]
+
+    gradients.descend(net, rates, centre, size, labels, gradients.straight, generator(5))
+    found = [part.grad.clone() for part in parts]
+    counts = torch.poisson(rates.detach(), generator=generator(5)) + rates - rates.detach()
+    scaled = (counts[:, 0] - counts[:, 1] - centre) / size
+    wanted = torch.autograd.grad(functional.cross_entropy(net(scaled), labels), parts)
+    for one, other in zip(found, wanted, strict=True):
+        assert torch.allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_the_comparison_trains_as_the_package(digits):
+    scenes = Scenes(digits, "cpu")
+    how = Training(epochs=2, precision="float32")
+    job = Job(masks=6, photons=300, seed=3, training=how)
+    (theirs,) = train(scenes, [job])
+    ours = benchmark("gradients").learn(scenes, job, None)
+    assert torch.allclose(ours.rails, theirs.rails, rtol=0, atol=1e-4)
+    for name in ("centre", "spread", "shares"):
+        assert torch.allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-3, atol=1e-5)
+    for mine, other in zip(
+        ours.classifier.parameters(), theirs.classifier.parameters(), strict=True
+    ):
+        assert torch.allclose(mine, other, rtol=0, atol=1e-3)
+
+
+def test_masks_to_keep_stay_while_their_classifier_learns(digits):
+    gradients, scenes = benchmark("gradients"), Scenes(digits, "cpu")
+    job = Job(masks=6, photons=300, training=Training(epochs=1, precision="float32"))
+    first = gradients.learn(scenes, job, None)
+    again = gradients.learn(scenes, job, gradients.straight, keep=first.matrix)
+    assert torch.allclose(again.rails, first.rails, rtol=0, atol=1e-5)
+    assert not torch.equal(again.classifier.layers[0].weight, first.classifier.layers[0].weight)
+
+
+def test_the_comparison_of_gradients_runs(tmp_path, capsys):
+    gradients, table = benchmark("gradients"), tmp_path / "trials.csv"
+    gradients.main(["--data", "digits", "--quick", "--csv", str(table)])
+    printed = capsys.readouterr().out
+    for name in (*gradients.ESTIMATORS, gradients.LONGER, gradients.RETRAINED):
+        assert f"| 100 | 6 | {name} |" in printed
+    estimators, grid, seeds = len(gradients.ESTIMATORS), 2, 2
+    rows = table.read_text().splitlines()
+    assert len(rows) == 1 + estimators * (grid + seeds) + 2 * seeds
