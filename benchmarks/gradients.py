@@ -31,9 +31,10 @@ from deepfsi.artifact import Design
 from deepfsi.classifiers import Mlp
 from deepfsi.datasets import load_dataset
 from deepfsi.evaluation import evaluate
+from deepfsi.jobs import Job, Training
 from deepfsi.noise import poisson
 from deepfsi.scanner import measure, project
-from deepfsi.training import Job, Scenes, Training
+from deepfsi.scenes import Scenes
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
 """Learning rates of classifier and masks to choose from."""
@@ -245,7 +246,8 @@ def learn(
             chosen = x.index_select(0, functional.pad(rows, (0, 1), value=count))
             labels = scenes.labels[rows]
             if estimator is None:
-                features = measure(chosen, masks, epsilon * gain**-0.5)
+                rails = masks.rails_to_measure()
+                features = measure(chosen, rails, epsilon * gain**-0.5, masks.disjoint)
                 size = torch.linalg.vector_norm(features) / features.numel() ** 0.5
                 scaled = features.squeeze(1) / size
                 functional.cross_entropy(network(scaled), labels).backward()

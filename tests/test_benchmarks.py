@@ -15,8 +15,10 @@ from torch.nn import functional
 
 from conftest import generator
 from deepfsi.classifiers import Mlp
+from deepfsi.jobs import Job, Training
 from deepfsi.noise import follow
-from deepfsi.training import Job, Scenes, Training, train
+from deepfsi.scenes import Scenes
+from deepfsi.training import train
 
 DRAWS = 400_000
 RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
