@@ -49,6 +49,11 @@ LONGER = "ml_gauss longer"
 RETRAINED = "ml_gauss retrained"
 """Masks of `ml_gauss`, then a new classifier on exact counts: tells the masks' share in a gain."""
 
+TWICE = "ml_gauss twice"
+"""The same with MLGauss noise: what a second training on masks that stay is worth by itself."""
+
+CONTROLS = (LONGER, RETRAINED, TWICE)
+
 
 @dataclass
 class Draw:
@@ -336,8 +341,9 @@ class Study:
         job = Job(masks=masks, photons=photons, seed=seed, training=how)
         began = time.perf_counter()
         design = learn(self.scenes, job, ESTIMATORS.get(name))
-        if name == RETRAINED:
-            design = learn(self.scenes, job, straight, keep=design.matrix)
+        if name in (RETRAINED, TWICE):
+            again = straight if name == RETRAINED else None
+            design = learn(self.scenes, job, again, keep=design.matrix)
         seconds = time.perf_counter() - began
         (result,) = evaluate(design, self.parts[part], photons, seed=seed)
         done = Trial(
@@ -423,9 +429,7 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--grid", type=pair, nargs="+", default=GRID, help="LR:MASK_LR; only one: no choice"
     )
-    parser.add_argument(
-        "--controls", nargs="*", choices=[LONGER, RETRAINED], default=[LONGER, RETRAINED]
-    )
+    parser.add_argument("--controls", nargs="*", choices=CONTROLS, default=CONTROLS)
     parser.add_argument("--longer", type=int, default=3, help="times the epochs")
     parser.add_argument("--csv", type=Path, help="file for every training's accuracy")
     parser.add_argument("--quick", action="store_true", help="a moment's run that proves nothing")

@@ -151,8 +151,8 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
     gradients, table = benchmark("gradients"), tmp_path / "trials.csv"
     gradients.main(["--data", "digits", "--quick", "--csv", str(table)])
     printed = capsys.readouterr().out
-    for name in (*gradients.ESTIMATORS, gradients.LONGER, gradients.RETRAINED):
+    for name in (*gradients.ESTIMATORS, *gradients.CONTROLS):
         assert f"| 100 | 6 | {name} |" in printed
     estimators, grid, seeds = len(gradients.ESTIMATORS), 2, 2
     rows = table.read_text().splitlines()
-    assert len(rows) == 1 + estimators * (grid + seeds) + 2 * seeds
+    assert len(rows) == 1 + estimators * (grid + seeds) + len(gradients.CONTROLS) * seeds
