@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
-from deepfsi.classifiers import Mlp
+from deepfsi.classifiers import Mlp, Replicas
 
 
 def probe(units: int, dropout: float, seed: int = 0) -> Mlp:
@@ -104,3 +104,27 @@ def test_dropout_rests_in_evaluation_and_at_zero():
     x = torch.zeros(50, 3)
     assert (probe(20, 0.5).eval()(x) == 1).all()
     assert (probe(20, 0.0)(x) == 1).all()
+
+
+def test_a_classifier_without_a_generator_can_be_used():
+    assert Mlp(3, 4)(torch.ones(2, 3)).shape == (2, 4)
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.3])
+def test_stacked_networks_are_as_those_alone(dropout):
+    """Logits, and what a step of descent makes of the weights."""
+    features, alone, stacked = torch.randn(5, 3, 4, generator=generator()), [], []
+    for networks, stacks in ((alone, False), (stacked, True)):
+        networks += [Mlp(4, 2, (6, 5), dropout, generator(seed)) for seed in range(3)]
+        replicas = Replicas(networks, stacked=stacks)
+        logits = replicas(features)
+        optimiser = torch.optim.SGD(replicas.parameters(), lr=0.1)
+        logits.square().sum().backward()
+        optimiser.step()
+        replicas.hand_back()
+    for one, other in zip(alone, stacked, strict=True):
+        for first, second in zip(one.parameters(), other.parameters(), strict=True):
+            assert torch.allclose(first, second, atol=1e-6)
+    assert not torch.equal(
+        alone[0].layers[0].weight, Mlp(4, 2, (6, 5), 0, generator()).layers[0].weight
+    )

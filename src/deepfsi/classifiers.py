@@ -36,7 +36,7 @@ class Mlp(nn.Module):
     ) -> None:
         super().__init__()
         self.hidden, self.dropout, self.generator = tuple(hidden), dropout, generator
-        device = None if generator is None else generator.device
+        device = "cpu" if generator is None else generator.device
         self.layers = nn.ModuleList()
         for fan_in, fan_out in itertools.pairwise((inputs, *hidden, classes)):
             layer = nn.utils.skip_init(nn.Linear, fan_in, fan_out, device=device)
