@@ -54,6 +54,8 @@ def test_every_experiment_ends_in_a_section(done):
     page = experiments.page(done).read_text()
     for each in EVERY:
         section = each.section(done)
+        for number in range(1, len(section.pictures) + 1):
+            assert (done / f"{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
         assert section.title in page
         assert section.pictures
         assert section.claims

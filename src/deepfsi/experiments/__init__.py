@@ -1,10 +1,12 @@
 """The paper's experiments by name: each a recipe, figures, the numbers behind them, and claims."""
 
+import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, closest
 from deepfsi.experiments import compression, masks, mlgauss, mnist, quantization, starts
 from deepfsi.experiments.study import Experiment
+from deepfsi.files import write_atomically
 from deepfsi.report.study import write_study
 
 __all__ = ["STUDIES", "Experiment", "find", "is_study", "page"]
@@ -31,7 +33,7 @@ def is_study(folder: Path) -> bool:
 
 
 def page(folder: Path) -> Path:
-    """Write `report.html` from whatever experiments a folder holds.
+    """Write `report.html` from whatever experiments a folder holds, and figures as `NAME-1.png`.
 
     Raises
     ------
@@ -41,6 +43,11 @@ def page(folder: Path) -> Path:
     sections = [section for each in _every() if (section := each.section(folder))]
     if not sections:
         raise InputError(f"no experiment in {folder}: run `deepfsi reproduce mnist -o {folder}`")
+    for section in sections:
+        for number, picture in enumerate(section.pictures, start=1):
+            drawn = io.BytesIO()
+            picture.figure.savefig(drawn, dpi=160)
+            write_atomically(folder / f"{section.name}-{number}.png", drawn.getvalue())
     return write_study(folder, "Deep feature-specific imaging, reproduced", sections)
 
 
