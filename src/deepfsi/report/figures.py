@@ -197,8 +197,9 @@ def accuracy_figure(results: Results) -> Figure:
         accuracy_axes(ax, results, points, series_axes(results), "photons")
         ax.set_xlabel("photon budget Φ")
         budgets = sorted({p["photons"] for p in points})
+        short = all(len(photons_text(budget)) <= 4 for budget in budgets)
         ax.xaxis.set_major_locator(
-            FixedLocator(budgets) if len(budgets) <= 8 else LogLocator(numticks=8)
+            FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
         )
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
         if len(panels) > 1:
