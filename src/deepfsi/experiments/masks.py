@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deepfsi.coding import sensing_matrix
 from deepfsi.datasets import Dataset
 from deepfsi.experiments.contrast import Difference, above, of_trials
 from deepfsi.experiments.study import Experiment, Finding, Results
@@ -17,6 +18,7 @@ from deepfsi.report.study import Claim, Picture, Table
 
 SHOWN = (1e3, 1e5, 1e8)
 LIGHT, SPAN = "light counted", "independent directions"
+KEPT = "likeness to the start"
 MATCHED, SUBSPACE = "likeness, mask by mask", "likeness of what they span"
 NOISES = ("gaussian", "poisson")
 
@@ -46,6 +48,10 @@ def measure(results: Results, data: Dataset, designs: Path) -> dict[str, Any]:
         for name, likeness in ((MATCHED, matched_similarity), (SUBSPACE, subspace_similarity)):
             rows.append(_row(name, "AGN and PN", photons, [likeness(*pair) for pair in pairs]))
     masks, pixels = next(iter(matrices.values()))[0].shape
+    start = sensing_matrix("pca", masks, data.hold_out(results["data"]["validation"]))
+    for (noise, photons), trials in matrices.items():
+        likeness_to_start = [matched_similarity(matrix, start) for matrix in trials]
+        rows.append(_row(KEPT, noise, photons, likeness_to_start))
     shown = [
         {
             "photons": photons,
@@ -109,6 +115,7 @@ def show(results: Results) -> Finding:
     pn_light = [by[(LIGHT, "poisson")][b]["value"] for b in (dim, bright)]
     agn_light = [by[(LIGHT, "gaussian")][b]["value"] for b in (dim, bright)]
     masks = results["points"][0]["masks"]
+    kept = [by[(KEPT, noise)][bright]["value"] for noise in NOISES]
     found = (
         f"From {photons_text(dim)} to {photons_text(bright)} photons, {masks} masks learned under "
         f"PN span {pn_span[0]:.1f} to {pn_span[1]:.1f} independent directions and count "
@@ -116,7 +123,10 @@ def show(results: Results) -> Finding:
         f"{agn_light[0]:.2f} to {agn_light[1]:.2f}. Directions are the effective rank; likeness "
         "pairs each mask with its best partner by |cosine|, whatever their order and sign, or "
         f"compares the spaces that they span, where random masks give {extra['chance']:.2f}. "
-        "Masks stay dark where no training image varies, so the share counted is below 1 for all."
+        f"Both start from the same principal components; at {photons_text(bright)} photons they "
+        f"are like these by {kept[0]:.2f} (AGN) and {kept[1]:.2f} (PN), so that some of what they "
+        "share is their start. Masks stay dark where no training image varies, so the share "
+        "counted is below 1 for all."
     )
     rows = [
         {key: value for key, value in row.items() if key != "values"} for row in extra["measures"]
