@@ -125,8 +125,8 @@ def show(results: Results) -> Finding:
         f"compares the spaces that they span, where random masks give {extra['chance']:.2f}. "
         f"Both start from the same principal components; at {photons_text(bright)} photons they "
         f"are like these by {kept[0]:.2f} (AGN) and {kept[1]:.2f} (PN), so that some of what they "
-        "share is their start. Masks stay dark where no training image varies, so the share "
-        "counted is below 1 for all."
+        "share is their start, and the order of scenes. Masks stay dark where no training image "
+        "varies, so the share counted is below 1 for all."
     )
     rows = [
         {key: value for key, value in row.items() if key != "values"} for row in extra["measures"]
