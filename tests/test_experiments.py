@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from deepfsi import experiments
 from deepfsi.errors import InputError
@@ -74,7 +75,6 @@ def test_numbers_behind_the_figures_are_there(done):
             rows = table(done / name)
             assert rows
             assert all(0 <= float(row["accuracy"]) <= 1 for row in rows)
-        assert not (done / "results.json").exists()
 
 
 def test_experiments_share_what_they_train(done):
@@ -130,6 +130,11 @@ def test_trials_are_paired():
     assert (found.mean, found.low, found.high) == pytest.approx((0.02, 0.02, 0.02))
 
 
+def spread(low, high):
+    """Difference of a normal error with this 95 % interval."""
+    return Difference((low + high) / 2, (high - low) / 2 / stats.norm.ppf(0.975))
+
+
 def test_an_interval_over_trials_covers_what_it_says():
     """Student's interval of five normal values holds their mean in 95 % of cases."""
     rng = np.random.default_rng(0)
@@ -151,12 +156,14 @@ def test_single_trials_combine_the_intervals_over_images():
     [
         ([(0.1, 0.2), (0.01, 0.3)], True),
         ([(0.1, 0.2), (-0.01, 0.3)], None),
-        ([(0.1, 0.2), (-0.3, -0.01)], False),
-        ([(-0.1, 0.2), (-0.3, -0.01)], False),
+        ([(-0.3, -0.01)], False),
+        ([(0.1, 0.2), (-0.3, -0.1)], False),
+        ([(0.1, 0.2), (-0.3, -0.001)], None),
     ],
 )
 def test_a_claim_holds_only_where_every_interval_says_so(intervals, answer):
-    assert above(Difference((low + high) / 2, low, high) for low, high in intervals) is answer
+    """One of several intervals just below 0 is no surprise, and leaves the claim open."""
+    assert above(spread(low, high) for low, high in intervals) is answer
 
 
 def comparison(values):
@@ -232,4 +239,5 @@ def test_claims_answer_to_the_numbers(change, place, answer):
 
 def test_signs_are_as_wide_as_each_other():
     assert contrast.signed(-0.01) == "−0.010"
-    assert str(Difference(0.1, -0.2, 0.4)) == "+0.100 [−0.200, +0.400]"
+    assert str(spread(-0.2, 0.4)) == "+0.100 [−0.200, +0.400]"
+    assert str(of_trials([0.1])) == "+0.100 (one trial, no interval)"

@@ -2,6 +2,7 @@
 
 import json
 import math
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -216,6 +217,7 @@ def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
     trials = recipes.plan(small(designs="deepfsi", training={"epochs": 2, "lr": 1e30}), digits)
     with pytest.raises(InputError, match="diverged"):
         sweep.run(trials, digits, tmp_path, workers=2)
+    assert not list(tmp_path.glob("**/*.lock"))
 
 
 def test_batches_are_split_to_fit_the_memory(digits):
@@ -295,6 +297,73 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
     assert set(csv["levels"]) == {0, 768}
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_table(records, tmp_path / "all.xls")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_trials_of_one_training_train_it_once(digits, tmp_path, workers):
+    """They differ in their tests only; the claim on their common design must not lock them out."""
+    recipe = small(designs="pca", masks=3, noise=("poisson", "gaussian"), train_noise="gaussian")
+    trials = recipes.plan(recipe, digits)
+    assert len({trial.design_key for trial in trials}) == len(trials) / 2
+    assert len(sweep.run(trials, digits, tmp_path, workers=workers)) == len(trials)
+    assert len(list((tmp_path / "designs").iterdir())) == len(trials) / 2
+
+
+def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
+    recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
+    trials = recipes.plan(recipe, digits)
+    with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
+        sweep.run(trials, digits, tmp_path)
+    assert len(list((tmp_path / "trials").iterdir())) == len(trials) / 2
+
+
+def test_a_machine_that_batches_otherwise_still_works(digits, monkeypatch):
+    """The one that planned had no bfloat16, this one has."""
+    trials = recipes.plan(small(designs="deepfsi", masks=3, photons=(1e3, 1e9)), digits)
+    bench = sweep.Bench(digits, 0, "cpu")
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    assert len(sweep.work(bench, trials)) == len(trials)
+
+
+def test_settings_of_masks_do_not_multiply_fixed_designs(digits):
+    recipe = small(masks=3, photons=1e3, training={"epochs": 1, "start": ["pca", "random"]})
+    designs = [trial.job.design for trial in recipes.plan(recipe, digits)]
+    assert sorted(designs) == ["deepfsi", "deepfsi", "pca"]
+
+
+def test_other_processes_of_the_caller_live_on(digits, tmp_path):
+    mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    mine.start()
+    try:
+        trials = recipes.plan(small(designs=("pca", "random")), digits)
+        sweep.run(trials, digits, tmp_path, workers=2)
+        assert mine.is_alive()
+    finally:
+        mine.kill()
+        mine.join()
+        mine.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "parts"),
+    [
+        ({"training": {"epochs": [1, 0], "lr": -1, "start": "nope"}}, ("epochs", "lr", "start")),
+        ({"training": {"lr": []}}, ("lr is empty",)),
+        ({"photons": [[1e3, 1e4]]}, ("photons",)),
+    ],
+)
+def test_mistakes_in_axes_are_all_told(settings, parts):
+    with pytest.raises(ValueError, match=parts[0]) as error:
+        small(**settings)
+    assert all(part in str(error.value) for part in parts)
+
+
+def test_a_record_that_is_something_else_is_made_again(digits, tmp_path):
+    trials = recipes.plan(small(designs="pca", masks=3, photons=1e3), digits)
+    sweep.run(trials, digits, tmp_path)
+    (path,) = (tmp_path / "trials").iterdir()
+    path.write_text("null")
+    assert len(sweep.run(trials, digits, tmp_path)) == 1
 
 
 def test_a_forecast_counts_what_is_left(digits, tmp_path):

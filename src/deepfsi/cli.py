@@ -297,6 +297,7 @@ def _sweep(
     as_json: bool,
 ) -> None:
     from deepfsi import report
+    from deepfsi.files import write_atomically
     from deepfsi.records import write_table
     from deepfsi.sweep import compare as run
 
@@ -315,6 +316,7 @@ def _sweep(
             ray=ray,
             report=tell,
         )
+    write_atomically(out / "results.json", json.dumps(results, indent=1).encode())
     page = report.build(out)
     if table:
         write_table(records, table)
@@ -715,14 +717,19 @@ def _print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]
 
 
 def _print_points(results: dict[str, Any]) -> None:
+    from deepfsi.report.figures import axis_text, series_axes
+
     best = [point for point in results["points"] if point["best"]]
-    axes = [axis for axis in ("noise", "light", "rails") if len(results["recipe"][axis]) > 1]
-    heads = ("design", *axes, "photons", "masks", "accuracy, 95 % interval", "counted")
-    best.sort(key=lambda p: (*(p[axis] for axis in axes), p["photons"], -p["accuracy"]))
+    apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]
+    axes = ["noise", *apart]
+    axes = [axis for axis in axes if len({str(point.get(axis)) for point in best}) > 1]
+    names = (axis.replace("_", " ") for axis in axes)
+    heads = ("design", *names, "photons", "masks", "accuracy, 95 % interval", "counted")
+    best.sort(key=lambda p: (*(str(p[axis]) for axis in axes), p["photons"], -p["accuracy"]))
     rows = [
         (
             f"{p['title']} ({p['label']})",
-            *(p[axis] for axis in axes),
+            *(axis_text(axis, p[axis]) for axis in axes),
             f"{p['photons']:g}",
             str(p["masks"]),
             f"{p['accuracy']:.4f} [{p['low']:.4f}, {p['high']:.4f}]",

@@ -164,7 +164,7 @@ def footprint(scenes: Scenes, jobs: Sequence[Job]) -> float:
     single = 4.0
     learned = MASK_TENSORS * masks * scene if job.masks_from().code.learned else 0
     own = replicas if job.design in ("control", "random") else 1
-    products_of_all = 0 if job.code.learned else (2 * own + 1) * count * job.masks
+    products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = STEP_TENSORS * batch * (masks + replicas * sum(job.training.hidden))
     return single * (3 * scenes.full.numel() + learned + products_of_all + step)
 
@@ -235,9 +235,10 @@ def _measured(
     pairs = [project_pair(x, difference, total, both=True) for x in scenes.full.split(CHUNK)]
     means = torch.cat([mean for mean, _ in pairs])
     centre, spread, _ = statistics(scenes, jobs, masks, means)
+    lights = means if difference is total else torch.cat([light for _, light in pairs])
+    del pairs
     noise = _Noise(scenes, jobs)
     if noise.kind == "poisson":
-        lights = means if difference is total else torch.cat([light for _, light in pairs])
 
         def counted(streams: Sequence[_Stream], step: int) -> Tensor:
             counts = [
@@ -248,7 +249,7 @@ def _measured(
 
         return counted
     if noise.kind == "ml_gauss":
-        roots = root(means if difference is total else torch.cat([light for _, light in pairs]))
+        roots = root(lights)
         gain = noise.unit / spread
     else:
         roots = None

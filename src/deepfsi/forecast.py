@@ -54,8 +54,9 @@ def forecast(
 ) -> Forecast:
     """Cost of a sweep, less what its folder holds.
 
-    Every kind of training is timed with its fewest and its most masks, on a few scenes and the
-    threads of one worker, and what lies between is interpolated.
+    What only needs other tests of a design that is there is not counted, nor are the products of
+    all scenes that fixed designs take once. Every kind of training is timed with its fewest and its
+    most masks, on a few scenes and the threads of one worker; what lies between is interpolated.
 
     Parameters
     ----------
@@ -69,7 +70,9 @@ def forecast(
     """
     trials = plan(recipe, data)
     records = Records(folder)
-    left = [trial for trial in trials if records.read(trial) is None]
+    open_trials = [trial for trial in trials if records.read(trial) is None]
+    untrained = [trial for trial in open_trials if records.design(trial) is None]
+    left = list({trial.design_key: trial for trial in untrained}.values())
     bench = Bench(data, recipe.held_out(data), device)
     processes = workers or workers_for(bench.scenes.device)
     todo = batches(left, bench.scenes, memory(bench.scenes.device) / processes)
@@ -80,29 +83,29 @@ def forecast(
     threads = torch.get_num_threads()
     torch.set_num_threads(max(1, threads // processes))
     try:
-        seconds = sum(_seconds(members, bench) for members in kinds.values())
+        costs = [cost for members in kinds.values() for cost in _seconds(members, bench)]
     finally:
         torch.set_num_threads(threads)
     return Forecast(
         trials=len(trials),
-        done=len(trials) - len(left),
+        done=len(trials) - len(open_trials),
         batches=len(todo),
         workers=processes,
         operations=sum(_operations(trial.job, bench) for trial in left),
-        seconds=seconds / processes,
+        seconds=max(max(costs, default=0.0), sum(costs) / processes),
     )
 
 
-def _seconds(batches: Sequence[Batch], bench: Bench) -> float:
+def _seconds(batches: Sequence[Batch], bench: Bench) -> list[float]:
     """Seconds of batches of one kind, interpolated between the fewest and the most masks."""
     by_masks = {batch[0].job.masks: batch for batch in batches}
     ends = sorted({min(by_masks), max(by_masks)})
     steps, tests = zip(*(_probe(by_masks[masks], bench) for masks in ends), strict=True)
-    return sum(
+    return [
         _steps(batch[0].job, bench) * float(np.interp(batch[0].job.masks, ends, steps))
         + len(batch) * float(np.interp(batch[0].job.masks, ends, tests))
         for batch in batches
-    )
+    ]
 
 
 def _kind(batch: Batch, bench: Bench) -> Any:

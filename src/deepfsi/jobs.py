@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from deepfsi import coding, constraints
 from deepfsi.constraints import Light, Rails
@@ -28,6 +28,15 @@ Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻�
 Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
+def _start(name: str) -> str:
+    if coding.DESIGNS[coding.check_design(name)].learned or name in ("control", "custom"):
+        raise InputError(f"masks cannot start from {name}: name a fixed design")
+    return name
+
+
+Start = Annotated[str, AfterValidator(_start)]
+
+
 class Training(BaseModel):
     """How a design is trained; all that do so together share one."""
 
@@ -43,7 +52,7 @@ class Training(BaseModel):
     decay: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
     )
-    start: str = Field("pca", description="design that learned masks start from")
+    start: Start = Field("pca", description="design that learned masks start from")
     precision: Precision = "auto"
 
 
@@ -141,13 +150,13 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     """Raise `InputError` for whatever a job asks that cannot be had on this data."""
     coding.check_design(job.design)
     constraints.check_light(*job.optics)
-    start = coding.DESIGNS[coding.check_design(job.training.start)]
-    if start.learned or job.training.start in ("control", "custom"):
-        raise InputError(f"masks cannot start from {job.training.start}: name a fixed design")
     if job.design == "hadamard" and job.rails == "single":
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
-        raise InputError("a matrix goes with the design `custom`, and only with it")
+        raise InputError(
+            "a matrix goes with the design `custom`, and only with it: compare and design take "
+            "--matrix"
+        )
     if matrix is None:
         coding.check_count(job.design, job.masks, data)
         return

@@ -41,8 +41,14 @@ TRAINING_NOISE: dict[Physical, TrainingNoise] = {
 }
 
 
+OF_MASKS = ("start", "mask_lr", "precision")
+"""Settings of the training that only learned masks have."""
+
+
 def _axis(value: Any) -> Any:
-    return tuple(dict.fromkeys(value)) if isinstance(value, (list, tuple)) else (value,)
+    if not isinstance(value, (list, tuple)):
+        return (value,)
+    return tuple(each for place, each in enumerate(value) if each not in value[:place])
 
 
 def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
@@ -53,10 +59,18 @@ def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
             name == "hidden" and not any(isinstance(part, (list, tuple)) for part in value)
         )
         axes[name] = (value,) if one else tuple(value)
-    with reworded():
-        for name, values in axes.items():
-            for value in values:
-                Training.model_validate({name: value})
+    faults = []
+    for name, values in axes.items():
+        if not values:
+            faults.append(f"{name} is empty: give one value or more")
+        for value in values:
+            try:
+                with reworded():
+                    Training.model_validate({name: value})
+            except InputError as error:
+                faults.append(str(error))
+    if faults:
+        raise ValueError("; ".join(faults))
     return axes
 
 
@@ -150,6 +164,8 @@ class Recipe(BaseModel):
     def trainings(self, design: str) -> Iterator[tuple[str, Training]]:
         """Every setting of the training of a design, with a name where there are several."""
         axes = {**self.training, **self.tuned.get(design, {})}
+        if not (coding.DESIGNS[design].learned or design == "control"):
+            axes = {name: axes[name] for name in axes if name not in OF_MASKS}
         several = [name for name, values in axes.items() if len(values) > 1]
         for values in product(*axes.values()):
             chosen = dict(zip(axes, values, strict=True))

@@ -43,7 +43,8 @@ class Records:
             record = json.loads(self._record_path(trial).read_bytes())
         except (FileNotFoundError, ValueError):
             return None
-        return record if record.get("key") == trial.key else None
+        whole = isinstance(record, dict) and record.get("key") == trial.key
+        return record if whole else None
 
     def design(self, trial: Trial) -> Design | None:
         """Design of a trial that was trained already, perhaps for other tests."""
@@ -110,6 +111,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                 {
                     "key": record["key"],
                     "data": trial["data"],
+                    "variant": trial["variant"],
                     **settings,
                     "test_noise": test["noise"],
                     "test_photons": test["photons"],

@@ -4,7 +4,7 @@ A sweep that was stopped goes on where it was, a changed recipe reuses what it s
 several processes may work on one folder.
 """
 
-import json
+import math
 import platform
 import time
 from collections import defaultdict
@@ -26,11 +26,10 @@ from deepfsi.datasets import Dataset
 from deepfsi.descent import footprint
 from deepfsi.errors import InputError
 from deepfsi.evaluation import COVERS, evaluate
-from deepfsi.files import write_atomically
 from deepfsi.recipes import Recipe, Resources, Trial, plan
 from deepfsi.records import Records
 from deepfsi.scenes import Matrices, Scenes
-from deepfsi.training import train
+from deepfsi.training import Diverged, train
 from deepfsi.workers import cores, processes
 
 SCHEMA = 1
@@ -61,8 +60,8 @@ Report = Callable[[float, str], None]
 Batch = list[Trial]
 """Trials that are trained together."""
 
-Done = tuple[Trial, dict[str, Any], bytes | None]
-"""A trial, its record and its design file, if that is new."""
+Done = tuple[Trial, dict[str, Any] | None, bytes | None]
+"""A trial, its record and its design file; both None where it diverged."""
 
 
 class Bench:
@@ -130,19 +129,31 @@ def run(
     """
     tell = report or (lambda share, what: None)
     records = Records(folder)
-    missing = [trial for trial in trials if records.read(trial) is None]
-    if missing:
-        bench = Bench(data, missing[0].validation, device, matrix)
-        missing = _without_training(missing, bench, records, tell)
-    if missing:
+    bench = Bench(data, trials[0].validation, device, matrix)
+    failed: set[str] = set()
+    before = 0
+    while missing := [t for t in trials if t.key not in failed and records.read(t) is None]:
+        if len(missing) == before:
+            time.sleep(1)  # another process tests them
+        before = len(missing)
+        untrained = _without_training(missing, bench, records, tell)
+        if not untrained:
+            continue
+        first_of_each = list({trial.design_key: trial for trial in untrained}.values())
         processors = workers or workers_for(bench.scenes.device)
-        todo = batches(missing, bench.scenes, memory(bench.scenes.device) / processors)
-        if ray is not None or min(processors, len(todo)) > 1:
-            for trial in missing:
-                bench.scenes.prepare(trial.job.drawn_from)
+        todo = batches(first_of_each, bench.scenes, memory(bench.scenes.device) / processors)
         count = min(processors, len(todo))
-        _work_off(todo, bench, records, tell, count, ray, resources or Resources())
+        if ray is not None or count > 1:
+            for trial in first_of_each:
+                bench.scenes.prepare(trial.job.drawn_from)
+        lost = _work_off(todo, bench, records, tell, count, ray, resources or Resources())
+        failed |= {t.key for t in trials for each in lost if t.design_key == each.design_key}
         tell(1.0, "done")
+    if failed:
+        names = sorted({_title([trial]) for trial in trials if trial.key in failed})
+        raise InputError(
+            f"training diverged and the others are done: {', '.join(names)}; lower lr and mask_lr"
+        )
     found = [(trial, records.read(trial)) for trial in trials]
     # a record is found by what it depends on; its words are those of who asks
     return [{**record, "trial": trial.model_dump(mode="json")} for trial, record in found if record]
@@ -203,7 +214,9 @@ def _work_off(
     workers: int,
     ray: str | None,
     resources: Resources,
-) -> None:
+) -> list[Trial]:
+    """Train and record batches; return the trials that diverged."""
+    lost: list[Trial] = []
     total, done = sum(map(effort, todo)), 0.0
 
     def finished_of(claimed: Iterator[Batch]) -> Generator[list[Done], None, None]:
@@ -231,7 +244,11 @@ def _work_off(
             with closing(finished_of(_claimed(todo, records, postponed))) as arriving:
                 for finished in arriving:
                     for trial, record, design in finished:
-                        records.write(trial, record, design)
+                        if record is None:
+                            lost.append(trial)
+                            records.release([trial])
+                        else:
+                            records.write(trial, record, design)
                     batch = [trial for trial, _, _ in finished]
                     done += effort(batch)
                     tell(min(done / total, 1.0), _title(batch))
@@ -240,28 +257,41 @@ def _work_off(
                 time.sleep(1)  # another process has them
     finally:
         records.release_all()
+    return lost
 
 
 def _claimed(todo: Sequence[Batch], records: Records, postponed: list[Batch]) -> Iterator[Batch]:
-    """Yield what is left of batches that no other process works on."""
+    """Yield what is left to train of batches that no other process works on."""
     for batch in todo:
-        left = [trial for trial in batch if records.read(trial) is None]
+        left = [trial for trial in batch if records.design(trial) is None]
         if not left:
             continue
         if not records.claim(left):
             postponed.append(left)
             continue
-        finished = [trial for trial in left if records.read(trial) is not None]
+        finished = [trial for trial in left if records.design(trial) is not None]
         records.release(finished)
         if len(finished) < len(left):
             yield [trial for trial in left if trial not in finished]
 
 
 def work(bench: Bench, batch: Batch, report: Callable[[float], None] | None = None) -> list[Done]:
-    """Train and test one batch, in halves where a GPU's memory does not hold it whole."""
+    """Train and test one batch.
+
+    In parts where this machine would batch otherwise than the one that planned, in halves where a
+    GPU's memory does not hold it whole, and one by one where a trial diverges; that one's record
+    is None.
+    """
+    parts = batches(batch, bench.scenes, math.inf)
+    if len(parts) > 1:
+        return [done for part in parts for done in work(bench, part)]
     own = bench.matrix if batch[0].job.design == "custom" else None
     try:
         designs = train(bench.scenes, [trial.job for trial in batch], own, report)
+    except Diverged:
+        if len(batch) == 1:
+            return [(batch[0], None, None)]
+        return [done for trial in batch for done in work(bench, [trial])]
     except torch.OutOfMemoryError:
         if len(batch) == 1:
             raise InputError(
@@ -400,7 +430,7 @@ def compare(
     ray: str | None = None,
     report: Report | None = None,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Plan, run and summarise a recipe; writes `results.json` and returns it and the records."""
+    """Plan, run and summarise a recipe; returns the summary and the records."""
     began = time.perf_counter()
     trials = plan(recipe, data, matrix)
     records = run(
@@ -422,7 +452,6 @@ def compare(
         device=", ".join(sorted({record["info"]["device"] for record in records})),
         seconds=time.perf_counter() - began,
     )
-    write_atomically(folder / "results.json", json.dumps(results, indent=1).encode())
     return results, records
 
 

@@ -18,6 +18,10 @@ from deepfsi.jobs import Job, Training, check_job, reworded, training_for
 from deepfsi.scenes import Scenes
 
 
+class Diverged(InputError):
+    """Training ended in numbers that are not finite."""
+
+
 def learn(
     data: Dataset,
     *,
@@ -111,7 +115,7 @@ def train(
     with torch.no_grad():
         learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
         if not all(bool(torch.isfinite(part).all()) for part in learned):
-            raise InputError(f"training of {first.design} diverged: lower lr and mask_lr")
+            raise Diverged(f"training of {first.design} diverged: lower lr and mask_lr")
         centre, spread, light = statistics(scenes, jobs, masks)
     constraint, _ = first.optics
     every = constraints.separate(*masks())

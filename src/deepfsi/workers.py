@@ -48,6 +48,7 @@ def processes(
     Exception
         Whatever `work` raises. The other processes are then stopped.
     """
+    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         workers,
         mp_context=multiprocessing.get_context("spawn"),
@@ -63,19 +64,20 @@ def processes(
                 if len(running) == workers:
                     break
             if not running:
-                pool.shutdown()
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
+            yield from [future.result() for future in done if not future.exception()]
             for future in done:
-                yield future.result()
+                future.result()
     except BrokenProcessPool:
         raise InputError(
             f"one of {workers} worker processes was killed, perhaps for want of memory: finished "
             "work is kept; run again with fewer --workers"
         ) from None
     finally:
-        for child in multiprocessing.active_children():
-            child.terminate()
+        if running:
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
         pool.shutdown(cancel_futures=True)
 
 

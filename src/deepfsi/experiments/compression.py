@@ -44,12 +44,12 @@ def show(results: Results) -> Finding:
         ),
         Claim(
             f"Above the training budget accuracy is robust (loses less than {ROBUST})",
-            all(each.low > -ROBUST for each in brighter.values()),
+            above(brighter.values(), -ROBUST),
             f"lowest change {min(brighter.values(), key=lambda each: each.low)}",
         ),
         Claim(
             "Below the training budget accuracy falls",
-            above(Difference(-d.mean, -d.high, -d.low) for d in dimmer.values()),
+            above(-each for each in dimmer.values()),
             f"smallest fall {max(dimmer.values(), key=lambda each: each.high)}",
         ),
     )
@@ -74,18 +74,19 @@ def _falls(at_one_budget: list) -> list[float]:  # type: ignore[type-arg]
 
 
 def _less(first: list[float], second: list[float]) -> Difference:
-    values = np.subtract(first, second).tolist()
-    return of_trials(values) if len(values) > 1 else Difference(values[0], -np.inf, np.inf)
+    return of_trials(np.subtract(first, second).tolist())
 
 
-def _changes(results: Results, trained_at: float, up: bool) -> dict[tuple[str, float], Difference]:
-    """Change of accuracy to the next budget beyond the training's, for each design and ratio."""
-    lights = budgets(results["points"])
-    beyond = [light for light in lights if (light > trained_at) == up and light != trained_at]
-    light = min(beyond, key=lambda light: abs(np.log(light / trained_at)))
+def _changes(
+    results: Results, trained_at: float, up: bool
+) -> dict[tuple[str, float, float], Difference]:
+    """Change of accuracy from the training budget to each beyond it, by design and ratio."""
     own = {(p["design"], p["ratio"]): p for p in points(results, photons=trained_at)}
-    there = {(p["design"], p["ratio"]): p for p in points(results, photons=light)}
-    return {place: difference(there[place], own[place]) for place in own}
+    return {
+        (p["design"], p["ratio"], p["photons"]): difference(p, own[(p["design"], p["ratio"])])
+        for p in results["points"]
+        if p["photons"] != trained_at and (p["photons"] > trained_at) == up
+    }
 
 
 EXPERIMENT = Experiment(

@@ -9,19 +9,48 @@ import numpy as np
 from scipy import stats
 
 Point = Mapping[str, Any]
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference with its 95 % interval."""
+    """A difference with its standard error.
+
+    Attributes
+    ----------
+    mean : float
+    error : float
+        Standard error; infinite where one trial cannot give one.
+    freedom : float
+        Degrees of freedom of the error, infinite for a normal one.
+    """
 
     mean: float
-    low: float
-    high: float
+    error: float
+    freedom: float = math.inf
+
+    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
+        """Both ends of an interval of that confidence."""
+        half = float(stats.t.ppf((1 + confidence) / 2, self.freedom)) * self.error
+        return self.mean - half, self.mean + half
+
+    @property
+    def low(self) -> float:
+        """Lower end of the 95 % interval."""
+        return self.interval()[0]
+
+    @property
+    def high(self) -> float:
+        """Upper end of the 95 % interval."""
+        return self.interval()[1]
+
+    def __neg__(self) -> "Difference":
+        return Difference(-self.mean, self.error, self.freedom)
 
     def __str__(self) -> str:
-        low, high = signed(self.low), signed(self.high)
-        return f"{signed(self.mean)} [{low}, {high}]"
+        if not math.isfinite(self.error):
+            return f"{signed(self.mean)} (one trial, no interval)"
+        return f"{signed(self.mean)} [{signed(self.low)}, {signed(self.high)}]"
 
 
 def signed(value: float, digits: int = 3) -> str:
@@ -30,29 +59,35 @@ def signed(value: float, digits: int = 3) -> str:
 
 
 def of_trials(values: Sequence[float]) -> Difference:
-    """Mean of one value for each trial, with Student's interval over trials (two at least)."""
-    mean = float(np.mean(values))
-    half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
-    return Difference(mean, mean - half, mean + half)
+    """Mean of one value for each trial, with its error over trials, if there are several."""
+    mean, count = float(np.mean(values)), len(values)
+    if count < 2:
+        return Difference(mean, math.inf)
+    return Difference(mean, float(stats.sem(values)), count - 1)
 
 
 def difference(first: Point, second: Point) -> Difference:
     """Accuracy of one point less that of another.
 
-    Trials of one seed are paired, and the interval is Student's over them. Of a single trial it
-    combines the two intervals over test images, as if these were independent.
+    Trials of one seed are paired, and the error is that over them. Of a single trial it combines
+    the two intervals over test images, as if these were independent.
     """
     one, other = (np.asarray(point["accuracies"]) for point in (first, second))
     if len(one) == len(other) > 1:
-        return of_trials(one - other)
-    mean = float(one.mean() - other.mean())
+        return of_trials((one - other).tolist())
     half = math.hypot(*((point["high"] - point["low"]) / 2 for point in (first, second)))
-    return Difference(mean, mean - half, mean + half)
+    error = half / float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    return Difference(float(one.mean() - other.mean()), error)
 
 
-def above(differences: Iterable[Difference]) -> bool | None:
-    """Whether all differences are above 0: no if an interval lies below, open if one holds 0."""
+def above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
+    """Whether all differences are above a limit.
+
+    Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
+    looks as there are differences (Bonferroni). Else open.
+    """
     every = list(differences)
-    if any(each.high < 0 for each in every):
+    wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
+    if any(each.interval(wide)[1] < limit for each in every):
         return False
-    return True if all(each.low > 0 for each in every) else None
+    return True if all(each.low > limit for each in every) else None

@@ -158,10 +158,7 @@ def show(results: Results) -> Finding:
 
 def _minus(first: dict[str, Any], second: dict[str, Any]) -> Difference:
     """Difference of two measures, trial by trial; of one trial without an interval."""
-    values = np.subtract(first["values"], second["values"])
-    if len(values) > 1:
-        return of_trials(values.tolist())
-    return Difference(float(values[0]), -np.inf, np.inf)
+    return of_trials(np.subtract(first["values"], second["values"]).tolist())
 
 
 def _claim(text: str, differences: dict[float, Difference], otherwise: str = "") -> Claim:

@@ -48,7 +48,7 @@ def show(results: Results) -> Finding:
     )
     claim = Claim(
         f"The initial matrix changes accuracy by more than {MATTERS} somewhere",
-        bool(clear),
+        True if clear else None,
         f"largest: {largest['text']}, {where}",
     )
     heads = ("start", "photons", "difference to pca", "low", "high")

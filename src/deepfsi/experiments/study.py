@@ -105,7 +105,6 @@ class Experiment:
         polars.DataFrame(rows, infer_schema_length=None).write_csv(text)
         write_atomically(folder / f"{self.name}.csv", text.getvalue())
         write_atomically(folder / f"{self.name}.json", json.dumps(results, indent=1).encode())
-        (folder / "results.json").unlink()
         return results
 
     def section(self, folder: Path) -> Section | None:

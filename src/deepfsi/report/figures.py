@@ -149,6 +149,15 @@ def series_axes(results: Results) -> Fields:
     return (*CHOSEN, *apart)
 
 
+def axis_text(axis: str, value: Any) -> str:
+    """Value of a field as a name of a series has it."""
+    if axis == "levels":
+        return f"{value} levels" if value else "continuous"
+    if axis == "trained_at":
+        return f"from {photons_text(value)}"
+    return f"from {value}" if axis == "trained_under" else str(value)
+
+
 def series(points: Iterable[Point], axes: Fields) -> dict[tuple[str, ...], list[Point]]:
     """Points by the fields `axes`, the design first, in the order in which they appear."""
     found: dict[tuple[str, ...], list[Point]] = {}
@@ -165,7 +174,11 @@ def series_names(
     names = {}
     for key, members in rows:
         kin = [other for other, _ in rows if other[0] == key[0]]
-        apart = [key[i] for i in range(1, len(axes)) if len({other[i] for other in kin}) > 1]
+        apart = [
+            axis_text(axes[i], members[0][axes[i]])
+            for i in range(1, len(axes))
+            if len({other[i] for other in kin}) > 1
+        ]
         names[key] = " ".join([members[0][field], *apart])
     return names
 

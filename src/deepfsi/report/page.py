@@ -147,9 +147,20 @@ def chosen(results: Results, noise: str) -> list[Point]:
     return [p for p in results["points"] if p["noise"] == noise and p["best"]]
 
 
+def _validated(point: Point) -> float:
+    value = point.get("validation")
+    return -1.0 if value is None else float(value)
+
+
 def ranking(points: list[Point], photons: float) -> list[Point]:
-    """One-detector designs at a budget, most accurate first; impulse imaging if it is alone."""
-    here = [p for p in points if p["photons"] == photons]
+    """One-detector designs at a budget, most accurate first; impulse imaging if it is alone.
+
+    Of a design that was trained in several ways on the same light, the one that validation chose.
+    """
+    optics: dict[tuple[str, ...], Point] = {}
+    for p in sorted((p for p in points if p["photons"] == photons), key=_validated):
+        optics[tuple(str(p.get(axis)) for axis in (*figures.CHOSEN, "levels", "masks"))] = p
+    here = list(optics.values())
     single = [p for p in here if p["design"] != "impulse"]
     return sorted(single or here, key=lambda p: -p["accuracy"])
 
