@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from deepfsi.experiments.contrast import difference
+from deepfsi.experiments.contrast import CONFIDENCE, Difference, difference
 from deepfsi.experiments.study import Experiment, Finding, Results
 from deepfsi.report.figures import photons_text
 from deepfsi.report.studies import starts_figure
@@ -22,34 +22,34 @@ def show(results: Results) -> Finding:
         {**point, "start": point["variant"].removeprefix("start ")} for point in results["points"]
     ]
     at = {(point["start"], point["photons"]): point for point in points}
-    rows: list[dict[str, Any]] = []
-    for (start, photons), point in at.items():
-        if start != "pca":
-            each = difference(point, at[("pca", photons)])
-            paired = point["trials"] > 1
-            rows.append(
-                {
-                    "noise": point["noise"],
-                    "start": start,
-                    "photons": photons,
-                    "difference": each.mean,
-                    "low": each.low if paired else None,
-                    "high": each.high if paired else None,
-                    "text": str(each),
-                    "clear": each.low > 0 or each.high < 0,
-                }
-            )
-    largest = max(rows, key=lambda row: abs(row["difference"]))
-    clear = [row for row in rows if row["clear"] and abs(row["difference"]) > MATTERS]
-    where = f"{largest['start']} at {photons_text(largest['photons'])} photons"
+    compared = {
+        (start, photons): difference(point, at[("pca", photons)])
+        for (start, photons), point in at.items()
+        if start != "pca"
+    }
+    rows: list[dict[str, Any]] = [
+        {
+            "noise": at[place].get("noise"),
+            "start": place[0],
+            "photons": place[1],
+            "difference": each.mean,
+            "low": each.low if at[place]["trials"] > 1 else None,
+            "high": each.high if at[place]["trials"] > 1 else None,
+        }
+        for place, each in compared.items()
+    ]
+    most = max(compared, key=lambda place: abs(compared[place].mean))
+    said = f"{compared[most]}, {most[0]} at {photons_text(most[1])} photons"
+    clear = [place for place, each in compared.items() if _matters(each, len(compared))]
     found = (
-        f"The largest difference to the start from principal components is {largest['text']}, "
-        f"{where}; {len(clear)} of {len(rows)} differences exceed {MATTERS} and their own interval."
+        f"The largest difference to the start from principal components is {said}. {len(clear)} of "
+        f"{len(compared)} differences are clearly beyond {MATTERS}, by intervals widened for as "
+        "many looks."
     )
     claim = Claim(
         f"The initial matrix changes accuracy by more than {MATTERS} somewhere",
         True if clear else None,
-        f"largest: {largest['text']}, {where}",
+        f"largest: {said}; {len(clear)} clearly beyond {MATTERS}",
     )
     heads = ("start", "photons", "difference to pca", "low", "high")
     fields = ("start", "photons", "difference", "low", "high")
@@ -65,6 +65,12 @@ def show(results: Results) -> Finding:
         "Accuracy of learned masks from three initial matrices; numbers in the table.",
     )
     return Finding(found, (picture,), (claim,), (table,))
+
+
+def _matters(each: Difference, looks: int) -> bool:
+    """Whether a difference is beyond `MATTERS`, judged among that many (Bonferroni)."""
+    low, high = each.interval(1 - (1 - CONFIDENCE) / looks)
+    return low > MATTERS or high < -MATTERS
 
 
 EXPERIMENT = Experiment(name="starts", title="Where the masks start from", paper=PAPER, show=show)
