@@ -134,8 +134,8 @@ def show(results: Results) -> Finding:
     pictures = [
         Picture(
             measures_figure(rows),
-            "Light, independent directions, and likeness of AGN's and PN's masks. Bars: 95 % over "
-            "trials.",
+            "Light, independent directions, and likeness of AGN's and PN's masks. Bars: 95 % "
+            "intervals.",
             "Measures of the masks against the photon budget; numbers in the table.",
         )
     ]

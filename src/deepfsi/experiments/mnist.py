@@ -50,7 +50,7 @@ def show(results: Results) -> Finding:
         Picture(
             error_figure(results),
             "Accuracy against the error of impulse imaging, which both noises share as an axis. "
-            "Circles are feature-specific designs. Bars: 95 % over trials.",
+            "Circles are feature-specific designs. Bars: 95 % intervals.",
             error_words,
         )
     ]

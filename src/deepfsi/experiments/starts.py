@@ -60,8 +60,8 @@ def show(results: Results) -> Finding:
     )
     picture = Picture(
         starts_figure({**results, "points": points, "differences": rows}),
-        "Accuracy by the matrix that masks start from, and differences to pca. Bars: 95 % over "
-        "trials.",
+        "Accuracy by the matrix that masks start from, and differences to pca. Bars: 95 % "
+        "intervals.",
         "Accuracy of learned masks from three initial matrices; numbers in the table.",
     )
     return Finding(found, (picture,), (claim,), (table,))
