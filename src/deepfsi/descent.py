@@ -232,10 +232,12 @@ def _measured(
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
     difference, total = masks()
     shown = lit(difference, total)
-    pairs = [project_pair(x, difference, total, both=True) for x in scenes.full.split(CHUNK)]
+    photonic = jobs[0].noise in ("ml_gauss", "poisson")
+    pairs = [project_pair(x, difference, total, photonic) for x in scenes.full.split(CHUNK)]
     means = torch.cat([mean for mean, _ in pairs])
     centre, spread, _ = statistics(scenes, jobs, masks, means)
-    lights = means if difference is total else torch.cat([light for _, light in pairs])
+    single = difference is total or not photonic
+    lights = means if single else torch.cat([light for _, light in pairs])
     del pairs
     noise = _Noise(scenes, jobs)
     if noise.kind == "poisson":

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from deepfsi.experiments.contrast import Difference, difference
 from deepfsi.experiments.study import Results, budgets, points
-from deepfsi.report.studies import accuracy_grid
+from deepfsi.report.figures import photons_text
+from deepfsi.report.studies import accuracy_grid, contour_figure
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,25 @@ class Pair:
     first: np.ndarray
     second: np.ndarray
     differences: dict[tuple[float, float], Difference]
+
+    @property
+    def largest(self) -> tuple[Difference, str]:
+        """The largest difference, and where it is."""
+        ratio, budget = max(self.differences, key=lambda place: abs(self.differences[place].mean))
+        where = f"{ratio:.0%} and {photons_text(budget)} photons"
+        return self.differences[(ratio, budget)], where
+
+    def figure(self, names: tuple[str, str], pixels: int | None = None) -> Figure:
+        """Contour maps of both accuracies and of their difference; see `contour_figure`."""
+        return contour_figure(
+            self.first,
+            self.second,
+            self.budgets,
+            self.ratios,
+            names,
+            pixels=pixels,
+            apart=self.apart,
+        )
 
     @property
     def apart(self) -> np.ndarray:

@@ -6,7 +6,6 @@ from deepfsi.experiments.contrast import Difference
 from deepfsi.experiments.grids import pair
 from deepfsi.experiments.study import Experiment, Finding, Results
 from deepfsi.report.figures import photons_text
-from deepfsi.report.studies import contour_figure
 from deepfsi.report.study import Claim, Picture
 
 NOTICED = 0.02
@@ -30,9 +29,8 @@ def show(results: Results) -> Finding:
         for place, each in large.items()
         if place[1] / (pixels * place[0] * pixels) >= STARVED
     }
-    most = max(both.differences, key=lambda place: abs(both.differences[place].mean))
-    where = f"{most[0]:.0%} and {photons_text(most[1])} photons"
-    said = f"largest: {both.differences[most]} at {where}; {len(large)} above {NOTICED}"
+    most, where = both.largest
+    said = f"largest: {most} at {where}; {len(large)} above {NOTICED}"
     if bright:
         (ratio, photons), each = max(bright.items(), key=lambda item: abs(item[1].mean))
         said += f", {len(bright)} of them in brighter light: {each} at {ratio:.0%}, "
@@ -43,21 +41,13 @@ def show(results: Results) -> Finding:
         said,
     )
     found = (
-        f"Exact Poisson less MLGauss test: {both.differences[most]} at most, at {where}. "
+        f"Exact Poisson less MLGauss test: {most} at most, at {where}. "
         f"{len(large)} of {len(both.differences)} points differ by more than {NOTICED}, "
         f"{len(large) - len(bright)} of them below {STARVED} photons per pixel per measurement. "
         "The same trained designs are read in both tests."
     )
     picture = Picture(
-        contour_figure(
-            both.first,
-            both.second,
-            both.budgets,
-            both.ratios,
-            ("tested with MLGauss", "tested with Poisson"),
-            pixels=pixels,
-            apart=both.apart,
-        ),
+        both.figure(("tested with MLGauss", "tested with Poisson"), pixels),
         "Accuracy by budget and compression ratio, trained with MLGauss; triangles mark "
         "differences beyond their interval.",
         "Contour maps of accuracy under two test noises, and of their difference.",

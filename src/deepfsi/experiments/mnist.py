@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from deepfsi.experiments.contrast import Difference, above, difference
-from deepfsi.experiments.study import Experiment, Finding, Results, best, listed
+from deepfsi.experiments.study import Experiment, Finding, Results, best
 from deepfsi.report.figures import accuracy_figure, photons_text
+from deepfsi.report.page import listed
 from deepfsi.report.studies import error_figure
 from deepfsi.report.study import Claim, Picture, Table
 

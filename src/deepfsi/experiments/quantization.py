@@ -5,8 +5,6 @@ import numpy as np
 from deepfsi.experiments.contrast import Difference, above, of_trials
 from deepfsi.experiments.grids import pair
 from deepfsi.experiments.study import Experiment, Finding, Results, points
-from deepfsi.report.figures import photons_text
-from deepfsi.report.studies import contour_figure
 from deepfsi.report.study import Claim, Picture
 
 LOSS = 0.005
@@ -22,27 +20,19 @@ def show(results: Results) -> Finding:
     levels = max(point["levels"] for point in results["points"])
     both = pair(results, "levels", 0, levels)
     loss = _mean_loss(results, levels)
-    most = max(both.differences, key=lambda place: abs(both.differences[place].mean))
-    where = f"{most[0]:.0%} and {photons_text(most[1])} photons"
+    most, where = both.largest
     claim = Claim(
         f"1/{levels} grey levels cost less than {LOSS} on average",
         above([-loss], -LOSS),
-        f"mean loss {loss}; largest change {both.differences[most]} at {where}",
+        f"mean loss {loss}; largest change {most} at {where}",
     )
     found = (
         f"With k/{levels} grey levels of each frame's peak accuracy changes by "
         f"{-loss.mean:+.4f} on average over the grid. The largest change is "
-        f"{both.differences[most]}, at {where}. Noise draws are the same in both tests."
+        f"{most}, at {where}. Noise draws are the same in both tests."
     )
     picture = Picture(
-        contour_figure(
-            both.first,
-            both.second,
-            both.budgets,
-            both.ratios,
-            ("continuous", f"1/{levels} of the peak"),
-            apart=both.apart,
-        ),
+        both.figure(("continuous", f"1/{levels} of the peak")),
         "Accuracy by budget and compression ratio, exact photon noise; triangles mark differences "
         "beyond their interval.",
         "Contour maps of accuracy with and without quantised masks, and of their difference.",

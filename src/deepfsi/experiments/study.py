@@ -3,7 +3,7 @@
 import io
 import json
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -152,8 +152,3 @@ def best(results: Results, **fields: Any) -> dict[tuple[str, float], Mapping[str
 def budgets(chosen: Iterable[Mapping[str, Any]]) -> list[float]:
     """Budgets of points, rising."""
     return sorted({point["photons"] for point in chosen})
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words as an English list."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]])) if words else "none"
