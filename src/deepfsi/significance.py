@@ -1,0 +1,1 @@
+"""How sure a comparison is: bootstrap intervals over classes, and the Wilcoxon signed-rank test."""
