@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, closest
 
-SCHEMA = 1
+SCHEMA: Literal[1] = 1
 
 Role = Literal["mask", "on", "off"]
 Rail = Literal["plus", "minus", "both"]
