@@ -156,3 +156,12 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
     estimators, grid, seeds = len(gradients.ESTIMATORS), 2, 2
     rows = table.read_text().splitlines()
     assert len(rows) == 1 + estimators * (grid + seeds) + len(gradients.CONTROLS) * seeds
+
+
+def test_the_comparison_of_photon_counting_runs(capsys):
+    """Counts of all ways are compared inside."""
+    benchmark("photons").main(["--records", "3e5", "--inputs", "2", "--rounds", "2"])
+    printed = capsys.readouterr().out
+    for name in ("deepfsi", "ptufile + numpy", "a record at a time"):
+        assert f"| {name} |" in printed
+    assert "peak memory, deepfsi" in printed
