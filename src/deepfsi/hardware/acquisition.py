@@ -501,7 +501,7 @@ def _assemble(
     exposure_s: float,
     faults: tuple[Fault, ...],
 ) -> Counts:
-    """Bring windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs) in order."""
+    """Order windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
     scenes, rails, masks = len(whole), manifest.rails, manifest.masks
     counts = np.zeros((scenes, gates.repeats, rails, masks), np.int64)
     lengths = np.zeros((rails, masks))
@@ -707,7 +707,7 @@ def picture(folder: str | os.PathLike[str]) -> np.ndarray:
     budget = counts.photons if acquisition.flux is None else acquisition.flux * counts.exposure_s
     if not budget > 0:
         raise InputError(f"{path} has no light: its all-ON frames are not brighter than the dark")
-    valid = counts.valid.any(axis=1)
+    valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
     mean = np.einsum("sr,srkm->skm", weights, counts.signal())[valid]
     read = counts.lengths_s > 0

@@ -440,18 +440,26 @@ def _finish(
     starts = np.full((scenes, schedule.frames), np.nan)
     faults: list[Fault] = []
     end = times[-1] + schedule.tolerance
-    if len(passes) < scenes and not passes[-1].expected[-1] > end:
-        raise InputError(
-            f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
-            "that were recorded"
-        )
     unknown = unknown | _overlapping(passes, schedule)
     used = np.zeros(len(times), bool)
     for each in passes:
         used[each.places[each.places >= 0]] = True
     spare = np.flatnonzero(~used)
-    if len(spare) > MOST_FAULTS:
-        raise InputError(f"{len(spare)} of {len(times)} markers start no frame: record again")
+    if len(spare) > min(MOST_FAULTS, len(times) / 2):
+        raise InputError(
+            f"{len(spare)} of {len(times)} markers do not follow the schedule: give the patterns "
+            "that were shown, and one marker at the start of each frame"
+        )
+    if len(passes) < scenes and not passes[-1].expected[-1] > end:
+        raise InputError(
+            f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
+            "that were recorded"
+        )
+    if len(passes) < scenes and _has_strays(passes, times, schedule):
+        raise InputError(
+            f"markers of {len(passes)} of {scenes} passes, the last cut, and others that follow no "
+            "schedule: which pass is of which scene is not certain; record again"
+        )
     late = _find_late(passes, times[spare], schedule)
     explained = {marker for marker, _ in late.values()}
     for scene in range(scenes):
@@ -545,6 +553,15 @@ def _find_late(
                 taken.add(marker)
                 late[scene, frame] = (marker, float(spare[marker] - each.expected[frame]))
     return late
+
+
+def _has_strays(passes: list[_Pass], times: np.ndarray, schedule: _Schedule) -> bool:
+    """Whether markers came outside of all passes, perhaps of one that was not found."""
+    outside = np.ones(len(times), bool)
+    for each in passes:
+        until = each.expected[-1] + schedule.pictures[-1]
+        outside &= (times < each.expected[0] - schedule.tolerance) | (times >= until)
+    return bool(outside.any())
 
 
 def _overlapping(passes: list[_Pass], schedule: _Schedule) -> set[int]:
