@@ -7,6 +7,7 @@ import os
 import shutil
 import zipfile
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -258,6 +259,8 @@ class Trouble:
     def strike(self, markers: np.ndarray, true: np.ndarray) -> np.ndarray:
         scene, frame = self.scene % len(true), self.frame % true.shape[1]
         time = true[scene, frame]
+        if not len(markers):
+            return markers
         near = int(np.argmin(np.abs(markers - time)))
         if self.kind == "missing":
             return np.delete(markers, near)
@@ -547,3 +550,311 @@ def test_a_picture_is_the_scene(tmp_path, light):
     assert found.shape == (2, *SHAPE)
     # A hundredth of the photons, as from a detector of that efficiency.
     assert np.allclose(found.reshape(2, 6) * 1e2, scenes, atol=5e-3)
+
+
+def test_a_scene_with_faults_is_counted_or_given_up(whole, tmp_path):
+    """Frames are told by their photons, so a shifted one would be seen."""
+    markers = np.delete(whole.starts.ravel(), [7, whole.starts.shape[1]])
+    markers[20] += 2e-4
+    prepare(tmp_path / "run", whole.folder / "patterns", acq.read_acquisition(whole.folder)[0])
+    record(
+        tmp_path / "run" / "photons.ptu",
+        whole.starts,
+        markers,
+        whole.photons,
+        bit=4,
+        inputs=(2,),
+        length=whole.patterns.manifest.picture_s,
+    )
+    counts, wanted = count(tmp_path / "run"), read_counts(whole.folder)
+    assert counts.valid.all()
+    assert np.abs(counts.counts - wanted.counts).max() <= 1
+    assert [(f.kind, f.scene, f.frame) for f in counts.faults] == [
+        ("missing", 0, 7),
+        ("missing", 1, 0),
+        ("late", 1, 7),
+    ]
+    assert read_counts(tmp_path / "run").faults == counts.faults
+
+
+@many
+@given(
+    trouble=troubles("missing", "late", "extra", "cut", "start", "next", "before"),
+    pauses=st.lists(st.sampled_from([0.0, 1e-3, 0.02]), min_size=3, max_size=3),
+    drift=st.floats(-2e-4, 2e-4),
+)
+def test_a_valid_exposure_holds_the_photons_of_its_frames(whole, tmp_path, trouble, pauses, drift):
+    """Markers that come one frame too early or too late are among the faults."""
+    folder, patterns = tmp_path / "run", whole.patterns
+    starts = train(patterns.manifest, 3, drift, pauses=pauses)
+    markers = starts.ravel()
+    for each in trouble:
+        if each.kind == "next":
+            markers = np.append(markers, starts[-1, -1] + DWELL * (1 + each.frame % 3))
+        elif each.kind == "before":
+            markers = np.append(starts[0, 0] - DWELL * (1 + each.frame % 3), markers)
+        else:
+            markers = each.strike(markers, starts)
+    markers = np.unique(markers)
+    if not len(markers):
+        return
+    if not folder.exists():
+        prepare(folder, whole.folder / "patterns", acq.read_acquisition(whole.folder)[0])
+    length = patterns.manifest.picture_s
+    given = {"bit": 4, "inputs": (2,), "length": length}
+    record(folder / "photons.ptu", starts, markers, whole.photons, **given)
+    try:
+        counts = count(folder)
+    except InputError as error:
+        assert str(error).startswith(str(folder / "photons.ptu"))  # noqa: PT017
+        return
+    wanted = read_counts(whole.folder).counts
+    valid = counts.valid[:, 0]
+    # A marker may be 10 µs off unseen, and cut that much of a gate.
+    assert (np.abs(counts.counts - wanted)[valid] <= 2 + 0.03 * wanted[valid]).all()
+    assert (counts.counts[~valid] == 0).all()
+    assert valid.all() or counts.faults
+
+
+def test_a_recording_of_other_patterns_is_refused(run):
+    starts = run.starts
+    photons = np.roll(run.photons, 3, axis=1)  # not where ON and OFF should be
+    given = {"bit": 4, "inputs": (2,), "length": run.patterns.manifest.picture_s}
+    record(run.folder / "photons.ptu", starts, starts.ravel(), photons, **given)
+    with pytest.raises(InputError, match="bright and a dark frame"):
+        count(run.folder)
+
+
+def test_a_file_cut_while_recording_keeps_whole_exposures(run):
+    path = run.folder / "photons.ptu"
+    content = path.read_bytes()
+    wanted = read_counts(run.folder).counts
+    path.write_bytes(content[: len(content) * 5 // 6 // 4 * 4])
+    counts = count(run.folder)
+    assert counts.valid[:, 0].tolist() == [True, True, False]
+    assert (counts.counts[:2] == wanted[:2]).all()
+    assert (counts.counts[2] == 0).all()
+    assert np.isnan(counts.on_rate).tolist() == [False, False, True]
+    assert np.isnan(picture(run.folder)).all(axis=(1, 2)).tolist() == [False, False, True]
+    assert counts.faults[-1].scene == 2
+
+
+def test_progress_rises_to_one(run):
+    told: list[float] = []
+    count(run.folder, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1)
+
+
+# Bad folders -------------------------------------------------------------------------------------
+
+
+def refused(run: Run, match: str, **settings) -> None:
+    with pytest.raises(InputError, match=match) as error:
+        count(run.folder, **settings)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["acquisition.json", "photons.ptu", "patterns/manifest.json", "patterns/mirrors.npy"],
+)
+@pytest.mark.parametrize("content", [None, b"", b"garbage", b"[" * 100_000])
+def test_bad_files_are_named(run, name, content):
+    path = run.folder / name
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    refused(run, name.split("/")[0])
+
+
+def edit(run: Run, **changes) -> None:
+    path = run.folder / "acquisition.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"scenes": []}, "acquisition.json cannot be used at scenes"),
+        ({"scenes": [{"name": "a"}] * 4}, "photons.ptu .* 3 whole passes"),
+        ({"scenes": [{"name": "a"}] * 2}, "photons.ptu .* follow the last of 2"),
+        ({"scenes": [{"name": "a"}] * 65536}, "photons.ptu .* 65536 scenes"),
+        ({"exposure_s": -1}, "exposure_s"),
+        ({"exposure_s": 1.0}, "acquisition.json: an exposure of 1 s does not fit"),
+        ({"exposure_s": 1e-300}, "acquisition.json: an exposure of 1e-300 s leaves"),
+        ({"exposure_s": 1e-12}, "photons.ptu has times in steps of 1e-12 s, too coarse"),
+        ({"settle_s": 0.9}, "acquisition.json: an exposure"),
+        ({"repeats": 99}, "acquisition.json: 99 repeats do not fit"),
+        ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),
+        ({"inputs": [1, 1]}, "two arms need two inputs"),
+        ({"inputs": [3]}, "photons.ptu has no pass that begins|light"),
+        ({"marker_bit": 1}, "photons.ptu has 0 frame markers"),
+        ({"marker_bit": 3}, "marker_bit"),
+        ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
+        ({"unknown": 1}, "unknown"),
+        ({"schema_version": 2}, "schema_version"),
+    ],
+)
+def test_acquisitions_that_do_not_fit_are_refused(run, changes, match):
+    edit(run, **changes)
+    if changes == {"inputs": [3]}:
+        assert (count(run.folder).counts == 0).all()
+        return
+    refused(run, match)
+
+
+def test_gates_that_do_not_fit_are_refused(run):
+    refused(run, "does not fit", exposure_s=0.1)
+    refused(run, "settle time", settle_s=float("nan"))
+    refused(run, "repeats do not fit", exposure_s=1e-4, repeats=10**6)
+    refused(run, "leaves nothing|does not fit", exposure_s=1e-4, settle_s=DWELL)
+
+
+def test_repeats_are_as_many_as_can_be_counted(run, monkeypatch):
+    monkeypatch.setattr(acq, "MOST_READOUTS", 3 * 12 * 5)
+    assert count(run.folder, exposure_s=1e-3).counts.shape[1] == 5
+    refused(run, "give at most 5", exposure_s=1e-3, repeats=6)
+
+
+def test_counts_of_another_acquisition_are_refused(run):
+    edit(run, settle_s=1e-5)
+    with pytest.raises(InputError, match=r"counts\.npz is of another acquisition"):
+        read_counts(run.folder)
+    count(run.folder)
+    read_counts(run.folder)
+
+
+def rewrite(run: Run, compression: int = zipfile.ZIP_STORED, **arrays: np.ndarray) -> None:
+    path = run.folder / "counts.npz"
+    with np.load(path) as held:
+        content = dict(held) | arrays
+    write = np.savez if compression == zipfile.ZIP_STORED else np.savez_compressed
+    write(path, **content)
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"counts": np.zeros((3, 1, 2, 5), np.int64)},
+        {"counts": np.zeros((3, 1, 2, 6), np.int32)},
+        {"counts": np.full((3, 1, 2, 6), -1)},
+        {"valid": np.zeros((3, 1), bool)},
+        {"valid": np.full((3, 1), 2, np.uint8)},
+        {"gate_s": np.full(11, np.nan)},
+        {"on_rate": np.full(3, np.inf)},
+        {"about": np.frombuffer(b"{}", np.uint8)},
+    ],
+)
+def test_damaged_counts_are_refused(run, arrays):
+    rewrite(run, **arrays)
+    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
+        read_counts(run.folder)
+
+
+def test_compressed_or_cut_counts_are_refused(run):
+    rewrite(run, zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
+        read_counts(run.folder)
+    count(run.folder)
+    path = run.folder / "counts.npz"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
+        picture(run.folder)
+    path.unlink()
+    with pytest.raises(InputError, match=r"counts\.npz cannot be read .* camera count"):
+        read_counts(run.folder)
+
+
+def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path):
+    held = sorted(p.name for p in run.folder.iterdir())
+    assert held == ["acquisition.json", "calibration", "counts.npz", "patterns", "photons.ptu"]
+    assert (run.folder / "patterns" / "design.safetensors").read_bytes() == b"not read"
+    source = run.folder / "patterns"
+    with pytest.raises(InputError, match="exists already"):
+        prepare(run.folder, source, named(1))
+    with pytest.raises(InputError, match="of other patterns"):
+        prepare(tmp_path / "other", source, named(1, manifest_sha256="0" * 64))
+    with pytest.raises(InputError, match="2 inputs"):
+        prepare(tmp_path / "other", source, named(1, inputs=(0, 1)))
+    with pytest.raises(InputError, match="no patterns"):
+        prepare(tmp_path / "other", tmp_path / "none", named(1))
+    assert not (tmp_path / "other").exists()
+    assert list(tmp_path.iterdir()) == [run.folder]
+
+
+FILES = (
+    "acquisition.json",
+    "patterns/manifest.json",
+    "patterns/mirrors.npy",
+    "photons.ptu",
+    "counts.npz",
+)
+
+
+@pytest.fixture(scope="module")
+def victim(tmp_path_factory) -> Path:
+    """A small recording whose files are changed and put back."""
+    return made(tmp_path_factory.mktemp("victim"), scenes=2).folder
+
+
+NUMBERS = ["0", "-1", "1e308", "1e-308", "65537", "9999999999", "null", '""', "[]", "{}", "NaN"]
+
+
+@st.composite
+def mutations(draw: st.DrawFn) -> tuple[str, list[tuple[int, int, bytes]], str]:
+    """A file, places in it with what is put for how many bytes, and what becomes of its hash."""
+    name = draw(st.sampled_from(FILES))
+    word = st.sampled_from([text.encode() for text in NUMBERS]) | st.binary(max_size=8)
+    change = st.tuples(st.integers(0, 2**20), st.integers(0, 12), word)
+    return name, draw(st.lists(change, min_size=1, max_size=4)), draw(st.sampled_from("snc"))
+
+
+def mutate(content: bytes, changes: list[tuple[int, int, bytes]], json_: bool) -> bytes:
+    """Put something at some places: of JSON at a value, else anywhere."""
+    out = bytearray(content)
+    for place, many, what in changes:
+        at = place % max(len(out), 1)
+        if json_:
+            at = max(out.find(b": ", at), 0) + 2
+            ends = [e for e in (out.find(b",", at), out.find(b"\n", at)) if e >= 0]
+            many = min(ends, default=len(out)) - at
+        out[at : at + many] = what
+    return bytes(out)
+
+
+@settings(parent=many, max_examples=FUZZ)
+@given(mutation=mutations())
+def test_changed_folders_are_read_or_refused(victim, mutation):
+    if not (victim / "counts.npz").exists():
+        count(victim)
+    name, changes, rehash = mutation
+    held = {each: (victim / each).read_bytes() for each in FILES}
+    changed = mutate(held[name], changes, name.endswith("json"))
+    try:
+        (victim / name).write_bytes(changed)
+        if name == "patterns/manifest.json" and rehash != "n":
+            sign(victim)
+        for work in (read_counts, count, picture):
+            try:
+                work(victim)
+            except InputError as error:
+                assert "\n" not in str(error)  # noqa: PT017
+    finally:
+        for each, content in held.items():
+            (victim / each).write_bytes(content)
+
+
+def sign(folder: Path) -> None:
+    """Make hashes fit a changed manifest, as far as it is JSON at all."""
+    path = folder / "patterns" / "manifest.json"
+    try:
+        text = json.loads(path.read_bytes())
+    except ValueError:
+        return
+    if isinstance(text, dict):
+        text.pop("sha256", None)
+        path.write_text(json.dumps(text, indent=1))
+    digest = sha256(path.read_bytes()).hexdigest()
+    about = json.loads((folder / "acquisition.json").read_text())
+    (folder / "acquisition.json").write_text(json.dumps(about | {"manifest_sha256": digest}))
