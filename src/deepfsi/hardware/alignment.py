@@ -125,7 +125,7 @@ def align(
     ------
     InputError
         If markers do not follow the schedule, or are of more or fewer passes than there are scenes.
-        Fewer are allowed if the recording ends within a pass.
+        Fewer are allowed if the recording ends within a pass; they are of the first scenes.
     """
     schedule = _Schedule.of(manifest, tolerance_s)
     times = np.sort(np.asarray(times_s, dtype=np.float64))
@@ -450,7 +450,8 @@ def _finish(
             f"{len(spare)} of {len(times)} markers do not follow the schedule: give the patterns "
             "that were shown, and one marker at the start of each frame"
         )
-    if len(passes) < scenes and not passes[-1].expected[-1] > end:
+    lacking = np.count_nonzero(passes[-1].expected > end)
+    if len(passes) < scenes and lacking <= MOST_RESTORED:  # of a cut, or just missing
         raise InputError(
             f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
             "that were recorded"
