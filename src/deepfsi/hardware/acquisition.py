@@ -488,7 +488,8 @@ def _shows_ends(photons: np.ndarray, seconds: np.ndarray) -> bool:
     """
     if not (seconds[[0, -2]].any() and seconds[[1, -1]].any()):
         return False
-    return bool(find_steps(photons, seconds, np.array([0, len(photons) - 2]))[0].all())
+    fits, _ = find_steps(photons, seconds)
+    return bool(fits[0] and fits[-1])
 
 
 def _assemble(
