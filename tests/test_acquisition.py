@@ -500,6 +500,17 @@ def test_gates_open_and_close_when_they_should(tmp_path):
             assert abs(counts.counts[0, gate, rail, frame.mask] - wanted) == 0
 
 
+@pytest.mark.parametrize("drift", [-2e-4, 2e-4])
+def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
+    starts = train(run.patterns.manifest, 3, drift)
+    given = {"bit": 4, "inputs": (2,), "length": run.patterns.manifest.picture_s}
+    record(run.folder / "photons.ptu", starts, starts.ravel(), run.photons, **given)
+    wanted = read_counts(run.folder).counts
+    counts = count(run.folder, exposure_s=11 * DWELL, settle_s=0.0)
+    assert (counts.counts == wanted).all()
+    assert count(run.folder, exposure_s=11 * DWELL / 8, settle_s=0.0).counts.shape[1] == 8
+
+
 @pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
 def test_every_light_constraint_is_counted(tmp_path, light):
     run = made(tmp_path, light, exposure_s=1e-3, repeats=2)

@@ -472,8 +472,8 @@ def _count_windows(
     known = np.isfinite(opens).ravel()
     starts = _ticks(opens.ravel()[known], tick_s)
     stops = _ticks((opens + length).ravel()[known], tick_s)
+    starts = np.minimum.accumulate(starts[::-1])[::-1]
     stops[:-1] = np.minimum(stops[:-1], starts[1:])
-    stops = np.maximum(stops, starts)
     found = np.zeros((opens.size, len(inputs)), np.int64)
     seconds = np.zeros(opens.size)
     found[known] = count_gates(path, starts, stops, inputs, progress)
