@@ -1,0 +1,361 @@
+"""Figures of the camera: its view, its masks made of mirrors, and how well it classifies."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import ConnectionPatch, Rectangle
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.sequence import Grid
+from deepfsi.report.figures import (
+    COLOURS,
+    GRID,
+    INK,
+    MUTED,
+    PAPER,
+    Point,
+    accuracy_axes,
+    photons_text,
+    styled,
+)
+from deepfsi.report.studies import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, readable_ink
+
+FRAME_PIXELS = 512  # a whole frame is averaged to at most this many across
+BESIDE = 0.028  # of the axis, published values to the right of ours
+
+
+@styled
+def views_figure(
+    raw: np.ndarray,
+    seen: np.ndarray,
+    names: Sequence[str] = (),
+    *,
+    cell: tuple[float, float] = (1, 1),
+) -> Figure:
+    """Scenes as displayed above, and as the camera sees them below, on one scale.
+
+    Parameters
+    ----------
+    raw : array, shape (n, h, w)
+        Reflectance that is displayed, in [0, 1].
+    seen : array, shape (n, down, across)
+        Relative light at the cells, in [0, 1].
+    names : sequence of str
+        Heading of each scene.
+    cell : tuple of float
+        Height and width of a cell, in any unit: 24 and 32 mirrors on a DLP7000.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        If the two differ in number.
+    """
+    if len(raw) != len(seen) or len(raw) == 0:
+        raise InputError(f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each")
+    shape = seen.shape[1] * cell[0] / (seen.shape[2] * cell[1])
+    tile = (PAGE_WIDTH - 0.9) / max(len(raw), 4)
+    heights = [tile * raw.shape[1] / raw.shape[2], tile * shape]
+    figure = Figure(
+        figsize=(tile * len(raw) + 0.9, sum(heights) + (0.35 if names else 0.12)),
+        layout="constrained",
+    )
+    axes = figure.subplots(2, len(raw), squeeze=False, height_ratios=heights)
+    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    norm = Normalize(0, 1)
+    for column, images in enumerate(zip(raw, seen, strict=True)):
+        for ax, image, ratio in zip(axes[:, column], images, (1.0, cell[0] / cell[1]), strict=True):
+            ax.imshow(image, cmap=GREYS, norm=norm, aspect=ratio, interpolation="none")
+            ax.set(xticks=[], yticks=[])
+            ax.spines[:].set(visible=True, color=GRID)
+        if names:
+            axes[0, column].set_title(names[column], loc="center")
+    axes[0, 0].set_ylabel("displayed")
+    axes[1, 0].set_ylabel("camera's view")
+    bar = figure.colorbar(ScalarMappable(norm, GREYS), ax=axes, aspect=16, pad=0.015)
+    bar.set_label("reflectance, relative light", fontsize=8)
+    bar.set_ticks([0, 0.5, 1])
+    plain_bar(bar)
+    return figure
+
+
+@styled
+def mirrors_figure(
+    mirrors: np.ndarray,
+    grid: Grid,
+    close: tuple[int, int] | None = None,
+    cells: tuple[int, int] = (3, 3),
+) -> Figure:
+    """One frame of a grey mask, whole and close by, where its mirrors can be told apart.
+
+    Parameters
+    ----------
+    mirrors : array of bool, shape (rows, columns)
+        ON mirrors, as `hardware.dmd.unpack` gives them.
+    grid : Grid
+        Where the cells lie.
+    close : tuple of int, optional
+        First cell of the close-up, down and across; by default about the middle.
+    cells : tuple of int
+        Cells of the close-up, down and across.
+
+    Returns
+    -------
+    Figure
+        White is ON. Of the whole frame, a pixel is the average of a few mirrors. Below each
+        column and beside each row of the close-up stands which cell of the mask it is.
+
+    Raises
+    ------
+    InputError
+        If the close-up leaves the mask.
+    """
+    all_cells = np.array([grid.down, grid.across])
+    extent = np.minimum(cells, all_cells)
+    first = (all_cells - extent) // 2 if close is None else np.array(close)
+    if (first < 0).any() or (first + extent > all_cells).any():
+        raise InputError(
+            f"a close-up from cell {tuple(first.tolist())} leaves a mask of {grid.down} x "
+            f"{grid.across} cells: choose a smaller one, or begin nearer to the middle"
+        )
+    rows, columns = mirrors.shape
+    size = np.array([grid.height, grid.width])
+    top, left = np.array([grid.top, grid.left]) + first * size
+    height, width = extent * size
+    figure = Figure(figsize=(PAGE_WIDTH, 3.0), layout="constrained")
+    whole, near = figure.subplots(1, 2, width_ratios=(columns / rows, width / height))
+    factor = -(-columns // FRAME_PIXELS)
+    whole.imshow(
+        _averaged(mirrors, factor),
+        cmap=GREYS,
+        vmin=0,
+        vmax=1,
+        extent=(0, columns, rows, 0),
+        interpolation="none",
+    )
+    finer = -(-256 // max(height, width))  # printers smooth pixels: leave them little to smooth
+    near.imshow(
+        mirrors[top : top + height, left : left + width].repeat(finer, 0).repeat(finer, 1),
+        cmap=GREYS,
+        vmin=0,
+        vmax=1,
+        extent=(left, left + width, top + height, top),
+        interpolation="none",
+    )
+    frame = COLOURS["deepfsi"]
+    for down in range(extent[0] + 1):
+        near.axhline(top + down * grid.height, color=frame, linewidth=1.2, clip_on=False)
+    for across in range(extent[1] + 1):
+        near.axvline(left + across * grid.width, color=frame, linewidth=1.2, clip_on=False)
+    whole.add_patch(
+        Rectangle((left, top), width, height, fill=False, edgecolor=frame, linewidth=1.4, zorder=4)
+    )
+    for corner in ((1, 0), (1, 1)):
+        place = left + width * corner[0], top + height * corner[1]
+        other = left, place[1]
+        figure.add_artist(
+            ConnectionPatch(
+                place, other, "data", "data", axesA=whole, axesB=near, color=frame, linewidth=0.7
+            )
+        )
+    whole.set_title(f"one frame, {columns} × {rows} mirrors")
+    near.set_title(f"close by, {grid.width} × {grid.height} mirrors a cell")
+    whole.set(xlabel="mirror across", ylabel="mirror down")
+    whole.set_xticks(_quarters(columns))
+    whole.set_yticks(_quarters(rows))
+    middles = left + (np.arange(extent[1]) + 0.5) * grid.width
+    near.set_xticks(middles, [str(first[1] + i + 1) for i in range(extent[1])])
+    middles = top + (np.arange(extent[0]) + 0.5) * grid.height
+    near.set_yticks(middles, [str(first[0] + i + 1) for i in range(extent[0])])
+    near.set(xlabel="cell across", ylabel="cell down")
+    near.tick_params(length=0)
+    for ax in (whole, near):
+        ax.spines[:].set(visible=True)
+    return figure
+
+
+@styled
+def exposure_figure(
+    points: Iterable[Point],
+    published: Iterable[Point] = (),
+    *,
+    classes: int = 10,
+    flux: float | None = None,
+) -> Figure:
+    """Accuracy against total exposure: a line for each design, published values open beside it.
+
+    Parameters
+    ----------
+    points : iterable of mapping
+        `design`, `label`, `specific`, `exposure_s` (seconds), `accuracy`, `low`, `high`.
+    published : iterable of mapping
+        `design`, `exposure_s`, `accuracy`, `low`, `high`, of designs among the points.
+    classes : int
+        Chance is one over it.
+    flux : float, optional
+        Photons/s on the device; adds a photon axis on top.
+
+    Returns
+    -------
+    Figure
+        Bars are intervals. Circles are feature-specific designs, squares others.
+    """
+    rows = [{**point, "best": True} for point in points]
+    others = list(published)
+    exposures = sorted({row["exposure_s"] for row in [*rows, *others]})
+    figure = Figure(figsize=(5.6, 3.9), layout="constrained")
+    ax = figure.subplots()
+    results = {"data": {"classes": range(classes)}}
+    accuracy_axes(ax, results, rows, ("design",), "exposure_s", values=exposures)
+    _published(ax, rows, others, exposures)
+    ax.set_xlabel("total exposure (s)")
+    ax.xaxis.set_major_locator(FixedLocator(exposures))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+    if flux is not None:
+        top = ax.secondary_xaxis(
+            "top", functions=(lambda exposure: exposure * flux, lambda photons: photons / flux)
+        )
+        top.set_xlabel("photons on the device Φ")
+        top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
+        top.xaxis.set_minor_locator(NullLocator())
+        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+    if others:
+        looks: dict[str, Any] = {"color": INK, "marker": "o"}
+        keys = [
+            Line2D([], [], **looks),
+            Line2D([], [], **looks, markerfacecolor=PAPER, linestyle="none"),
+        ]
+        words = ["here, with interval", "published, with interval"]
+        figure.legend(
+            keys, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8
+        )
+    return figure
+
+
+@styled
+def digits_figure(
+    panels: Mapping[str, np.ndarray],
+    designs: Sequence[str],
+    classes: Sequence[str],
+    *,
+    word: str = "digit",
+) -> Figure:
+    """Success rate of each class and design: a square for each pair, a panel for each exposure.
+
+    Parameters
+    ----------
+    panels : mapping of str to array, shape (designs, classes)
+        Heading → success rates, 0 to 1; NaN where there is none.
+    designs, classes : sequence of str
+    word : str
+        What a class is.
+
+    Returns
+    -------
+    Figure
+        Grey level and number both are the success rate, in per cent.
+
+    Raises
+    ------
+    InputError
+        If a panel has another shape.
+    """
+    for heading, rates in panels.items():
+        if np.shape(rates) != (len(designs), len(classes)):
+            raise InputError(
+                f"{heading}: success rates of shape {np.shape(rates)}; give one for each of "
+                f"{len(designs)} designs and {len(classes)} classes"
+            )
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    width = PAGE_WIDTH if columns == 2 else 0.6 * PAGE_WIDTH
+    side = (width - 1.5) / (columns * len(classes))
+    figure = Figure(
+        figsize=(width, rows * (side * len(designs) + 0.32) + 0.35), layout="constrained"
+    )
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    norm = Normalize(0, 100)
+    for ax, (heading, rates) in zip(axes.flat, panels.items(), strict=False):
+        percent = 100 * np.asarray(rates, dtype=float)
+        ax.pcolormesh(
+            np.arange(len(classes) + 1),
+            np.arange(len(designs) + 1),
+            np.ma.masked_invalid(percent),
+            cmap=GREYS,
+            norm=norm,
+            edgecolors=MUTED,
+            linewidth=0.5,
+        )
+        for (row, column), value in np.ndenumerate(percent):
+            known = bool(np.isfinite(value))
+            ax.text(
+                column + 0.5,
+                row + 0.5,
+                f"{value:.0f}" if known else "–",
+                color=readable_ink(GREYS, norm(value)) if known else MUTED,
+                fontsize=SMALL,
+                horizontalalignment="center",
+                verticalalignment="center_baseline",
+            )
+        ax.set_title(heading)
+        ax.set_aspect("equal")
+        ax.set_ylim(len(designs), 0)
+        ax.set_xticks(np.arange(len(classes)) + 0.5, classes)
+        ax.set_yticks(np.arange(len(designs)) + 0.5, designs)
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        ax.label_outer()
+    for ax in list(axes.flat)[len(panels) :]:
+        ax.remove()
+    figure.supxlabel(word, fontsize=9)
+    bar = figure.colorbar(
+        ScalarMappable(norm, GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
+    )
+    bar.ax.set_in_layout(True)
+    plain_bar(bar)
+    return figure
+
+
+def _averaged(mirrors: np.ndarray, factor: int) -> np.ndarray:
+    """Mirrors averaged over squares of `factor`; those of an incomplete last square are left out."""
+    rows, columns = (size // factor * factor for size in mirrors.shape)
+    tiles = mirrors[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
+    return np.asarray(tiles.mean(axis=(1, 3)))
+
+
+def _quarters(size: int) -> list[int]:
+    return [round(size * part / 4) for part in range(5)]
+
+
+def _published(
+    ax: Axes, rows: Sequence[Point], others: Sequence[Point], exposures: Sequence[float]
+) -> None:
+    """Open markers a little to the right of our own of the same design."""
+    order = list(dict.fromkeys(row["design"] for row in rows))
+    specific = {row["design"]: row["specific"] for row in rows}
+    decades = max(1.0, float(np.log10(exposures[-1] / exposures[0])))
+    for point in others:
+        design = point["design"]
+        colour = COLOURS.get(design, INK)
+        shift = BESIDE + 0.008 * (order.index(design) - (len(order) - 1) / 2)
+        ax.errorbar(
+            point["exposure_s"] * 10 ** (shift * decades),
+            point["accuracy"],
+            yerr=[[point["accuracy"] - point["low"]], [point["high"] - point["accuracy"]]],
+            color=colour,
+            marker="o" if specific[design] else "s",
+            markerfacecolor=PAPER,
+            markersize=4.5,
+            elinewidth=0.7,
+            zorder=2.5,
+        )
