@@ -115,7 +115,9 @@ def design(
 
 
 def evaluate(
-    file: Annotated[Path, typer.Argument(help="design file")],
+    file: Annotated[
+        Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
+    ],
     photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
     data: DataOption = "digits",
     size: SizeOption = None,
@@ -135,7 +137,13 @@ def evaluate(
     from deepfsi.scenes import find_device
 
     budgets = numbers("photons", photons) or []
-    made = Design.load(file, find_device(device))
+    if file.is_dir():
+        from deepfsi.hardware.dmd import check_patterns
+
+        made = Design.load(file / "design.safetensors").as_shown(check_patterns(file))
+        made = made.to(find_device(device))
+    else:
+        made = Design.load(file, find_device(device))
     scenes = load(data, size_of(size))
     with progress("evaluate", quiet=as_json) as tell:
         results = test(
