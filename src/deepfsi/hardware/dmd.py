@@ -15,19 +15,19 @@ mask's frame), the design if it was given, and the frames of all masks and senti
 """
 
 import hashlib
+import io
 import json
 import math
 import os
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 from PIL import Image, PngImagePlugin
@@ -193,7 +193,8 @@ def count_mirrors(
         uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K.
     """
     shown: list[tuple[int, Rail]] = []
-    peaks, on = [], []
+    peaks = []
+    on = np.empty((rails.shape[0] * rails.shape[1], rails.shape[2]), dtype=np.uint32)
     for mask in range(rails.shape[1]):
         parts = rails[:, mask].astype(np.float64)
         sides: list[tuple[Rail, float, np.ndarray]] = []
@@ -206,10 +207,10 @@ def count_mirrors(
                 sides.append((rail, part.max(), part / step))
         for rail, peak, level in sides:
             if peak > mirrors * _TINY:
+                on[len(shown)] = np.rint(level)
                 shown.append((mask, rail))
                 peaks.append(peak)
-                on.append(np.rint(level).astype(np.uint32))
-    return shown, np.array(peaks), np.array(on, dtype=np.uint32).reshape(len(on), rails.shape[2])
+    return shown, np.array(peaks), on[: len(shown)]
 
 
 def make_frames(
@@ -566,9 +567,7 @@ def _write_frames(
         (folder / "frames").mkdir()
     with (folder / _STREAMS.get(format, os.devnull)).open("wb") as file:
         if format == "npy":
-            np.lib.format.write_array_header_1_0(
-                file, {"descr": "|u1", "fortran_order": False, "shape": shape}
-            )
+            _write_header(file, np.dtype("u1"), shape)
         for place, frame in enumerate(frames):
             hashes.append(hashlib.sha256(frame.data).hexdigest())
             if format == "png":
@@ -614,6 +613,12 @@ def _read_png(path: Path, device: Device) -> np.ndarray:
         ) from None
 
 
+def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Header of an array's .npy file, as `numpy.save` writes it."""
+    content = {"descr": dtype.str, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, content)
+
+
 @contextmanager
 def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
     """Open a file at the start of an array's data, certain that all of it is there.
@@ -623,17 +628,16 @@ def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[
     again = "export the patterns again"
     try:
         with path.open("rb") as file:
+            dtype = np.dtype(kind or "u1")
             if kind is not None:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("error")
-                    np.lib.format.read_magic(file)
-                    found, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-                if (found, fortran, dtype) != (shape, False, np.dtype(kind)):
+                header = io.BytesIO()
+                _write_header(header, dtype, shape)
+                if file.read(len(header.getvalue())) != header.getvalue():
                     raise InputError(
-                        f"{path} holds {dtype} of shape {found}, and manifest.json says "
-                        f"{np.dtype(kind)} of {shape}: {again}"
+                        f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
+                        f"manifest.json says: {again}"
                     )
-            size = 1 if kind is None else np.dtype(kind).itemsize
+            size = dtype.itemsize
             wanted = size * math.prod(shape)
             here = path.stat().st_size - file.tell()
             if here != wanted:
@@ -649,7 +653,7 @@ def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[
         raise InputError(f"{path} is missing: {again}") from None
     except InputError:
         raise
-    except (OSError, ValueError, UserWarning) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read ({error}): {again}") from None
 
 
