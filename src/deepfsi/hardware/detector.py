@@ -27,6 +27,9 @@ CHUNK = 2**19
 _FAR = 8.0
 """Jitter beyond this many standard deviations is brought to it, so that events can be sorted."""
 
+FEW = 20.0
+"""Variance of paralysable counts below which they are simulated one by one."""
+
 _BLOCK = 2**18
 
 
@@ -92,12 +95,13 @@ def draw(
     -----
     Without dead time counts are Poisson. With a non-paralysable one they are drawn from their exact
     distribution: k counts fit a gate if k gamma-distributed waits and k - 1 dead times do. With a
-    paralysable one mean and variance are exact, and the counts are a sum of Bernoulli draws, exact
-    for gates up to τ; the distance in total variation from the exact distribution, largest near
-    nτ = 1, is below 0.007 (measured in the tests). Afterpulses, of the gate's own counts and of
-    those before it, have the exact mean, and the exact distribution without dead time. What a gate
-    shares with the next (counts that blind it, afterpulses that reach it) is in the moments of each
-    but leaves them independent.
+    paralysable one gates are simulated arrival by arrival where the counts' variance is below 20;
+    above, they are drawn with their exact first three moments (Cornish and Fisher), at a distance
+    in total variation from the exact distribution of at most 0.0011, for nτ from 0.01 to 2.
+    Afterpulses, of the gate's own counts and of those before it, have the exact mean, and without
+    dead time the exact distribution. Gates that follow each other are drawn independently: what
+    little one passes on to the next (a count that blinds it, an afterpulse) is in the moments of
+    each and not in what they share.
     """
     shape = np.broadcast_shapes(np.shape(rate), np.shape(length_s))
     rates = np.broadcast_to(np.asarray(rate, dtype=np.float64), shape).ravel()
@@ -129,21 +133,46 @@ def _draw(
 def _draw_paralysable(
     detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Sum of K Bernoulli draws, one of them of less probability, with the exact two moments.
+    """Few counts one by one, many from their first three cumulants.
 
-    Two counts are never closer than τ and otherwise independent, so the variance of their number
-    is mT - m²w, w the area of the square T x T within τ of its diagonal. (In the same way the
-    third factorial cumulant is m³(9Tτ² - 8τ³) for T > 2τ; that of this sum is close to m³ 8Tτ².)
+    Two counts are never closer than τ and otherwise independent, so k of them, in order, can be
+    anywhere in a gate T in m^k (T - (k-1)τ)^k ways: the factorial moments.
     """
+    tau, registered = detector.dead_time_s, detector.registered(rate)
+    first, second, third = (
+        (registered * np.maximum(length - k * tau, 0)) ** (k + 1) for k in range(3)
+    )
+    variance = second - first**2 + first
+    skew = third - 3 * second * first + 2 * first**3 + 3 * (second - first**2) + first
+    many = variance >= FEW
+    counts = np.empty(len(rate), dtype=np.int64)
+    width = np.sqrt(variance[many] - 1 / 12)
+    bend = skew[many] / width**3 / 6
+    normal = rng.standard_normal(int(many.sum()))
+    bent = (normal + bend * (normal**2 - 1)) / np.sqrt(1 + 2 * bend**2)
+    counts[many] = np.maximum(np.rint(first[many] + width * bent), 0)
+    if not many.all():
+        counts[~many] = _simulate(detector, rate[~many], length[~many], rng)
+    return counts
+
+
+def _simulate(
+    detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Count what a paralysable detector registers in gates, each after a lead of one dead time."""
     tau = detector.dead_time_s
-    area = np.where(length > tau, (2 * length - tau) * tau, length**2)
-    terms = np.maximum(np.ceil(length**2 / area * (1 - 1e-12)), 1)
-    excess = np.maximum(terms * area - length**2, 0)
-    most = (length + np.sqrt(excess / np.maximum(terms - 1, 1))) / terms
-    least = (length - np.sqrt(excess * (terms - 1))) / terms
-    registered = detector.registered(rate)
-    last = rng.random(len(rate)) < registered * least
-    return rng.binomial(terms.astype(np.int64) - 1, registered * most) + last
+    stream = Stream(Detector(dead_time_s=tau, paralysable=True), rng)
+    inside = np.rint(length / TICK_S).astype(np.int64)
+    durations = inside + round(tau / TICK_S)
+    ends = np.cumsum(durations)
+    counts = np.zeros(len(rate), dtype=np.int64)
+    start = 0
+    for pieces, rates in divide(durations, rate[:, None]):
+        times = stream.events(start, pieces, rates[:, 0])
+        gate = np.searchsorted(ends, times, side="right")
+        counts += np.bincount(gate[times >= (ends - inside)[gate]], minlength=len(counts))
+        start += int(pieces.sum())
+    return counts
 
 
 def _draw_non_paralysable(
