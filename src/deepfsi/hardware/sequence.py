@@ -110,8 +110,8 @@ def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
     InputError
         If the device has fewer mirrors than the mask has cells.
     """
-    if len(image_shape) > 2:
-        raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes")
+    if len(image_shape) not in (1, 2) or min(image_shape) < 1:
+        raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
     down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)
     height, width = device.rows // down, device.columns // across
     if not (height and width):
