@@ -34,7 +34,7 @@ MARKER = 1
 """Bits of the marker at the start of each frame."""
 
 _SCENES = 64
-_FRAMES = 8
+_FRAMES = 16
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
