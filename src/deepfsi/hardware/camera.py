@@ -4,8 +4,9 @@
 
 Places are (across, down) in a unit square each: the displayed image, and the area of the device
 that the cells of a mask fill. A display is an area of given brightness, so what moves or enlarges
-its image on the device does not change the light on a mirror that still sees it. One arm sees the
-mirrors that are ON; on two arms a second detector sees the others, of the same area.
+its image on the device does not change the light on a mirror that still sees it. A stop hides the
+mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
+others.
 
 It shares nothing with `deepfsi.noise` and the scanner, so that each checks the other: with the
 ideal camera a gate's counts are Poisson, with the scanner's mean.
@@ -209,22 +210,21 @@ def rates(
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, arms))
     device = manifest.device
-    mirrors = manifest.grid.mirrors * math.prod(manifest.image_shape)
     stray = camera.ambient / (device.rows * device.columns)
     for first in range(0, len(images), _SCENES):
         part = images[first : first + _SCENES]
         light = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
-        whole = light.sum(axis=1, dtype=np.float64)
         for place, on in _blocks(patterns_folder, device):
-            lit = (on @ light.T).astype(np.float64), on.sum(axis=1, keepdims=True)
             for arm in range(arms):
-                scene, glow = lit if arm == 0 else (whole - lit[0], mirrors - lit[1])
-                photons = scene * flux / manifest.mean_light + glow * stray
+                seen = on if arm == 0 else 1 - on
+                area = seen.reshape(-1, device.rows, device.columns)[:, *_area(manifest.grid)]
+                signal = (seen @ light.T).astype(np.float64) * (flux / manifest.mean_light)
+                photons = signal + area.sum(axis=(1, 2))[:, None] * stray
                 out[first : first + len(part), place : place + len(on), arm] = photons.T
             if progress is not None:
                 done = first * frames + (place + len(on)) * len(part)
                 progress(done / (len(images) * frames))
-    return np.maximum(out, 0) * camera.efficiency + camera.dark
+    return out * camera.efficiency + camera.dark
 
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
