@@ -228,7 +228,7 @@ def test_scenes_that_are_none_are_refused(tmp_path, given, message):
         rates(tmp_path / "p", given, IDEAL, 1e6)
 
 
-@pytest.mark.parametrize("flux", [-1.0, np.inf, np.nan])
+@pytest.mark.parametrize("flux", [-1.0, 1e13, np.inf, np.nan])
 def test_a_flux_that_is_none_is_refused(tmp_path, flux):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match="flux"):

@@ -34,6 +34,8 @@ from deepfsi.hardware.sequence import Device, Gates, Grid, Manifest, find_gates
 MARKER = 1
 """Bits of the marker at the start of each frame."""
 
+MOST_FLUX = 1e12
+
 _SCENES = 64
 _FRAMES = 16
 
@@ -157,17 +159,13 @@ def _look(
     camera: Camera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pixel of a scene each place sees (down, across), and whether it sees the scene."""
-    from skimage.transform import ProjectiveTransform
-
     back = np.linalg.inv(np.array(camera.view))
-    grid = np.stack(np.meshgrid(across, down), axis=-1)
-    seen = ProjectiveTransform(back)(grid.reshape(-1, 2)).reshape(grid.shape)
-    depth = grid @ back[2, :2] + back[2, 2]
-    ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0
-    pixel = np.floor(seen * np.array(shape[::-1]))
-    inside = ahead & ((pixel >= 0) & (pixel < shape[::-1])).all(axis=-1)
-    column, row = np.where(inside[..., None], pixel, 0).astype(np.intp).transpose(2, 0, 1)
-    return row * shape[1] + column, inside
+    x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
+    ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
+    depth = np.where(ahead, depth, np.inf)
+    column, row = np.floor(x / depth * shape[1]), np.floor(y / depth * shape[0])
+    inside = ahead & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
 def rates(
@@ -200,12 +198,12 @@ def rates(
     Raises
     ------
     InputError
-        If scenes are no images of numbers 0 or more, or flux is not.
+        If scenes are no images of numbers 0 or more, or the flux is not allowed.
     """
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
-    if not (math.isfinite(flux) and flux >= 0):
-        raise InputError(f"a flux of {flux!r} is not allowed: give photons/s, 0 or more")
+    if not 0 <= flux <= MOST_FLUX:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
     arms = 2 if manifest.two_arm else 1
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, arms))
@@ -343,8 +341,8 @@ def record(
     gates = find_gates(manifest, exposure_s, settle_s, repeats)
     acquisition = Acquisition(
         scenes=tuple(
-            Scene(name=name, label=label)
-            for name, label in zip(names, labels or [None] * len(names), strict=True)
+            Scene(name=name, label=None if labels is None else labels[place])
+            for place, name in enumerate(names)
         ),
         exposure_s=exposure_s,
         settle_s=gates.settle_s,
