@@ -22,11 +22,11 @@ from deepfsi.report.figures import (
     PAPER,
     Point,
     accuracy_axes,
-    photons_text,
     styled,
 )
 from deepfsi.report.studies import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, readable_ink
 
+MARGIN = 1.5  # inches beside the scenes, for words and scale
 FRAME_PIXELS = 512  # a whole frame is averaged to at most this many across
 BESIDE = 0.028  # of the axis, published values to the right of ours
 
@@ -64,14 +64,14 @@ def views_figure(
     if len(raw) != len(seen) or len(raw) == 0:
         raise InputError(f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each")
     shape = seen.shape[1] * cell[0] / (seen.shape[2] * cell[1])
-    tile = (PAGE_WIDTH - 0.9) / max(len(raw), 4)
+    tile = (PAGE_WIDTH - MARGIN) / max(len(raw), 4)
     heights = [tile * raw.shape[1] / raw.shape[2], tile * shape]
     figure = Figure(
-        figsize=(tile * len(raw) + 0.9, sum(heights) + (0.35 if names else 0.12)),
+        figsize=(tile * len(raw) + MARGIN, sum(heights) + (0.4 if names else 0.16)),
         layout="constrained",
     )
     axes = figure.subplots(2, len(raw), squeeze=False, height_ratios=heights)
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    figure.get_layout_engine().set(w_pad=0.04, h_pad=0.04, wspace=0.02, hspace=0.02)
     norm = Normalize(0, 1)
     for column, images in enumerate(zip(raw, seen, strict=True)):
         for ax, image, ratio in zip(axes[:, column], images, (1.0, cell[0] / cell[1]), strict=True):
@@ -80,10 +80,10 @@ def views_figure(
             ax.spines[:].set(visible=True, color=GRID)
         if names:
             axes[0, column].set_title(names[column], loc="center")
-    axes[0, 0].set_ylabel("displayed")
-    axes[1, 0].set_ylabel("camera's view")
+    for ax, words in zip(axes[:, 0], ("displayed", "as the\ncamera\nsees it"), strict=True):
+        ax.set_ylabel(words, rotation=0, horizontalalignment="right", verticalalignment="center")
     bar = figure.colorbar(ScalarMappable(norm, GREYS), ax=axes, aspect=16, pad=0.015)
-    bar.set_label("reflectance, relative light", fontsize=8)
+    bar.set_label("reflectance,\nrelative light", fontsize=8)
     bar.set_ticks([0, 0.5, 1])
     plain_bar(bar)
     return figure
@@ -228,7 +228,7 @@ def exposure_figure(
         top.set_xlabel("photons on the device Φ")
         top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
         top.xaxis.set_minor_locator(NullLocator())
-        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     if others:
         looks: dict[str, Any] = {"color": INK, "marker": "o"}
         keys = [
@@ -321,7 +321,6 @@ def digits_figure(
     bar = figure.colorbar(
         ScalarMappable(norm, GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
     )
-    bar.ax.set_in_layout(True)
     plain_bar(bar)
     return figure
 
