@@ -52,7 +52,7 @@ __all__ = [
 
 SCHEMA: Literal[1] = 1
 FILE = "calibration.json"
-POINTS = 24  # of a cell's average, along each axis
+POINTS = 24, 32  # of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells
 WINDOW = 1.5  # cells, standard deviation of the window in which a spot is centred
 FAINT = 6.0  # a spot is seen where its peak is this many standard deviations of the noise
 OUTLIER = 0.5  # cells
@@ -656,8 +656,8 @@ def _matrix(
     pixels one axis after the other.
     """
     (h, w), (down, across) = image_shape, cells_shape
-    average_down, tops = _axis_average(down, blur[0])
-    average_across, lefts = _axis_average(across, blur[1])
+    average_down, tops = _axis_average(down, blur[0], POINTS[0])
+    average_across, lefts = _axis_average(across, blur[1], POINTS[1])
     x, y = np.meshgrid(lefts, tops)
     back = np.linalg.inv(np.asarray(homography, dtype=float))
     u, v, scale = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
@@ -682,20 +682,22 @@ def _matrix(
     )
 
 
-def _axis_average(cells: int, blur: float) -> tuple[sparse.csr_array, np.ndarray]:
+def _axis_average(
+    cells: int, blur: float, each: int
+) -> tuple[sparse.csr_array, np.ndarray]:
     """Average of blurred light over each cell of an axis, (cells, points), and the points.
 
     Points lie beyond the cells as far as the blur reaches.
     """
-    step = 1 / (cells * POINTS)
+    step = 1 / (cells * each)
     beyond = int(np.ceil(4 * blur / step))
-    places = (np.arange(-beyond, cells * POINTS + beyond) + 0.5) * step
+    places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step
     kernel = np.ones(1)
     if beyond:
         kernel = np.exp(-((np.arange(-beyond, beyond + 1) * step / blur) ** 2) / 2)
-    weights = np.convolve(kernel / kernel.sum(), np.full(POINTS, 1 / POINTS))
+    weights = np.convolve(kernel / kernel.sum(), np.full(each, 1 / each))
     cell = np.repeat(np.arange(cells), len(weights))
-    point = cell * POINTS + np.tile(np.arange(len(weights)), cells)
+    point = cell * each + np.tile(np.arange(len(weights)), cells)
     values = np.tile(weights, cells)
     return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
 
