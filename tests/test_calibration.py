@@ -199,9 +199,7 @@ def test_black_is_taken_from_every_picture():
     pictures = pictures_of(shown, VIEW, (0.01, 0.01), vignette((32, 32)), 0.0)
     glow = np.random.default_rng(0).random((32, 32))
     plain = cal.calibrate(scenes, pictures[:-1], GRID, white=pictures[-1])
-    freed = cal.calibrate(
-        scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow
-    )
+    freed = cal.calibrate(scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow)
     np.testing.assert_allclose(freed.homography, plain.homography, atol=1e-9)
     np.testing.assert_allclose(freed.flat, plain.flat, atol=1e-9)
 

@@ -41,7 +41,7 @@ class Library:
         if failure is not None:
             raise KeyError(failure) if failure > 1020 else ALPError(f"Failure {failure}.")
 
-    def AlpProjInquire(self, alp_id, which, value):  # noqa: N802
+    def AlpProjInquire(self, alp_id, which, value):
         self.step("AlpProjInquire")
         assert alp_id.value == 7, "the device's own id"
         if self.busy:
@@ -62,22 +62,22 @@ class ALP4:
 
     library: Library
 
-    def __init__(self, version="4.3", libDir=None):  # noqa: N803
+    def __init__(self, version="4.3", libDir=None):
         print("Loading library")
         self._ALPLib, self.ALP_ID = self.library, ctypes.c_ulong(0)
         self._ALPLib.step("__init__")
 
-    def _checkError(self, code, words):  # noqa: N802
+    def _checkError(self, code, words):
         if code:
             raise ALPError(words)
 
-    def Initialize(self, DeviceNum=None):  # noqa: N802, N803
+    def Initialize(self, DeviceNum=None):
         self._ALPLib.step("AlpDevAlloc")
         self._ALPLib.allocated = True
         self.ALP_ID, self.nSizeX, self.nSizeY = ctypes.c_ulong(7), DEVICE.columns, DEVICE.rows
         self._ALPLib.step("AlpDevInquire")
 
-    def ProjControl(self, kind, value):  # noqa: N802
+    def ProjControl(self, kind, value):
         self._ALPLib.step("ProjControl")
         if kind == vialux.QUEUE_MODE:
             self._ALPLib.queue_mode = value
@@ -85,27 +85,27 @@ class ALP4:
             assert (kind, value) == (vialux.RESET_QUEUE, vialux.DEFAULT)
             self._ALPLib.queue.clear()
 
-    def DevInquire(self, which):  # noqa: N802
+    def DevInquire(self, which):
         assert which == vialux.AVAIL_MEMORY
         return self._ALPLib.memory - sum(s["count"] for s in self._ALPLib.sequences.values())
 
-    def SeqAlloc(self, nbImg=1, bitDepth=1):  # noqa: N802, N803
+    def SeqAlloc(self, nbImg=1, bitDepth=1):
         self._ALPLib.step("SeqAlloc")
         assert bitDepth == 1
         sequence = ctypes.c_long(len(self._ALPLib.calls))
         self._ALPLib.sequences[sequence.value] = {"count": nbImg, "frames": {}, "controls": {}}
         return sequence
 
-    def SeqControl(self, kind, value, SequenceId):  # noqa: N802, N803
+    def SeqControl(self, kind, value, SequenceId):
         self._ALPLib.sequences[SequenceId.value]["controls"][kind] = value
 
-    def SeqInquire(self, which, SequenceId):  # noqa: N802, N803
+    def SeqInquire(self, which, SequenceId):
         return {vialux.MIN_PICTURE_TIME: 44, vialux.MAX_PICTURE_TIME: 10**7}[which]
 
-    def SetTiming(self, SequenceId, pictureTime):  # noqa: N802, N803
+    def SetTiming(self, SequenceId, pictureTime):
         self._ALPLib.sequences[SequenceId.value]["us"] = pictureTime
 
-    def SeqPut(self, imgData, SequenceId, PicOffset, PicLoad):  # noqa: N802, N803
+    def SeqPut(self, imgData, SequenceId, PicOffset, PicLoad):
         self._ALPLib.step("SeqPut")
         sequence = self._ALPLib.sequences[SequenceId.value]
         assert sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN
@@ -114,22 +114,22 @@ class ALP4:
             assert PicOffset + place < sequence["count"]
             sequence["frames"][PicOffset + place] = frame.copy()
 
-    def Run(self, SequenceId, loop):  # noqa: N802, N803
+    def Run(self, SequenceId, loop):
         self._ALPLib.step("Run")
         assert not loop
         assert self._ALPLib.queue_mode == vialux.SEQUENCE_QUEUE
         assert len(self._ALPLib.queue) < self._ALPLib.places, "the queue is full"
         self._ALPLib.queue.append(SequenceId.value)
 
-    def FreeSeq(self, SequenceId):  # noqa: N802, N803
+    def FreeSeq(self, SequenceId):
         self._ALPLib.step("FreeSeq")
         del self._ALPLib.sequences[SequenceId.value]
 
-    def Halt(self):  # noqa: N802
+    def Halt(self):
         self._ALPLib.step("Halt")
         self._ALPLib.busy = 0
 
-    def Free(self):  # noqa: N802
+    def Free(self):
         self._ALPLib.step("Free")
         assert not self._ALPLib.busy, "the device is freed when it is idle"
         self._ALPLib.allocated = False
@@ -154,10 +154,16 @@ def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE):
         rails /= masks
     else:
         rails /= rails.max(axis=2).sum()
-    dmd.export_patterns(
-        rails, light, (4, 8), device, 1e-3, folder, mean_light=10.0, format=format
-    )
+    dmd.export_patterns(rails, light, (4, 8), device, 1e-3, folder, mean_light=10.0, format=format)
     return folder
+
+
+def show(folder, while_it_runs=lambda: None):
+    with vialux.VialuxProjector() as projector:
+        projector.load(folder)
+        projector.run()
+        while_it_runs()
+        projector.wait()
 
 
 @pytest.mark.parametrize("format", ["npy", "png", "raw"])
@@ -181,9 +187,7 @@ def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format)
     assert len(shown) == (1 if light == "equal-dwell" else len(manifest.frames) - 2)
     for frame, wanted in zip(frames, dmd.read_frames(folder), strict=True):
         np.testing.assert_array_equal(frame, wanted.ravel())
-    assert all(
-        s["controls"][vialux.BIN_MODE] == vialux.BIN_UNINTERRUPTED for s in loaded.values()
-    )
+    assert all(s["controls"][vialux.BIN_MODE] == vialux.BIN_UNINTERRUPTED for s in loaded.values())
     assert shares == sorted(shares)
     assert shares[-1] == 1
     assert not library.allocated
@@ -211,9 +215,8 @@ def test_library_output_stays_off_stdout(library, capsys):
 def test_a_refusal_is_one_line_and_frees_the_device(library, tmp_path, step, failure, words):
     folder = patterns(tmp_path / "patterns")
     library.fail_at = {step: failure}
-    with pytest.raises(InputError, match=words) as caught, vialux.VialuxProjector() as projector:
-        projector.load(folder)
-        projector.run()
+    with pytest.raises(InputError, match=words) as caught:
+        show(folder)
     assert "\n" not in str(caught.value)
     assert not library.allocated
     assert not library.fail_at
@@ -223,20 +226,20 @@ def test_a_refusal_is_one_line_and_frees_the_device(library, tmp_path, step, fai
 def test_ctrl_c_frees_the_device(library, tmp_path, step):
     folder = patterns(tmp_path / "patterns")
     library.fail_at = {step: KeyboardInterrupt()}
-    with pytest.raises(KeyboardInterrupt), vialux.VialuxProjector() as projector:
-        projector.load(folder)
-        projector.run()
+    with pytest.raises(KeyboardInterrupt):
+        show(folder)
     assert not library.allocated
     assert library.calls[-1] == "Free"
 
 
 def test_ctrl_c_while_waiting_halts_and_frees_even_where_halting_fails(library, tmp_path):
     folder = patterns(tmp_path / "patterns")
-    with pytest.raises(KeyboardInterrupt), vialux.VialuxProjector() as projector:
-        projector.load(folder)
-        projector.run()
+
+    def trouble():
         library.fail_at = {"AlpProjInquire": KeyboardInterrupt(), "ProjControl": 1012}
-        projector.wait()
+
+    with pytest.raises(KeyboardInterrupt):
+        show(folder, trouble)
     assert library.calls[-3:] == ["ProjControl", "Halt", "Free"]
     assert not library.allocated
 
@@ -300,12 +303,10 @@ def test_a_pass_that_still_runs_is_not_started_again(library, tmp_path):
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])  # waiting for the end, the queue
 def test_a_device_that_never_ends_is_not_waited_for(library, tmp_path, monkeypatch, light):
     monkeypatch.setattr(vialux, "GRACE_S", 0.05)
-    with vialux.VialuxProjector() as projector:
-        projector.load(patterns(tmp_path / "patterns", light, masks=8))
-        library.stuck, library.busy = True, 0
-        with pytest.raises(InputError, match="should have ended"):
-            projector.run()
-            projector.wait()
+    folder = patterns(tmp_path / "patterns", light, masks=8)
+    library.stuck = True
+    with pytest.raises(InputError, match="should have ended"):
+        show(folder)
 
 
 def test_words_where_the_library_or_the_context_is_missing(monkeypatch):
