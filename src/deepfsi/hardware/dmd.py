@@ -15,6 +15,7 @@ mask's frame), the design if it was given, and the frames of all masks and senti
 """
 
 import hashlib
+import json
 import math
 import os
 import shutil
@@ -22,6 +23,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -33,12 +35,14 @@ from pydantic import ValidationError
 
 from deepfsi.errors import InputError, closest
 from deepfsi.hardware.sequence import (
+    MOST_FRAMES,
     Device,
     Frame,
     Grid,
     Manifest,
     Patterns,
     Rail,
+    find_gates,
     find_grid,
 )
 
@@ -46,14 +50,21 @@ Selection = Literal["ordered", "random"]
 Format = Literal["npy", "png", "raw"]
 
 LIGHTS = ("column", "equal-dwell", "free-dwell", "two-arm")
+SIDES: tuple[Rail, Rail] = ("plus", "minus")
 MOST_TILE_BYTES = 2**24
 """Largest table of every grey level of a cell, packed; larger ones are not worth their memory."""
 
 HERD = 2**12
-"""Cells of more mirrors are put in order block by block: the time grows with the square."""
+"""Most mirrors of a cell that are put in order one by one: the time grows with the square."""
 
 SPREAD = 0.3
-"""Length over which mirrors repel each other, in sides of a cell; docs say how it was chosen."""
+"""Length over which mirrors repel each other, in sides of a cell."""
+
+LONGEST_S = 1e3
+"""Longest picture, seconds."""
+
+UNIT = 2**15
+"""Of the repelling potential in each direction."""
 
 
 def export_patterns(
@@ -118,33 +129,35 @@ def export_patterns(
     shown, peaks, on = count_mirrors(rails, light, grid.mirrors)
     if not shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
+    if len(shown) > MOST_FRAMES - 4:
+        raise InputError(f"{len(shown)} frames are too many: give at most {MOST_FRAMES - 4}")
     dimmed = min(1.0, 1 / float(peaks.sum()))
     shares = np.minimum(peaks * dimmed, 1.0)
     pictures = _picture_us(shares, light, device, dwell_s)
-    sentinel = max(device.shortest_us, _whole(dwell_s * 1e6))
+    every = _sequence(on, device, grid, selection, seed)
     target.parent.mkdir(parents=True, exist_ok=True)
     with _new_folder(target) as draft:
-        hashes = _write_frames(
-            draft, format, device, len(shown) + 4, _sequence(on, device, grid, selection, seed),
-            progress,
-        )  # fmt: skip
-        ends = [Frame(role=role, picture_us=sentinel, sha256=hashes[place])
-                for role, place in (("on", 0), ("off", 1))]  # fmt: skip
+        hashes = _write_frames(draft, format, device, len(shown) + 4, every, progress)
         masks = [
             Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=sha256)
             for (mask, rail), share, us, sha256 in zip(
                 shown, shares.tolist(), pictures, hashes[2:-2], strict=True
             )
         ]
+        sentinel = max(device.shortest_us, _whole(dwell_s * 1e6))
+        ends = (
+            Frame(role="on", picture_us=sentinel, sha256=hashes[0]),
+            Frame(role="off", picture_us=sentinel, sha256=hashes[1]),
+        )
         manifest = Manifest(
             deepfsi=version("deepfsi"),
             device=device,
-            image_shape=image_shape,
+            image_shape=tuple(map(int, image_shape)),
             masks=rails.shape[1],
-            rails=len(rails),
+            rails=2 if len(rails) == 2 else 1,
             light=light,
             dimmed=dimmed,
-            mean_light=mean_light,
+            mean_light=float(mean_light),
             selection=selection,
             seed=seed,
             format=format,
@@ -154,6 +167,7 @@ def export_patterns(
         np.save(draft / "mirrors.npy", on)
         if design is not None:
             (draft / "design.safetensors").write_bytes(design)
+        manifest = manifest.model_copy(update={"sha256": _digest(manifest.model_dump_json())})
         (draft / "manifest.json").write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
     return Patterns(manifest, on)
 
@@ -181,22 +195,21 @@ def count_mirrors(
     shown: list[tuple[int, Rail]] = []
     peaks, on = [], []
     for mask in range(rails.shape[1]):
-        parts = np.asarray(rails[:, mask], dtype=np.float64)
+        parts = rails[:, mask].astype(np.float64)
+        sides: list[tuple[Rail, float, np.ndarray]] = []
         if light == "two-arm":
             time = parts.sum(axis=0)
-            if time.max() > 0:
-                shown.append((mask, "both"))
-                peaks.append(time.max())
-                on.append(np.rint(parts[0] / np.where(time > 0, time, 1.0) * mirrors))
-            continue
-        for rail, part in zip(_SIDES, parts, strict=False):
-            step = part.max() / mirrors
-            if step >= np.finfo(np.float64).tiny:
+            sides.append(("both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors))
+        else:
+            for rail, part in zip(SIDES, parts, strict=False):
+                step = max(part.max() / mirrors, _TINY)
+                sides.append((rail, part.max(), part / step))
+        for rail, peak, level in sides:
+            if peak > mirrors * _TINY:
                 shown.append((mask, rail))
-                peaks.append(part.max())
-                on.append(np.rint(part / step))
-    counts = np.array(on, dtype=np.uint32).reshape(len(on), rails.shape[2])
-    return shown, np.array(peaks), counts
+                peaks.append(peak)
+                on.append(np.rint(level).astype(np.uint32))
+    return shown, np.array(peaks), np.array(on, dtype=np.uint32).reshape(len(on), rails.shape[2])
 
 
 def make_frames(
@@ -246,7 +259,8 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
     """
     path = Path(folder) / "manifest.json"
     try:
-        manifest = Manifest.model_validate_json(path.read_bytes())
+        content = path.read_bytes()
+        manifest = Manifest.model_validate_json(content)
     except OSError as error:
         raise InputError(
             f"no patterns in {folder} ({error.strerror}): make them with `deepfsi dmd export`"
@@ -260,6 +274,11 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
             "again"
         ) from None
     _check_manifest(manifest, path)
+    if manifest.sha256 not in (None, _digest(content)):
+        raise InputError(
+            f"{path} was changed after it was written: export the patterns again, or remove its "
+            "sha256 to use it as it is"
+        )
     shape = (len(manifest.shown), math.prod(manifest.image_shape))
     counts = Path(folder) / "mirrors.npy"
     with _array(counts, "<u4", shape) as file:
@@ -312,7 +331,7 @@ def check_patterns(
     for place, frame in enumerate(_frames(folder, manifest)):
         known = manifest.frames[place]
         name = f"frame {place} of {folder} ({describe(known)})"
-        if hashlib.sha256(frame).hexdigest() != known.sha256:
+        if hashlib.sha256(frame.data).hexdigest() != known.sha256:
             raise InputError(f"{name} is not what was exported: export the patterns again")
         mirrors = unpack(frame, manifest.device)
         if known.role == "mask":
@@ -338,6 +357,46 @@ def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:
     return cells.sum(axis=(1, 3), dtype=np.uint32).ravel()
 
 
+@dataclass(frozen=True)
+class Cost:
+    """Shares of a pass in which nothing is counted.
+
+    Attributes
+    ----------
+    sentinels : float
+        Frames for alignment, flux and dark.
+    settling : float
+        Starts of the masks' frames, while mirrors move.
+    idle : float
+        What the gates leave of the masks' frames: pictures that are longer than their share because
+        no device shows shorter ones, and what is left where one more gate does not fit.
+    """
+
+    sentinels: float
+    settling: float
+    idle: float
+
+    @property
+    def total(self) -> float:
+        """Share of the clock in which no gate is open."""
+        return self.sentinels + self.settling + self.idle
+
+
+def find_cost(
+    manifest: Manifest,
+    exposure_s: float,
+    settle_s: float | None = None,
+    repeats: int | None = None,
+) -> Cost:
+    """What the device costs in time at an exposure; parameters and errors as `find_gates`."""
+    gates = find_gates(manifest, exposure_s, settle_s, repeats)
+    masks = float(manifest.picture_s[manifest.shown].sum())
+    settling = gates.settle_s * len(manifest.shown)
+    idle = masks - settling - gates.repeats * float(gates.length_s.sum())
+    whole = manifest.pass_s
+    return Cost((whole - masks) / whole, settling / whole, max(idle, 0.0) / whole)
+
+
 def describe(frame: Frame) -> str:
     """A frame in words."""
     if frame.role != "mask":
@@ -351,8 +410,8 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
 
     Each next mirror is the one that brings the mean of a repelling potential over the mirrors
     chosen closest to its mean over the whole cell (kernel herding), so that every beginning of the
-    order represents the cell. Large cells are ordered by blocks: one mirror of each block, in the
-    order of the blocks, then the next of each.
+    order represents the cell. Of very large cells whole blocks of mirrors are chosen, as often as
+    they have mirrors, and each gives those in an order of its own.
 
     Returns
     -------
@@ -363,38 +422,59 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
     ----------
     Y. Chen, M. Welling and A. Smola, "Super-samples from kernel herding", UAI, 2010.
     """
-    if height * width <= HERD:
-        order = _herd(height, width)
-    else:
-        side = math.isqrt(HERD)
-        blocks = min(height, side), min(width, side)
-        block = -(-height // blocks[0]), -(-width // blocks[1])
-        y, x = np.arange(height), np.arange(width)
-        down, across = y * blocks[0] // height, x * blocks[1] // width
-        outer = order_mirrors(*blocks)[np.ix_(down, across)]
-        inner = order_mirrors(*block)[
-            np.ix_(y - -(-down * height // blocks[0]), x - -(-across * width // blocks[1]))
-        ]
-        key = inner.astype(np.int64) * math.prod(blocks) + outer
-        order = np.empty(height * width, dtype=np.uint32)
-        order[key.ravel().argsort()] = np.arange(order.size, dtype=np.uint32)
-        order = order.reshape(height, width)
+    rows, columns = height, width
+    while rows * columns > HERD:
+        rows, columns = (-(-rows // 2), columns) if rows > columns else (rows, -(-columns // 2))
+    down, across = np.arange(height) * rows // height, np.arange(width) * columns // width
+    block = np.add.outer(down * columns, across).ravel()
+    chosen = _herd(np.bincount(down), np.bincount(across))
+    order = np.empty(height * width, dtype=np.uint32)
+    order[np.lexsort((_inside(down, across), block))] = np.argsort(chosen, kind="stable")
     order.flags.writeable = False
-    return order
+    return order.reshape(height, width)
 
 
-def _herd(height: int, width: int) -> np.ndarray:
-    y, x = (np.arange(side) / side for side in (height, width))
-    down, across = (np.exp(-np.abs(axis[:, None] - axis) / SPREAD) for axis in (y, x))
-    mean = np.outer(down.mean(axis=1), across.mean(axis=1))
-    potential = np.ones((height, width))
-    order = np.zeros((height, width), dtype=np.uint32)
-    for place in range(height * width):
-        chosen = divmod(int((potential - 2 * (place + 1) * mean).argmin()), width)
-        order[chosen] = place
-        potential += 2 * np.outer(down[chosen[0]], across[chosen[1]])
-        potential[chosen] = np.inf
-    return order
+def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Order of each mirror among those of its block; neighbouring blocks' are mirror images."""
+    places = []
+    for axis in (down, across):
+        most = np.bincount(axis).max()
+        place = np.arange(len(axis)) - np.searchsorted(axis, axis)
+        places.append(np.where(axis % 2, most - 1 - place, place))
+    most = tuple(int(place.max()) + 1 for place in places)
+    return (
+        np.zeros(len(down) * len(across))
+        if most == (1, 1)
+        else (order_mirrors(*most)[np.ix_(*places)].ravel())
+    )
+
+
+def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Blocks of a cell in the order of herding, each as often as it has mirrors.
+
+    In whole numbers, so that every machine finds the same. They are exact although sums may pass 64
+    bits on the way: what is compared is small, and what wraps around comes back.
+    """
+    near = []
+    for sides in (heights, widths):
+        centre = (np.cumsum(sides) - sides / 2) / sides.sum()
+        distance = np.abs(np.subtract.outer(centre, centre))
+        near.append(np.rint(UNIT * np.exp(-distance / SPREAD)).astype(np.int64))
+    down, across = near
+    free = np.outer(heights, widths)
+    mirrors = int(free.sum())
+    wanted = 2 * np.outer(down @ heights, across @ widths)
+    excess = np.full(free.shape, UNIT**2 * mirrors)
+    chosen = np.empty(mirrors, dtype=np.intp)
+    for place in range(mirrors):
+        excess -= wanted
+        chosen[place] = excess.argmin()
+        row, column = divmod(int(chosen[place]), len(widths))
+        excess += np.outer(down[row], 2 * mirrors * across[column])
+        free[row, column] -= 1
+        if not free[row, column]:
+            excess[row, column] = 2**62  # beyond what any other reaches
+    return chosen
 
 
 def _aligned(device: Device, grid: Grid) -> bool:
@@ -440,7 +520,8 @@ def _draw(
     places = np.arange(grid.mirrors, dtype=np.uint32)
     for counts in on:
         lit = places < counts[:, None]
-        rng.permuted(lit, axis=1, out=lit)
+        grey = (counts > 0) & (counts < grid.mirrors)
+        lit[grey] = rng.permuted(lit[grey], axis=1)
         cells = lit.reshape(grid.down, grid.across, grid.height, grid.width)
         yield _pack(cells.transpose(0, 2, 1, 3), device, grid)
 
@@ -489,12 +570,12 @@ def _write_frames(
                 file, {"descr": "|u1", "fortran_order": False, "shape": shape}
             )
         for place, frame in enumerate(frames):
-            hashes.append(hashlib.sha256(frame).hexdigest())
+            hashes.append(hashlib.sha256(frame.data).hexdigest())
             if format == "png":
                 picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
-                picture.save(folder / _png(place, total))
+                picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
             else:
-                file.write(frame)
+                file.write(frame.data)
             if progress is not None:
                 progress((place + 1) / total)
     return hashes
@@ -592,6 +673,12 @@ def _check_manifest(manifest: Manifest, path: Path) -> None:
         raise InputError(f"the rails in {path} are not those of {manifest.light}: export again")
 
 
+def _digest(manifest: str | bytes) -> str:
+    """Hash of a manifest's JSON but for the hash itself, whatever its layout."""
+    content = {key: value for key, value in json.loads(manifest).items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
 def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) -> np.ndarray:
     rails = np.asarray(rails)
     if light not in LIGHTS:
@@ -610,15 +697,17 @@ def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) ->
         raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
     if not np.isfinite(rails).all() or rails.min() < 0:
         raise InputError("rails must be finite and 0 or more: give shares of each pixel's photons")
+    if light == "two-arm" and np.ptp(rails.sum(axis=0), axis=-1).max() * rails.shape[1] > _SLACK:
+        raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
     return rails
 
 
 def _check_settings(
     target: Path, dwell_s: float, mean_light: float, selection: str, seed: int, format: str
 ) -> None:
-    if not (math.isfinite(dwell_s) and 0 < dwell_s <= _LONGEST_S):
+    if not (math.isfinite(dwell_s) and 0 < dwell_s <= LONGEST_S):
         raise InputError(
-            f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to {_LONGEST_S:g}"
+            f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to {LONGEST_S:g}"
         )
     if not (math.isfinite(mean_light) and mean_light > 0):
         raise InputError(f"mean light {mean_light!r} is not allowed: give a number above 0")
@@ -645,6 +734,11 @@ def _picture_us(shares: np.ndarray, light: str, device: Device, dwell_s: float) 
             "give a longer one"
         )
     wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
+    if wanted.max() > 1e6 * LONGEST_S:
+        raise InputError(
+            f"with a dwell of {dwell_s:g} s the longest picture takes {wanted.max() / 1e6:.3g} s, "
+            f"and {LONGEST_S:g} are allowed: give a shorter one"
+        )
     return [max(device.shortest_us, _whole(us)) for us in wanted.tolist()]
 
 
@@ -672,7 +766,7 @@ def _new_folder(target: Path) -> Iterator[Path]:
         raise
 
 
-_SIDES: tuple[Rail, Rail] = ("plus", "minus")
 _FORMATS = ("npy", "png", "raw")
 _STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
-_LONGEST_S = 1e3
+_SLACK = 1e-4
+_TINY = float(np.finfo(np.float64).tiny)

@@ -17,7 +17,7 @@ Each pass over the masks begins and ends with two *sentinel* frames, all mirrors
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -25,6 +25,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from deepfsi.errors import InputError, closest
 
 SCHEMA: Literal[1] = 1
+
+MOST_FRAMES = 2**20
+"""Of one pass, sentinels among them."""
 
 Role = Literal["mask", "on", "off"]
 Rail = Literal["plus", "minus", "both"]
@@ -185,6 +188,9 @@ class Manifest(BaseModel):
     design_sha256 : str or None
         Of the design file.
     frames : tuple of Frame
+    sha256 : str or None
+        Of all else in the manifest's file, so that a change of it is found; taken as it is
+        without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -192,7 +198,7 @@ class Manifest(BaseModel):
     schema_version: Literal[1] = SCHEMA
     deepfsi: str
     device: Device
-    image_shape: tuple[int, ...] = Field(min_length=1, max_length=2)
+    image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
     masks: int = Field(ge=1)
     rails: Literal[1, 2]
     light: str
@@ -202,7 +208,8 @@ class Manifest(BaseModel):
     seed: int = 0
     format: Literal["npy", "png", "raw"]
     design_sha256: str | None = None
-    frames: tuple[Frame, ...] = Field(min_length=1, max_length=2**20)
+    frames: tuple[Frame, ...] = Field(min_length=1, max_length=MOST_FRAMES)
+    sha256: str | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "Manifest":
