@@ -4,8 +4,9 @@
 
 Places are (across, down) in a unit square each: the displayed image, and the area of the device
 that the cells of a mask fill. A display is an area of given brightness, so what moves or enlarges
-its image on the device does not change the light on a mirror that still sees it. One arm sees the
-mirrors that are ON; on two arms a second detector sees the others, of the same area.
+its image on the device does not change the light on a mirror that still sees it. A stop hides the
+mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
+others.
 
 It shares nothing with `deepfsi.noise` and the scanner, so that each checks the other: with the
 ideal camera a gate's counts are Poisson, with the scanner's mean.
@@ -33,8 +34,10 @@ from deepfsi.hardware.sequence import Device, Gates, Grid, Manifest, find_gates
 MARKER = 1
 """Bits of the marker at the start of each frame."""
 
+MOST_FLUX = 1e12
+
 _SCENES = 64
-_FRAMES = 8
+_FRAMES = 16
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
@@ -156,17 +159,13 @@ def _look(
     camera: Camera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pixel of a scene each place sees (down, across), and whether it sees the scene."""
-    from skimage.transform import ProjectiveTransform
-
     back = np.linalg.inv(np.array(camera.view))
-    grid = np.stack(np.meshgrid(across, down), axis=-1)
-    seen = ProjectiveTransform(back)(grid.reshape(-1, 2)).reshape(grid.shape)
-    depth = grid @ back[2, :2] + back[2, 2]
-    ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0
-    pixel = np.floor(seen * np.array(shape[::-1]))
-    inside = ahead & ((pixel >= 0) & (pixel < shape[::-1])).all(axis=-1)
-    column, row = np.where(inside[..., None], pixel, 0).astype(np.intp).transpose(2, 0, 1)
-    return row * shape[1] + column, inside
+    x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
+    ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
+    depth = np.where(ahead, depth, np.inf)
+    column, row = np.floor(x / depth * shape[1]), np.floor(y / depth * shape[0])
+    inside = ahead & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
 def rates(
@@ -199,32 +198,31 @@ def rates(
     Raises
     ------
     InputError
-        If scenes are no images of numbers 0 or more, or flux is not.
+        If scenes are no images of numbers 0 or more, or the flux is not allowed.
     """
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
-    if not (math.isfinite(flux) and flux >= 0):
-        raise InputError(f"a flux of {flux!r} is not allowed: give photons/s, 0 or more")
+    if not 0 <= flux <= MOST_FLUX:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
     arms = 2 if manifest.two_arm else 1
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, arms))
     device = manifest.device
-    mirrors = manifest.grid.mirrors * math.prod(manifest.image_shape)
     stray = camera.ambient / (device.rows * device.columns)
     for first in range(0, len(images), _SCENES):
         part = images[first : first + _SCENES]
         light = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
-        whole = light.sum(axis=1, dtype=np.float64)
         for place, on in _blocks(patterns_folder, device):
-            lit = (on @ light.T).astype(np.float64), on.sum(axis=1, keepdims=True)
             for arm in range(arms):
-                scene, glow = lit if arm == 0 else (whole - lit[0], mirrors - lit[1])
-                photons = scene * flux / manifest.mean_light + glow * stray
+                seen = on if arm == 0 else 1 - on
+                area = seen.reshape(-1, device.rows, device.columns)[:, *_area(manifest.grid)]
+                signal = (seen @ light.T).astype(np.float64) * (flux / manifest.mean_light)
+                photons = signal + area.sum(axis=(1, 2))[:, None] * stray
                 out[first : first + len(part), place : place + len(on), arm] = photons.T
             if progress is not None:
                 done = first * frames + (place + len(on)) * len(part)
                 progress(done / (len(images) * frames))
-    return np.maximum(out, 0) * camera.efficiency + camera.dark
+    return out * camera.efficiency + camera.dark
 
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
@@ -343,8 +341,8 @@ def record(
     gates = find_gates(manifest, exposure_s, settle_s, repeats)
     acquisition = Acquisition(
         scenes=tuple(
-            Scene(name=name, label=label)
-            for name, label in zip(names, labels or [None] * len(names), strict=True)
+            Scene(name=name, label=None if labels is None else labels[place])
+            for place, name in enumerate(names)
         ),
         exposure_s=exposure_s,
         settle_s=gates.settle_s,
