@@ -22,8 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from scipy import ndimage, optimize, sparse
-from skimage.measure import ransac
-from skimage.transform import ProjectiveTransform, estimate_transform
+from skimage import measure, transform
 
 import deepfsi
 from deepfsi.datasets import Dataset
@@ -52,12 +51,12 @@ __all__ = [
 
 SCHEMA: Literal[1] = 1
 FILE = "calibration.json"
-POINTS = 24  # of a cell's average, along each axis
+POINTS = 24, 32  # of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells
 WINDOW = 1.5  # cells, standard deviation of the window in which a spot is centred
 FAINT = 6.0  # a spot is seen where its peak is this many standard deviations of the noise
 OUTLIER = 0.5  # cells
 SEEN = 0.5  # of the brightest cell: where the flat field is measured and not continued
-WIDEST = 3.0  # cells, largest blur that is looked for
+WIDEST = 2.0  # cells, largest blur that is looked for
 BLOCK = 4096  # scenes at a time
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -146,7 +145,8 @@ def spot_scenes(
     InputError
         If fewer than 2 x 2 spots are asked for, or they do not fit side by side.
     """
-    if min(count) < 2 or side < 1 or any(n * side > s for n, s in zip(count, image_shape)):
+    room = np.array(image_shape) - np.array(count) * side
+    if min(count) < 2 or side < 1 or room.min() < 0:
         raise InputError(
             f"{count[0]} x {count[1]} spots of {side} pixels do not fit a display of "
             f"{image_shape[0]} x {image_shape[1]}: give 2 x 2 or more that fit side by side"
@@ -296,17 +296,18 @@ def find_homography(
     )
     if seen.sum() < 4:
         raise InputError(trouble)
-    _, inliers = ransac(
+    _, inliers = measure.ransac(
         (source, target),
-        ProjectiveTransform,
+        transform.ProjectiveTransform,
         min_samples=4,
         residual_threshold=OUTLIER,
         max_trials=500,
+        stop_probability=0.9999,
         rng=seed,
     )
     if inliers is None or inliers.sum() < 4:
         raise InputError(trouble)
-    model = estimate_transform("projective", source[inliers], target[inliers])
+    model = transform.estimate_transform("projective", source[inliers], target[inliers])
     if not model or not np.isfinite(model.params).all():
         raise InputError(trouble)
     distance = model.residuals(source[inliers], target[inliers])
@@ -355,7 +356,7 @@ def find_blur(
         return float((measured**2).sum() - explained.sum())
 
     found = optimize.minimize_scalar(
-        misfit, bounds=(0, WIDEST), method="bounded", options={"xatol": 1e-3}
+        misfit, bounds=(0, WIDEST), method="bounded", options={"xatol": 5e-3}
     )
     return spread(0.0) if misfit(0.0) <= found.fun else spread(float(found.x))
 
@@ -529,7 +530,9 @@ def view_dataset(
     content = calibration.model_dump_json().encode()
     shape = cells_shape or data.image_shape
     if len(shape) != 2:
-        raise InputError(f"{data.name}: scenes of shape {shape} are no images: give a data set of some")
+        raise InputError(
+            f"{data.name}: scenes of shape {shape} are no images: give a data set of some"
+        )
     return replace(
         data,
         x_train=camera_view(data.x_train, data.image_shape, calibration, shape),
@@ -656,8 +659,8 @@ def _matrix(
     pixels one axis after the other.
     """
     (h, w), (down, across) = image_shape, cells_shape
-    average_down, tops = _axis_average(down, blur[0])
-    average_across, lefts = _axis_average(across, blur[1])
+    average_down, tops = _axis_average(down, blur[0], POINTS[0])
+    average_across, lefts = _axis_average(across, blur[1], POINTS[1])
     x, y = np.meshgrid(lefts, tops)
     back = np.linalg.inv(np.asarray(homography, dtype=float))
     u, v, scale = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
@@ -682,20 +685,20 @@ def _matrix(
     )
 
 
-def _axis_average(cells: int, blur: float) -> tuple[sparse.csr_array, np.ndarray]:
+def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array, np.ndarray]:
     """Average of blurred light over each cell of an axis, (cells, points), and the points.
 
     Points lie beyond the cells as far as the blur reaches.
     """
-    step = 1 / (cells * POINTS)
+    step = 1 / (cells * each)
     beyond = int(np.ceil(4 * blur / step))
-    places = (np.arange(-beyond, cells * POINTS + beyond) + 0.5) * step
+    places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step
     kernel = np.ones(1)
     if beyond:
         kernel = np.exp(-((np.arange(-beyond, beyond + 1) * step / blur) ** 2) / 2)
-    weights = np.convolve(kernel / kernel.sum(), np.full(POINTS, 1 / POINTS))
+    weights = np.convolve(kernel / kernel.sum(), np.full(each, 1 / each))
     cell = np.repeat(np.arange(cells), len(weights))
-    point = cell * POINTS + np.tile(np.arange(len(weights)), cells)
+    point = cell * each + np.tile(np.arange(len(weights)), cells)
     values = np.tile(weights, cells)
     return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
 
@@ -709,5 +712,7 @@ def _at_cells(values: np.ndarray, cells_shape: tuple[int, int]) -> np.ndarray:
         for n, size in zip(cells_shape, values.shape, strict=True)
     ]
     return np.asarray(
-        ndimage.map_coordinates(values, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest")
+        ndimage.map_coordinates(
+            values, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"
+        )
     )

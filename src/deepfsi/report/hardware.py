@@ -1,6 +1,7 @@
 """Figures of the camera: its view, its masks made of mirrors, and how well it classifies."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
@@ -22,11 +24,11 @@ from deepfsi.report.figures import (
     PAPER,
     Point,
     accuracy_axes,
-    photons_text,
     styled,
 )
 from deepfsi.report.studies import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, readable_ink
 
+MARGIN = 1.5  # inches beside the scenes, for words and scale
 FRAME_PIXELS = 512  # a whole frame is averaged to at most this many across
 BESIDE = 0.028  # of the axis, published values to the right of ours
 
@@ -62,16 +64,17 @@ def views_figure(
         If the two differ in number.
     """
     if len(raw) != len(seen) or len(raw) == 0:
-        raise InputError(f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each")
+        raise InputError(
+            f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each"
+        )
     shape = seen.shape[1] * cell[0] / (seen.shape[2] * cell[1])
-    tile = (PAGE_WIDTH - 0.9) / max(len(raw), 4)
+    tile = (PAGE_WIDTH - MARGIN) / max(len(raw), 4)
     heights = [tile * raw.shape[1] / raw.shape[2], tile * shape]
     figure = Figure(
-        figsize=(tile * len(raw) + 0.9, sum(heights) + (0.35 if names else 0.12)),
-        layout="constrained",
+        figsize=(tile * len(raw) + MARGIN, sum(heights) + (0.4 if names else 0.16)),
+        layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04, wspace=0.02, hspace=0.02),
     )
     axes = figure.subplots(2, len(raw), squeeze=False, height_ratios=heights)
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
     norm = Normalize(0, 1)
     for column, images in enumerate(zip(raw, seen, strict=True)):
         for ax, image, ratio in zip(axes[:, column], images, (1.0, cell[0] / cell[1]), strict=True):
@@ -80,10 +83,10 @@ def views_figure(
             ax.spines[:].set(visible=True, color=GRID)
         if names:
             axes[0, column].set_title(names[column], loc="center")
-    axes[0, 0].set_ylabel("displayed")
-    axes[1, 0].set_ylabel("camera's view")
+    for ax, words in zip(axes[:, 0], ("displayed", "as the\ncamera\nsees it"), strict=True):
+        ax.set_ylabel(words, rotation=0, horizontalalignment="right", verticalalignment="center")
     bar = figure.colorbar(ScalarMappable(norm, GREYS), ax=axes, aspect=16, pad=0.015)
-    bar.set_label("reflectance, relative light", fontsize=8)
+    bar.set_label("reflectance,\nrelative light", fontsize=8)
     bar.set_ticks([0, 0.5, 1])
     plain_bar(bar)
     return figure
@@ -169,7 +172,7 @@ def mirrors_figure(
             )
         )
     whole.set_title(f"one frame, {columns} × {rows} mirrors")
-    near.set_title(f"close by, {grid.width} × {grid.height} mirrors a cell")
+    near.set_title("close by")
     whole.set(xlabel="mirror across", ylabel="mirror down")
     whole.set_xticks(_quarters(columns))
     whole.set_yticks(_quarters(rows))
@@ -177,8 +180,13 @@ def mirrors_figure(
     near.set_xticks(middles, [str(first[1] + i + 1) for i in range(extent[1])])
     middles = top + (np.arange(extent[0]) + 0.5) * grid.height
     near.set_yticks(middles, [str(first[0] + i + 1) for i in range(extent[0])])
-    near.set(xlabel="cell across", ylabel="cell down")
+    near.set(
+        xlabel=f"cell across, {grid.width} mirrors each",
+        ylabel=f"cell down, {grid.height} mirrors each",
+    )
     near.tick_params(length=0)
+    near.yaxis.tick_right()
+    near.yaxis.set_label_position("right")
     for ax in (whole, near):
         ax.spines[:].set(visible=True)
     return figure
@@ -210,7 +218,7 @@ def exposure_figure(
     Figure
         Bars are intervals. Circles are feature-specific designs, squares others.
     """
-    rows = [{**point, "best": True} for point in points]
+    rows: list[Point] = [{**point, "best": True} for point in points]
     others = list(published)
     exposures = sorted({row["exposure_s"] for row in [*rows, *others]})
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
@@ -222,13 +230,12 @@ def exposure_figure(
     ax.xaxis.set_major_locator(FixedLocator(exposures))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     if flux is not None:
-        top = ax.secondary_xaxis(
-            "top", functions=(lambda exposure: exposure * flux, lambda photons: photons / flux)
-        )
+        to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
+        top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
         top.set_xlabel("photons on the device Φ")
         top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
         top.xaxis.set_minor_locator(NullLocator())
-        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     if others:
         looks: dict[str, Any] = {"color": INK, "marker": "o"}
         keys = [
@@ -236,9 +243,7 @@ def exposure_figure(
             Line2D([], [], **looks, markerfacecolor=PAPER, linestyle="none"),
         ]
         words = ["here, with interval", "published, with interval"]
-        figure.legend(
-            keys, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8
-        )
+        figure.legend(keys, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure
 
 
@@ -321,13 +326,12 @@ def digits_figure(
     bar = figure.colorbar(
         ScalarMappable(norm, GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
     )
-    bar.ax.set_in_layout(True)
     plain_bar(bar)
     return figure
 
 
 def _averaged(mirrors: np.ndarray, factor: int) -> np.ndarray:
-    """Mirrors averaged over squares of `factor`; those of an incomplete last square are left out."""
+    """Mirrors averaged over squares of `factor`, without an incomplete last square."""
     rows, columns = (size // factor * factor for size in mirrors.shape)
     tiles = mirrors[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
     return np.asarray(tiles.mean(axis=(1, 3)))
