@@ -502,6 +502,10 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     np.save(path, wrong)
     with pytest.raises(InputError, match="more than their 192 mirrors"):
         dmd.read_patterns(tmp_path / "p")
+    np.save(path, shown.on)
+    path.write_bytes(path.read_bytes()[:-70])
+    with pytest.raises(InputError, match=r"it breaks off in frame 10;"):
+        dmd.read_patterns(tmp_path / "p")
     np.save(path, shown.on.astype(np.int64))
     with pytest.raises(InputError, match="uint32 numbers"):
         dmd.read_patterns(tmp_path / "p")
@@ -569,6 +573,12 @@ def test_equal_dwell_holds_every_frame_as_long(tmp_path):
     assert {frame.picture_us for frame in manifest.frames} == {700}
 
 
+@pytest.mark.parametrize(("dwell", "us"), [(123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001)])
+def test_pictures_last_whole_microseconds_rounded_up_but_not_by_floating_point(tmp_path, dwell, us):
+    manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
+    assert {frame.picture_us for frame in manifest.frames} == {us}
+
+
 def test_no_picture_is_shorter_than_the_device_can_show(tmp_path):
     manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=1e-6).manifest
     assert {frame.picture_us for frame in manifest.frames} == {44}
@@ -633,7 +643,7 @@ def test_a_short_share_costs_time(tmp_path):
         ({"mean_light": 0}, "mean light 0"),
         ({"selection": "order"}, "did you mean 'ordered'"),
         ({"selection": "random", "seed": -1}, "seed -1"),
-        ({"format": "bin"}, "Known: npy, png, raw"),
+        ({"format": "bin"}, "Known: npy, raw, png"),
         ({"device": find_device("3x3")}, "do not fit"),
         ({"image_shape": (16, 1, 1)}, "1 or 2 axes"),
         ({"image_shape": (16, 0)}, "1 or 2 axes"),

@@ -22,7 +22,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -51,6 +51,15 @@ Format = Literal["npy", "png", "raw"]
 
 LIGHTS = ("column", "equal-dwell", "free-dwell", "two-arm")
 SIDES: tuple[Rail, Rail] = ("plus", "minus")
+STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
+FORMATS = (*STREAMS, "png")
+
+SLACK = 1e-4
+"""Share of the exposure by which two arms' times may differ between pixels."""
+
+TINY = float(np.finfo(np.float64).tiny)
+"""A rail whose peak is fewer of these than a cell has mirrors is dark."""
+
 MOST_TILE_BYTES = 2**24
 """Largest table of every grey level of a cell, packed; larger ones are not worth their memory."""
 
@@ -203,10 +212,10 @@ def count_mirrors(
             sides.append(("both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors))
         else:
             for rail, part in zip(SIDES, parts, strict=False):
-                step = max(part.max() / mirrors, _TINY)
+                step = max(part.max() / mirrors, TINY)
                 sides.append((rail, part.max(), part / step))
         for rail, peak, level in sides:
-            if peak > mirrors * _TINY:
+            if peak > mirrors * TINY:
                 on[len(shown)] = np.rint(level)
                 shown.append((mask, rail))
                 peaks.append(peak)
@@ -282,7 +291,7 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
         )
     shape = (len(manifest.shown), math.prod(manifest.image_shape))
     counts = Path(folder) / "mirrors.npy"
-    with _array(counts, "<u4", shape) as file:
+    with _array(counts, "<u4", shape, first=int(manifest.shown[0])) as file:
         on = np.frombuffer(file.read(4 * math.prod(shape)), "<u4").reshape(shape)
     if on.max(initial=0) > manifest.grid.mirrors:
         raise InputError(
@@ -443,11 +452,9 @@ def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
         place = np.arange(len(axis)) - np.searchsorted(axis, axis)
         places.append(np.where(axis % 2, most - 1 - place, place))
     most = tuple(int(place.max()) + 1 for place in places)
-    return (
-        np.zeros(len(down) * len(across))
-        if most == (1, 1)
-        else (order_mirrors(*most)[np.ix_(*places)].ravel())
-    )
+    if most == (1, 1):
+        return np.zeros(len(down) * len(across), dtype=np.uint32)
+    return order_mirrors(*most)[np.ix_(*places)].ravel()
 
 
 def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
@@ -565,16 +572,17 @@ def _write_frames(
     shape = (total, device.rows, -(-device.columns // 8))
     if format == "png":
         (folder / "frames").mkdir()
-    with (folder / _STREAMS.get(format, os.devnull)).open("wb") as file:
-        if format == "npy":
-            _write_header(file, np.dtype("u1"), shape)
+    stream = None if format == "png" else (folder / STREAMS[format]).open("wb")
+    with stream or nullcontext():
+        if format == "npy" and stream:
+            _write_header(stream, np.dtype("u1"), shape)
         for place, frame in enumerate(frames):
             hashes.append(hashlib.sha256(frame.data).hexdigest())
-            if format == "png":
+            if stream:
+                stream.write(frame.data)
+            else:
                 picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
                 picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
-            else:
-                file.write(frame.data)
             if progress is not None:
                 progress((place + 1) / total)
     return hashes
@@ -588,7 +596,7 @@ def _frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
             yield _read_png(folder / _png(place, total), device).reshape(shape)
         return
     header = "|u1" if manifest.format == "npy" else None
-    with _array(folder / _STREAMS[manifest.format], header, (total, *shape)) as file:
+    with _array(folder / STREAMS[manifest.format], header, (total, *shape)) as file:
         for _ in range(total):
             yield np.frombuffer(file.read(device.frame_bytes), dtype=np.uint8).reshape(shape)
 
@@ -620,10 +628,13 @@ def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...])
 
 
 @contextmanager
-def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
+def _array(
+    path: Path, kind: str | None, shape: tuple[int, ...], first: int = 0
+) -> Iterator[IO[bytes]]:
     """Open a file at the start of an array's data, certain that all of it is there.
 
-    With a `kind` the file has a header of numpy's, which must say that type and `shape`.
+    With a `kind` the file has a header of numpy's, which must say that type and `shape`. The
+    array's first row is of frame `first`.
     """
     again = "export the patterns again"
     try:
@@ -644,7 +655,7 @@ def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[
                 per = size * math.prod(shape[1:])
                 raise InputError(
                     f"{path} has {here} bytes of data, and manifest.json says {wanted}: it breaks "
-                    f"off in frame {here // per}; {again}"
+                    f"off in frame {first + here // per}; {again}"
                     if here < wanted
                     else f"{path} has {here - wanted} bytes too many: {again}"
                 )
@@ -701,7 +712,7 @@ def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) ->
         raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
     if not np.isfinite(rails).all() or rails.min() < 0:
         raise InputError("rails must be finite and 0 or more: give shares of each pixel's photons")
-    if light == "two-arm" and np.ptp(rails.sum(axis=0), axis=-1).max() * rails.shape[1] > _SLACK:
+    if light == "two-arm" and np.ptp(rails.sum(axis=0), axis=-1).max() * rails.shape[1] > SLACK:
         raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
     return rails
 
@@ -721,8 +732,8 @@ def _check_settings(
         )
     if seed < 0:
         raise InputError(f"seed {seed} is not allowed: give 0 or more")
-    if format not in _FORMATS:
-        raise InputError(f"unknown format {format!r}: {closest(format, _FORMATS)}")
+    if format not in FORMATS:
+        raise InputError(f"unknown format {format!r}: {closest(format, FORMATS)}")
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
 
@@ -768,9 +779,3 @@ def _new_folder(target: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-
-
-_FORMATS = ("npy", "png", "raw")
-_STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
-_SLACK = 1e-4
-_TINY = float(np.finfo(np.float64).tiny)
