@@ -193,6 +193,13 @@ def test_other_device_and_cell_number():
     assert found.flat == ((1.0,),)
 
 
+def test_noise_does_not_dim_the_flat_field():
+    truth = vignette((32, 32))
+    white = truth * np.random.default_rng(0).normal(1, 0.03, truth.shape)
+    found = cal.find_flat(white, (32, 32), IDENTITY)
+    assert np.mean(found / truth) == pytest.approx(1, abs=0.015)
+
+
 def test_black_is_taken_from_every_picture():
     scenes = cal.spot_scenes((32, 32))
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])

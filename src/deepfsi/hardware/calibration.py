@@ -15,7 +15,8 @@ a picture of each (`acquisition.picture`) and give them to `calibrate`.
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +25,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from scipy import ndimage, optimize, sparse
 from skimage import measure, transform
 
-import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
@@ -80,7 +80,7 @@ class Calibration(BaseModel):
     blur : tuple of float
         Standard deviation of a Gaussian, down and across, in the device's unit square.
     flat : rows of numbers, shape (down, across)
-        Light of each cell relative to the brightest, for a uniform scene that fills the view.
+        Light of each cell relative to the brightest ones, for a uniform scene that fills the view.
     dark : float
         Counts/s with all mirrors OFF and the display black.
     ambient : float
@@ -90,7 +90,7 @@ class Calibration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = SCHEMA
-    deepfsi: str = deepfsi.__version__
+    deepfsi: str = version("deepfsi")
     homography: tuple[Row, Row, Row]
     residual: Rate
     spots: int = Field(ge=4)
@@ -111,12 +111,21 @@ class Calibration(BaseModel):
         return self
 
 
-class Homography(BaseModel):
-    """Display → device in unit squares, as fitted: `Calibration` says what the fields are."""
+@dataclass(frozen=True)
+class Homography:
+    """What `find_homography` found.
 
-    model_config = ConfigDict(frozen=True)
+    Attributes
+    ----------
+    matrix : array, shape (3, 3)
+        Display → device in unit squares.
+    residual : float
+        Root mean square distance of the spots from it, cells.
+    spots : int
+        Spots that it rests on.
+    """
 
-    matrix: tuple[Row, Row, Row]
+    matrix: np.ndarray
     residual: float
     spots: int
 
@@ -215,7 +224,7 @@ def calibrate(
     blur = find_blur(scenes, pictures, fit.matrix, grid)
     flat = None if white is None else find_flat(white - floor, scenes.shape[1:], fit.matrix, blur)
     return Calibration(
-        homography=fit.matrix,
+        homography=fit.matrix.tolist(),
         residual=fit.residual,
         spots=fit.spots,
         shown=len(scenes),
@@ -314,7 +323,7 @@ def find_homography(
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
     matrix /= matrix[2, 2]
     return Homography(
-        matrix=matrix.tolist(),
+        matrix=matrix,
         residual=float(np.sqrt((distance**2).mean())),
         spots=int(inliers.sum()),
     )
@@ -382,7 +391,7 @@ def find_flat(
     Returns
     -------
     array, shape (down, across)
-        Relative to the brightest cell.
+        Relative to the brightest cells.
 
     Raises
     ------
@@ -400,7 +409,8 @@ def find_flat(
     flat = np.divide(white, filled, out=np.zeros_like(white), where=seen).clip(0)
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
     flat = flat[tuple(nearest)]
-    return np.asarray(flat / flat.max())
+    peak = ndimage.gaussian_filter(flat, 1.0, mode="nearest").max()  # not of the noise
+    return np.asarray((flat / peak).clip(0, 1))
 
 
 def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float]:
