@@ -376,7 +376,7 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
         f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
         f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s less the settling"
     )
-    if manifest.dimmed < 1:
+    if manifest.dimmed < 0.999:
         print(
             f"cost: one device shows a {manifest.light} design with {manifest.dimmed:.3g} of its "
             "light; learn it with --light free-dwell or equal-dwell instead"
