@@ -134,8 +134,8 @@ def excess(rails: Tensor, light: Light) -> float:
 def used(rails: Tensor, light: Light) -> Tensor:
     """How much of a constraint the first masks use: by the first k of them, for every k.
 
-    Shown alone for the whole exposure these k may be brighter by the inverse; shown as the beginning
-    of all, on one device, they have taken this share of its time.
+    Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
+    beginning of all, on one device, they have taken this share of its time.
 
     Parameters
     ----------

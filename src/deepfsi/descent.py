@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.classifiers import Mlp, Replicas
 from deepfsi import constraints
+from deepfsi.classifiers import Mlp, Replicas
 from deepfsi.constraints import Fixed, Learned
 from deepfsi.jobs import Job, Training, products
 from deepfsi.noise import follow, poisson, root, variance
@@ -266,7 +266,8 @@ def _told(
     """Features of scenes that each have a budget and a number of masks of their own."""
     job, how = jobs[0], jobs[0].training
     light, _ = job.optics
-    x = scenes.centred("two-arm" if isinstance(masks, Fixed) else light, products(job, scenes.device))
+    seen_by = light if isinstance(masks, Learned) else "two-arm"  # fixed masks see every pixel
+    x = scenes.centred(seen_by, products(job, scenes.device))
     told = Told(job.photons, how.span, job.masks)
     likely = chances(job.masks, how.nested).to(scenes.device)
 

@@ -79,7 +79,7 @@ class Training(BaseModel):
         1.0,
         ge=1,
         le=1e12,
-        description="how far budgets range in training: log-uniform, from `photons` up to span times it",
+        description="budgets of the training range log-uniformly from `photons` to span times that",
     )
     nested: int = Field(
         0, ge=0, description="fewest masks, first ones, that must do for a class; 0: all are needed"
@@ -186,7 +186,7 @@ def products(job: Job, device: torch.device) -> torch.dtype:
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
     readouts = job.masks * (2 if job.rails == "dual" else 1)
-    counts = job.photons / readouts
+    counts = job.photons * job.training.span / readouts
     limit = {
         "ml_gauss": BFLOAT16_COUNTS,
         "poisson": BFLOAT16_COUNTS,
@@ -201,8 +201,8 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     constraints.check_light(*job.optics)
     if job.training.told and job.noise != "ml_gauss":
         raise InputError(
-            "a range of budgets and nested masks are trained under ml_gauss: leave --train-noise and "
-            "--noise out"
+            "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
+            "--train-noise out"
         )
     if job.training.nested > job.masks:
         raise InputError(
