@@ -171,3 +171,12 @@ def test_frames_are_compared_on_the_same_work(capsys):
     printed = capsys.readouterr().out
     for row in ("| hadamard | ordered |", "| grey | random |", "| grey |", "| 11 | 1.1 |"):
         assert row in printed
+
+
+def test_the_comparison_of_photon_counting_runs(capsys):
+    """Counts of all ways are compared inside."""
+    benchmark("photons").main(["--records", "3e5", "--inputs", "2", "--rounds", "2"])
+    printed = capsys.readouterr().out
+    for name in ("deepfsi", "ptufile + numpy", "a record at a time"):
+        assert f"| {name} |" in printed
+    assert "peak memory, deepfsi" in printed
