@@ -172,6 +172,7 @@ def counted(found: list[tuple[str, int, int]], starts, stops, inputs) -> np.ndar
 @pytest.mark.parametrize("chunk", [1, 7, 250, 2**17])
 def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch, kind, chunk):
     monkeypatch.setattr(ptu, "CHUNK", chunk)
+    monkeypatch.setattr(ptu, "BLOCK", chunk // 3 + 1)
     words = recorded(kind.code, 400 if chunk == 1 else 3000)
     path = save(tmp_path / "a.ptu", kind, words)
     found = decode(kind.code, words)
@@ -493,6 +494,7 @@ TICK = 10**6  # ticks of 1 ps by which markers may be off
 )
 def test_damaged_records_are_named_and_nothing_is_counted(tmp_path, monkeypatch, words, bad, chunk):
     monkeypatch.setattr(ptu, "CHUNK", chunk)
+    monkeypatch.setattr(ptu, "BLOCK", chunk // 3 + 1)
     path = save(tmp_path / "bad.ptu", T2, words)
     for read in (read_markers, lambda path: count_gates(path, np.array([0]), np.array([99]))):
         with pytest.raises(InputError, match=f"record {bad} of {len(words)}"):
@@ -536,6 +538,7 @@ def test_one_record_can_stand_for_very_many_overflows(tmp_path):
 @pytest.mark.parametrize("chunk", [1, 2, 2**17])
 def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chunk):
     monkeypatch.setattr(ptu, "CHUNK", chunk)
+    monkeypatch.setattr(ptu, "BLOCK", chunk // 3 + 1)
     start = 3 * TICK
     words = [
         photon(start),
@@ -706,7 +709,7 @@ def test_mutated_files_are_read_right_or_refused(scratch, code, changes, chunk):
     times = [time for _, time, _ in decode(code, recorded(code, 60, seed=code % 97))]
     edges = np.linspace(0, times[-1] // 2, 20).astype(np.int64)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with mock.patch.object(ptu, "CHUNK", chunk):
+    with mock.patch.multiple(ptu, CHUNK=chunk, BLOCK=chunk // 3 + 1):
         said = ""
         try:
             check_mutated(scratch, edges)

@@ -20,6 +20,7 @@ from deepfsi.classifiers import Mlp
 from deepfsi.constraints import Light
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.hardware.sequence import Patterns
 from deepfsi.scanner import Scanner, subtract
 
 SCHEMA = 1
@@ -145,13 +146,43 @@ class Design:
         self.classifier = self.classifier.to(device)
         return self
 
-    def quantised(self, levels: int) -> "Design":
-        """The design as shown with k / `levels` grey levels of each frame's peak (paper: 768).
+    def quantised(self, steps: int) -> "Design":
+        """The design as shown with k / `steps` of each frame's peak (paper: 768).
 
-        Classifier and statistics stay as they are.
+        Classifier and statistics stay as they are. A device of L grey levels, dark among them, has
+        L − 1 steps; `Training.levels` trains for one.
         """
-        rails = constraints.quantise(self.rails, self.light, levels)
+        rails = constraints.quantise(self.rails, self.light, steps)
         return replace(self, rails=rails)
+
+    def as_shown(self, patterns: Patterns) -> "Design":
+        """The design as patterns on a device realise it.
+
+        The classifier stays as it is. Where one device gives a design less light (`dimmed`), its
+        features are as much smaller, and so are the statistics that scale them.
+
+        Raises
+        ------
+        InputError
+            If the patterns are of a design of another shape.
+        """
+        manifest = patterns.manifest
+        shape = (manifest.rails, manifest.masks, patterns.on.shape[1])
+        if shape != tuple(self.rails.shape) or manifest.image_shape != self.image_shape:
+            raise InputError(
+                f"patterns of {manifest.masks} masks of {manifest.image_shape} cells and "
+                f"{manifest.rails} rails are not of this design, with {self.masks} masks of "
+                f"{self.image_shape} and {len(self.rails)} rails: export it with `deepfsi dmd`"
+            )
+        rails = torch.from_numpy(patterns.rails).to(self.rails)
+        return replace(
+            self,
+            rails=rails,
+            light="free-dwell" if self.light == "column" else self.light,
+            centre=self.centre * manifest.dimmed,
+            spread=self.spread * manifest.dimmed,
+            shares=self.shares * manifest.dimmed,
+        )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one safetensors file, all or nothing.

@@ -25,6 +25,7 @@ import stat
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
@@ -33,14 +34,16 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from deepfsi import __version__
 from deepfsi.errors import InputError
 from deepfsi.files import open_atomically
 
 MAGIC = b"PQTTTR"
 
-CHUNK = 2**17
-"""Records decoded at once: they and what is made of them stay in the processor's cache."""
+CHUNK = 2**19
+"""Records in memory at once."""
+
+BLOCK = 2**16
+"""Records looked at at once: they and what is made of them stay in the processor's cache."""
 
 LONGEST_HEADER = 2**22
 """Bytes."""
@@ -376,7 +379,7 @@ def count_gates(
             until = int(np.searchsorted(edges, part.high[-1], side="right"))
         places = part.find(edges[done:until])
         for column, each in enumerate(inputs):
-            here, total = part.count(each + kind.first, places)
+            here, total = part.count(each, places)
             before[done:until, column] = so_far[column] + here
             so_far[column] += total
         done = until
@@ -485,7 +488,7 @@ class Writer:
     def _header(self) -> bytes:
         tags: dict[str, str | int | float | None] = {
             "CreatorSW_Name": "deepfsi",
-            "CreatorSW_Version": __version__,
+            "CreatorSW_Version": version("deepfsi"),
             "Measurement_Mode": 2,
             "Measurement_SubMode": 1,
             "TTResultFormat_TTTRRecType": GENERIC_T2.code,
@@ -514,9 +517,8 @@ class _Part:
     wrong with the record that follows.
     """
 
+    kind: Kind
     words: np.ndarray
-    fields: np.ndarray
-    shift: int
     places: np.ndarray
     times: np.ndarray
     bits: np.ndarray
@@ -542,20 +544,25 @@ class _Part:
         low, high = self.begin[run], self.end[run] - 1
         while (low < high).any():
             middle = (low + high) >> 1
-            later = self.fields[middle] < wanted
+            later = self.words[middle] & self.kind.time_mask < wanted
             low = np.where(later, middle + 1, low)
             high = np.where(later, high, middle)
         return low
 
-    def count(self, field: int, places: np.ndarray) -> tuple[np.ndarray, int]:
-        """Photons with a channel field before each of some places, and all of them."""
-        found = self.words >> np.uint32(self.shift) == field
+    def count(self, number: int, places: np.ndarray) -> tuple[np.ndarray, int]:
+        """Photons on an input before each of some places, and all of them."""
+        field = self.kind.first + number
+        found = self.words < np.uint32(field + 1 << self.kind.shift)
+        if field:
+            found &= self.words >= np.uint32(field << self.kind.shift)
         total = int(np.count_nonzero(found))
         if total == len(self.words) - len(self.places):  # all photons
             return places - np.searchsorted(self.places, places), total
         if not (total and len(places)):
             return np.zeros(len(places), np.int64), total
-        return np.cumsum(found)[places] - found[places], total
+        bounds = np.unique(np.append(0, places))
+        sums = np.append(0, np.cumsum(np.add.reduceat(found, bounds, dtype=np.int64)))
+        return sums[np.searchsorted(bounds, places)], total
 
 
 @dataclass(frozen=True)
@@ -606,10 +613,7 @@ def _parts(header: Header, progress: Progress | None) -> Iterator[_Part]:
 
 
 def _decode(kind: Kind, words: np.ndarray, state: _State, slack: int) -> tuple[_Part, _State]:
-    special = words >= np.uint32((kind.first + kind.inputs) << kind.shift)
-    if kind.first:
-        special |= words < np.uint32(kind.first << kind.shift)
-    places = np.flatnonzero(special)
+    places, back = _scan(kind, words)
     wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
     damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
 
@@ -618,32 +622,25 @@ def _decode(kind: Kind, words: np.ndarray, state: _State, slack: int) -> tuple[_
     bases = kind.wrap * np.minimum(np.append(state.wraps, total), LATEST // kind.wrap)
     times = bases[1:] + values
 
-    fields = words & np.uint32(kind.time_mask)
-    back = fields[1:] < fields[:-1]
-    back[places[: np.searchsorted(places, len(back))]] = False
-    back[places[np.searchsorted(places, 1) :] - 1] = False
-    if back.any():
-        damages.append((np.flatnonzero(back) + 1, BACK))
-
     begin, end = np.append(0, places + 1), np.append(places, len(words))
     full = begin < end
     begin, end, base = begin[full], end[full], bases[full]
-    low, high = base + fields[begin], base + fields[end - 1]
+    low = base + (words[begin] & kind.time_mask)
+    high = base + (words[end - 1] & kind.time_mask)
 
     exact = _merge((begin, low, high), (places[sync], times[sync], times[sync]))
     marked = times[bits > 0]
     loose = _merge(exact, (places[bits > 0], marked + slack, marked - slack))
     late, latest = _follow(exact, state.latest)
     later, after = _follow(loose, state.after)
-    damages += [(late, BACK), (later, BACK)]
+    damages += [(back, BACK), (late, BACK), (later, BACK)]
 
     first = [(int(where[0]), how) for where, how in damages if len(where)]
     if first:
         raise _Damage(*min(first))
     part = _Part(
+        kind=kind,
         words=words,
-        fields=fields,
-        shift=kind.shift,
         places=places,
         times=times,
         bits=bits,
@@ -657,6 +654,22 @@ def _decode(kind: Kind, words: np.ndarray, state: _State, slack: int) -> tuple[_
         reached=max(int(bases[-1]), latest),
     )
     return part, _State(int(bases[-1]) // kind.wrap, latest, after)
+
+
+def _scan(kind: Kind, words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the specials, and of photons earlier than a photon right before them."""
+    specials, backs = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for start in range(0, len(words), BLOCK):
+        block = words[start : start + BLOCK + 1]  # and the first of the next
+        special = block >= np.uint32(kind.first + kind.inputs << kind.shift)
+        if kind.first:
+            special |= block < np.uint32(kind.first << kind.shift)
+        specials.append(np.flatnonzero(special[:BLOCK]) + start)
+        times = block & np.uint32(kind.time_mask)
+        back = (times[1:] < times[:-1]) > (special[1:] | special[:-1])
+        if back.any():
+            backs.append(np.flatnonzero(back) + start + 1)
+    return np.concatenate(specials), np.concatenate(backs)
 
 
 _Events = tuple[np.ndarray, np.ndarray, np.ndarray]

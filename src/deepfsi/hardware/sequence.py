@@ -199,7 +199,7 @@ class Manifest(BaseModel):
     deepfsi: str
     device: Device
     image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
-    masks: int = Field(ge=1)
+    masks: int = Field(ge=1, le=MOST_FRAMES)
     rails: Literal[1, 2]
     light: str
     dimmed: float = Field(gt=0, le=1)
