@@ -158,7 +158,6 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
     assert len(rows) == 1 + estimators * (grid + seeds) + len(gradients.CONTROLS) * seeds
 
 
-<<<<<<< HEAD
 def test_frames_are_compared_on_the_same_work(capsys):
     frames = benchmark("dmd")
     on = frames.dmd.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors)[2]
@@ -172,7 +171,8 @@ def test_frames_are_compared_on_the_same_work(capsys):
     printed = capsys.readouterr().out
     for row in ("| hadamard | ordered |", "| grey | random |", "| grey |", "| 11 | 1.1 |"):
         assert row in printed
-=======
+
+
 def test_the_comparison_of_photon_counting_runs(capsys):
     """Counts of all ways are compared inside."""
     benchmark("photons").main(["--records", "3e5", "--inputs", "2", "--rounds", "2"])
@@ -180,4 +180,3 @@ def test_the_comparison_of_photon_counting_runs(capsys):
     for name in ("deepfsi", "ptufile + numpy", "a record at a time"):
         assert f"| {name} |" in printed
     assert "peak memory, deepfsi" in printed
->>>>>>> h-ptu
