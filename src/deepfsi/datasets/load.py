@@ -144,7 +144,8 @@ def _existing(name: str) -> Path:
         return path
     if path.suffix or len(path.parts) > 1:
         raise InputError(
-            f"there is no folder and no .npz, .zip, {', '.join(SUFFIXES)} file at '{name}'"
+            f"there is no folder and no file at '{name}': give a folder or .zip of images, a cube "
+            f"({', '.join(SUFFIXES)}) or an .npz file"
         )
     raise InputError(
         f"unknown data set '{name}': {closest(name, NAMES)}; "
