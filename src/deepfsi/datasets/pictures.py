@@ -248,7 +248,7 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
 
 
 def _is_image(name: str) -> bool:
-    return Path(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
+    return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
 # ---------------------------------------------------------------- reading
