@@ -535,6 +535,9 @@ def test_images_that_need_too_much_memory(images: Path, monkeypatch: pytest.Monk
     one_line(error, "20 images of 6x8 pixels need", "smaller size")
     monkeypatch.setattr(pictures, "MAX_PIXELS", 20 * 48)
     load_dataset(images)
+    with pytest.raises(InputError) as error:
+        load_dataset(images, size=10**9)
+    one_line(error, "20 images of 1000000000x1000000000")
 
 
 def test_only_formats_that_are_listed_are_decoded(images: Path) -> None:
@@ -604,6 +607,7 @@ def test_a_zip_file_is_like_its_folder(
     path = pack(images, tmp_path / "zipped.zip", root, compression=method)
     with zipfile.ZipFile(path, "a") as file:
         file.writestr("__MACOSX/cat/._000.png", b"what a Mac adds")
+        file.writestr(".DS_Store", b"and this")
     data = load_dataset(path)
     assert data.hash == load_dataset(images).hash
     assert data.name == "zipped"

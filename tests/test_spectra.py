@@ -398,7 +398,7 @@ def test_files_of_something_else(home: Path) -> None:
         ("Indian_pines.mat", {"indian_pines": np.ones((145, 145, 5))}, "5 bands, not 220"),
         ("Indian_pines.mat", {"salinas": np.ones((145, 145, 220))}, "variable indian_pines"),
         ("Indian_pines_gt.mat", {"indian_pines_gt": np.ones((145, 144))}, "(145, 144)"),
-        ("Indian_pines_gt.mat", {"indian_pines_gt": np.eye(145)}, "labels 0 to 16"),
+        ("Indian_pines_gt.mat", {"indian_pines_gt": np.eye(145) + 1}, "labels 0 to 16"),
     ]
     for file, content, part in cases:
         whole = (home / file).read_bytes()

@@ -85,7 +85,9 @@ def load_dataset(
     """
     name = "arrays" if isinstance(source, tuple) else os.fspath(source)
     path = None if isinstance(source, tuple) or name in NAMES else _existing(name)
-    pictures = name in CIFAR or (path is not None and (path.is_dir() or path.suffix == ".zip"))
+    pictures = name in CIFAR or (
+        path is not None and (path.is_dir() or path.suffix.lower() == ".zip")
+    )
     spectra = name in indian_pines.SOURCES or (path is not None and path.suffix in SUFFIXES)
     if not pictures:
         _refuse(size, "a size", name, "images of a folder, a zip file or CIFAR-10 take")

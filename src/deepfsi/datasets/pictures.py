@@ -136,6 +136,16 @@ def as_shape(size: int | Shape | None) -> Shape | None:
     return shape
 
 
+def check_total(images: int, shape: tuple[int, ...]) -> None:
+    """Refuse more pixels than memory is likely to hold."""
+    height, width = shape
+    if images * height * width > MAX_PIXELS:
+        raise InputError(
+            f"{images} images of {height}x{width} pixels need "
+            f"{images * height * width * 4e-9:.1f} GB; give a smaller size, or fewer images"
+        )
+
+
 # ---------------------------------------------------------------- what there is
 
 
@@ -176,7 +186,7 @@ def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
     entries: dict[tuple[str, ...], Picture | None] = {}
     for info in archive.infolist():
         names = _safe_names(info, path)
-        if names[0] == "__MACOSX":
+        if names[0] == "__MACOSX" or any(name.startswith(".") for name in names):
             continue
         if names in entries and not info.is_dir():
             raise InputError(f"{path} holds {'/'.join(names)} twice; pack it again")
@@ -260,14 +270,12 @@ def _read_all(
     """Grey images, (n, H, W), all of one shape."""
     from PIL import Image
 
+    if shape is not None:
+        check_total(len(pictures), shape)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         first = _read_grey(pictures[0], shape, bilinear)
-        if len(pictures) * first.size > MAX_PIXELS:
-            raise InputError(
-                f"{len(pictures)} images of {first.shape[0]}x{first.shape[1]} pixels need "
-                f"{len(pictures) * first.size * 4e-9:.1f} GB; give a smaller size, or fewer images"
-            )
+        check_total(len(pictures), first.shape)
         grey = np.empty((len(pictures), *first.shape), np.uint8)
         grey[0] = first
         for i, picture in enumerate(pictures[1:], 1):
