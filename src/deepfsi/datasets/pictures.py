@@ -214,7 +214,8 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
     """Folders and file name of an entry, where nothing about it is a trick."""
     name = info.filename.replace("\\", "/")
     names = tuple(part for part in name.split("/") if part)
-    if not names or name[0] == "/" or ".." in names or names[0][1:2] == ":" or not name.isprintable():
+    absolute = name.startswith("/") or (names and names[0][1:2] == ":")
+    if not names or absolute or ".." in names or not name.isprintable():
         raise InputError(
             f"{path} holds the name {info.filename!a}, which no honest zip file has; pack it again"
         )
