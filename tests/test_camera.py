@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from deepfsi.hardware.acquisition import count, read_acquisition
 from pydantic import ValidationError
 
 from deepfsi import constraints
 from deepfsi.errors import InputError
 from deepfsi.hardware import camera as module
 from deepfsi.hardware import detector, ptu
+from deepfsi.hardware.acquisition import count, read_acquisition
 from deepfsi.hardware.camera import CAMERAS, Camera, draw_counts, irradiance, rates, record
 from deepfsi.hardware.dmd import export_patterns
 from deepfsi.hardware.sequence import Device, Gates, Patterns, find_gates, find_grid

@@ -102,7 +102,7 @@ def from_listings(
         kept = draw_stratified([picture.label for picture in train], images, seed, name)
         train = [train[i] for i in kept]
     wanted = [*train, *(test[0] if test else [])]
-    pixels = _read_all(wanted, shape, bilinear)
+    pixels = read_all(wanted, shape, bilinear)
     labels = np.array([picture.label for picture in wanted])
     n = len(train)
     return split_arrays(
@@ -153,7 +153,7 @@ def check_total(images: int, shape: tuple[int, ...]) -> None:
 def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
     """List the images of a folder or zip file: of one part, or of its training and test part."""
     if path.is_dir():
-        yield _list_folder(path)
+        yield list_folder(path)
         return
     try:
         archive = zipfile.ZipFile(path)
@@ -163,7 +163,8 @@ def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
         yield _list_zip(archive, path)
 
 
-def _list_folder(folder: Path) -> list[list[Picture]]:
+def list_folder(folder: Path) -> list[list[Picture]]:
+    """Images of a folder: of one part, or of its training and test part."""
     parts = [folder / "train", folder / "test"]
     if not (all(part.is_dir() for part in parts) and any(p.is_dir() for p in parts[0].iterdir())):
         parts = [folder]
@@ -175,10 +176,11 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
         if part.is_dir():
             yield (part.name,), None
             for path in part.iterdir():
-                yield (part.name, path.name), Picture(part.name, str(path), _opener(path))
+                yield (part.name, path.name), Picture(part.name, str(path), opener(path))
 
 
-def _opener(path: Path) -> Callable[[], IO[bytes]]:
+def opener(path: Path) -> Callable[[], IO[bytes]]:
+    """What opens a file."""
     return lambda: path.open("rb")
 
 
@@ -245,7 +247,7 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
         if names[0].startswith(".") or (len(names) == 1 and picture):
             continue
         found = classes.setdefault(names[0], [])
-        if len(names) == 2 and picture and _is_image(names[1]):
+        if len(names) == 2 and picture and is_image(names[1]):
             found.append((names[1], picture))
     if not classes:
         raise InputError(f"{where} has no sub-folders; put the images of each class into its own")
@@ -258,16 +260,15 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
     return [picture for label in sorted(classes) for _, picture in sorted(classes[label])]
 
 
-def _is_image(name: str) -> bool:
+def is_image(name: str) -> bool:
+    """Whether a file's name is that of an image."""
     return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
 # ---------------------------------------------------------------- reading
 
 
-def _read_all(
-    pictures: list[Picture], shape: Shape | None, bilinear: bool
-) -> npt.NDArray[np.uint8]:
+def read_all(pictures: list[Picture], shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
     """Grey images, (n, H, W), all of one shape."""
     from PIL import Image
 
