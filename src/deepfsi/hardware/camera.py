@@ -352,7 +352,6 @@ def record(
         flux=flux,
         camera=camera.model_dump(mode="json"),
         seed=seed,
-        manifest_sha256="",
     )
     part = None if progress is None else lambda share: progress(share / 2)
     flow = rates(patterns_folder, scenes, camera, flux, part)
