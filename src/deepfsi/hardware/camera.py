@@ -226,7 +226,7 @@ def rates(
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
     images = np.asarray(scenes)
-    if images.ndim == 2 and len(manifest.image_shape) == 1:
+    if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
         images = images[:, None, :]
     if images.ndim != 3 or not images.size:
         raise InputError(f"scenes of shape {np.shape(scenes)} are no images: give (S, h, w)")
@@ -331,6 +331,7 @@ def record(
     """
     target = Path(out)
     manifest = read_patterns(patterns_folder).manifest
+    scenes = _check_scenes(scenes, manifest)
     if target.exists():
         raise InputError(f"'{target}' exists: name a folder that does not")
     if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
@@ -340,7 +341,7 @@ def record(
         )
     gates = find_gates(manifest, exposure_s, settle_s, repeats)
     readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
-    countable = max(MOST_READOUTS // max(readouts, 1), 1)
+    countable = max(MOST_READOUTS // readouts, 1)
     wanted = Acquisition(
         scenes=tuple(
             Scene(name=name, label=None if labels is None else labels[place])
