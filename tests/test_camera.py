@@ -427,6 +427,22 @@ def test_each_scene_has_a_name_and_perhaps_a_label(tmp_path, names, labels):
         )  # fmt: skip
 
 
+def test_nothing_to_record_is_refused(tmp_path):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match="no images"):
+        record(
+            tmp_path / "p", np.ones((0, 3, 4)), [], None, tmp_path / "run",
+            camera=IDEAL, flux=1e6, exposure_s=1e-3, seed=0,
+        )  # fmt: skip
+
+
+def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):
+    shown = patterns(tmp_path / "p", dwell=0.05)
+    acquisition = shoot(tmp_path, flux=1e3, exposure_s=3e-6)
+    assert acquisition.repeats < find_gates(shown.manifest, 3e-6).repeats
+    assert count(tmp_path / "run").counts.shape[1] == acquisition.repeats
+
+
 def test_a_gate_that_does_not_fit_is_refused_before_any_work(tmp_path):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match="exposure"):
