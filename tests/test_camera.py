@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from deepfsi.hardware.acquisition import count, read_acquisition
 from pydantic import ValidationError
 
 from deepfsi import constraints
 from deepfsi.errors import InputError
 from deepfsi.hardware import camera as module
 from deepfsi.hardware import detector, ptu
+from deepfsi.hardware.acquisition import count, read_acquisition
 from deepfsi.hardware.camera import CAMERAS, Camera, draw_counts, irradiance, rates, record
 from deepfsi.hardware.dmd import export_patterns
 from deepfsi.hardware.sequence import Device, Gates, Patterns, find_gates, find_grid
@@ -120,13 +120,17 @@ def test_perspective_puts_a_spot_where_the_homography_does():
 
 
 def test_nothing_is_seen_behind_the_camera():
-    view = ((1, 0, 0), (0, 1, 0), (1.5, 0, 0.2))  # the horizon crosses the area
+    """Of a display that crosses the horizon only one side is seen, that of the area's centre."""
+    view = ((-0.8, -0.6, 0.6), (-0.7, -0.6, 0.6), (1, -0.7, -0.2))
     light = irradiance(np.ones((1, 3, 4)), Camera(view=view), DEVICE, GRID)[0][AREA]
-    back = np.linalg.inv(np.array(view))
-    across = (np.arange(36) + 0.5) / 36
-    behind = back[2, 0] * across + back[2, 2] <= 0
-    assert behind.any()
-    assert (light[:, behind] == 0).all()
+    x, y = np.meshgrid((np.arange(36) + 0.5) / 36, (np.arange(24) + 0.5) / 24)
+    back = np.linalg.inv(view)
+    across, down, depth = (row[0] * x + row[1] * y + row[2] for row in back)
+    on_display = (abs(across / depth - 0.5) < 0.5) & (abs(down / depth - 0.5) < 0.5)
+    front = depth * (back[2] @ [0.5, 0.5, 1]) > 0
+    assert (on_display & front).sum() > 100
+    assert (on_display & ~front).sum() > 100
+    assert np.array_equal(light > 0, on_display & front)
 
 
 def test_blur_keeps_the_light_and_has_its_width():
@@ -423,6 +427,22 @@ def test_each_scene_has_a_name_and_perhaps_a_label(tmp_path, names, labels):
         )  # fmt: skip
 
 
+def test_nothing_to_record_is_refused(tmp_path):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match="no images"):
+        record(
+            tmp_path / "p", np.ones((0, 3, 4)), [], None, tmp_path / "run",
+            camera=IDEAL, flux=1e6, exposure_s=1e-3, seed=0,
+        )  # fmt: skip
+
+
+def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):
+    shown = patterns(tmp_path / "p", dwell=0.05)
+    acquisition = shoot(tmp_path, flux=1e3, exposure_s=3e-6)
+    assert acquisition.repeats < find_gates(shown.manifest, 3e-6).repeats
+    assert count(tmp_path / "run").counts.shape[1] == acquisition.repeats
+
+
 def test_a_gate_that_does_not_fit_is_refused_before_any_work(tmp_path):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match="exposure"):
@@ -443,3 +463,16 @@ def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):
         tracemalloc.stop()
     assert (tmp_path / "long.ptu").stat().st_size > 15 * (tmp_path / "short.ptu").stat().st_size
     assert peaks[1] < 1.5 * peaks[0]
+
+
+def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeypatch):
+    """The writer refuses times that run back."""
+    monkeypatch.setattr(detector, "CHUNK", 10)
+    shown = patterns(tmp_path / "p", "two-arm", dwell=1e-4)
+    camera = Camera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
+    flow = rates(tmp_path / "p", scenes(), camera, 1e6)
+    module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
+    contents = ptu.inspect(tmp_path / "a.ptu")
+    expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3
+    assert abs(sum(contents.photons.values()) - expected) <= 6 * np.sqrt(expected * 1.3)
+    assert contents.markers == {1: 3 * len(shown.manifest.frames)}

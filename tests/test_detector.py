@@ -159,6 +159,17 @@ def test_counts_in_sum_are_as_event_by_event(detector, rate, length_s):
     assert abs(one_by_one.mean() - mean) <= 5 * one_by_one.std() / len(one_by_one) ** 0.5
 
 
+@pytest.mark.parametrize("detector", [PARALYSABLE, NON_PARALYSABLE], ids=["pmt", "spad"])
+def test_gates_know_nothing_of_their_neighbours(detector):
+    """Dim gates between bright ones count what they should, and independently."""
+    rate = np.tile([0.1 / TAU, 3 / TAU], 200_000)
+    counts = draw(detector, rate, np.full(len(rate), 1.5 * TAU), rng())
+    mean = detector.registered(rate[:2]) * 1.5 * TAU
+    pairs = counts.reshape(-1, 2)
+    assert np.all(abs(pairs.mean(axis=0) - mean) <= 5 * pairs.std(axis=0) / len(pairs) ** 0.5)
+    assert abs(np.corrcoef(counts[:-1:2], counts[1::2])[0, 1]) <= 5 / len(pairs) ** 0.5
+
+
 def test_afterpulses_are_as_many_as_they_should_be_and_come_in_time():
     detector = Detector(dead_time_s=TAU, afterpulse_probability=0.3, afterpulse_s=2e-7)
     rate, seconds = 10.0, 1e4  # so rare that each count's afterpulse can be told

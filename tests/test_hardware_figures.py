@@ -141,3 +141,67 @@ def test_squares_have_the_success_rate_as_grey_and_as_number():
 def test_one_exposure_and_longer_names():
     figure = hardware.digits_figure({"0.1 s": np.eye(2, 3)}, ["DeepFSI", "FSI"], ["a", "b", "c"])
     assert_legible(figure)
+
+
+AXES = {
+    "ambient": "ambient light (photons/s on the device)",
+    "dead_time_s": "dead time (s)",
+    "assumed": "budget assumed in training (photons)",
+    "unused": "what nobody varied",
+}
+VALUES = {
+    "ambient": (0.0, 1e5, 3e5, 1e6, 1e7),
+    "dead_time_s": (0.0, 20e-9, 50e-9, 200e-9),
+    "assumed": (1e3, 1e4, 1e5),
+}
+
+
+def test_effects_have_a_column_each_and_exposures_a_row():
+    rows = [
+        {**point, "effect": effect, "value": value, "accuracy": 0.5, "low": 0.4, "high": 0.5 + k}
+        for effect, values in VALUES.items()
+        for k, value in zip(np.linspace(0.1, 0.2, len(values)), values, strict=True)
+        for point in points()
+        if point["exposure_s"] in (1e-3, 1e-2)
+    ]
+    figure = hardware.effects_figure(rows, AXES, flux=1e7)
+    assert_legible(figure)
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["0.01 s", "", "", "0.001 s", "", ""]
+    axes = dict(zip(VALUES, figure.axes, strict=False))
+    ambient = axes["ambient"].containers
+    assert len(ambient) == len(DESIGNS)
+    np.testing.assert_allclose(ambient[0].lines[0].get_xdata(orig=False)[1:], VALUES["ambient"][1:])
+    dead = axes["dead_time_s"].containers[0].lines[0].get_xdata(orig=False)
+    np.testing.assert_allclose(dead[1:], [20, 50, 200])
+    assert 0 < dead[0] < 20
+    ticks = [tick.get_text() for tick in figure.axes[4].get_xticklabels()]
+    assert ticks == ["0", "20", "50", "200"]
+    assert figure.axes[4].get_xlabel() == "dead time (ns)"
+    marks = [axes[effect].get_lines()[-1].get_xdata()[0] for effect in ("ambient", "assumed")]
+    assert marks == [1e7, 1e5]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        label for label, _ in DESIGNS.values()
+    ]
+
+
+@pytest.mark.parametrize("shape", [(9, 12, 16), (1, 8, 8), (4, 30), (60, 4, 4)])
+def test_pictures_share_a_scale(shape):
+    pictures = np.random.default_rng(0).normal(1, 1, shape)
+    pictures[0].flat[0] = np.nan
+    names = [f"scene_{k}.png" for k in range(len(pictures))]
+    figure = hardware.pictures_figure(pictures, names)
+    if len(pictures) > 3:
+        assert_legible(figure)
+    images = [image for ax in figure.axes for image in ax.get_images()]
+    assert len(images) == min(48, len(pictures))
+    for image, wanted in zip(images, pictures, strict=False):
+        shown = np.ma.filled(image.get_array(), np.nan)
+        np.testing.assert_array_equal(shown, np.atleast_2d(wanted))
+        assert image.get_clim() == (np.nanmin(pictures[:48]), np.nanmax(pictures[:48]))
+    with pytest.raises(InputError, match="one name of each"):
+        hardware.pictures_figure(pictures, names[1:])
+
+
+def test_pictures_that_are_all_lost_are_drawn():
+    figure = hardware.pictures_figure(np.full((2, 4, 4), np.nan), ["a", "b"])
+    figure.draw_without_rendering()

@@ -1,6 +1,7 @@
 """Writing files so that a stopped program leaves none half written."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +31,21 @@ def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         os.replace(draft, target)
     except BaseException:
         Path(draft).unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Make a folder that takes an empty one's place, or none's, when the block ends well."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
+    try:
+        yield draft
+        draft.chmod(0o777 & ~_umask())
+        os.replace(draft, target)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
         raise
 
 

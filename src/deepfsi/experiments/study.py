@@ -91,7 +91,8 @@ class Experiment:
         """
         recipe = self.recipe(quick, trials)
         data = self.prepare(load_dataset(recipe.data, size=recipe.size))
-        results, records = {}, []
+        results: dict[str, Any] = {}
+        records: list[dict[str, Any]] = []
         for name in (self.name, *self.also):
             part, own = compare(
                 self.recipe(quick, trials, name),

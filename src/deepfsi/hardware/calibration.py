@@ -55,7 +55,9 @@ POINTS = 24, 32  # of a cell's average, down and across: a DLP7000's mirrors of 
 WINDOW = 1.5  # cells, standard deviation of the window in which a spot is centred
 FAINT = 6.0  # a spot is seen where its peak is this many standard deviations of the noise
 OUTLIER = 0.5  # cells
-SEEN = 0.5  # of the brightest cell: where the flat field is measured and not continued
+SEEN = 0.5  # of a cell that the display fills: where the flat field is fitted, not continued
+DEGREE = 4  # of its polynomial
+CELLS_PER_TERM = 4
 WIDEST = 2.0  # cells, largest blur that is looked for
 BLOCK = 4096  # scenes at a time
 
@@ -80,7 +82,7 @@ class Calibration(BaseModel):
     blur : tuple of float
         Standard deviation of a Gaussian, down and across, in the device's unit square.
     flat : rows of numbers, shape (down, across)
-        Light of each cell relative to the brightest ones, for a uniform scene that fills the view.
+        Light of each cell relative to the brightest, for a uniform scene that fills the view.
     dark : float
         Counts/s with all mirrors OFF and the display black.
     ambient : float
@@ -378,7 +380,9 @@ def find_flat(
 ) -> np.ndarray:
     """Flat field of a picture of a uniform white scene.
 
-    Cells that the display fills less than half have the value of the nearest cell that it fills.
+    A polynomial of the place, of degree 4 at most, so that the noise of the picture's cells does
+    not become part of the view; it follows what a lens does, but no dust. Cells that the display
+    fills less than half have the value of the nearest cell that it fills.
 
     Parameters
     ----------
@@ -391,7 +395,7 @@ def find_flat(
     Returns
     -------
     array, shape (down, across)
-        Relative to the brightest cells.
+        Relative to its largest value.
 
     Raises
     ------
@@ -401,16 +405,21 @@ def find_flat(
     white = np.asarray(white, dtype=float)
     filled = _matrix(image_shape, white.shape, homography, blur).sum(axis=1).reshape(white.shape)
     seen = filled > SEEN
-    if not (seen.any() and white[seen].max() > 0):
+    if not (seen.any() and white[seen].mean() > 0):
         raise InputError(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
-    flat = np.divide(white, filled, out=np.zeros_like(white), where=seen).clip(0)
+    terms = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)]
+    terms = terms[: max(1, int(seen.sum()) // CELLS_PER_TERM)]
+    down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
+    basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
+    scaled = (basis * filled)[:, seen].T
+    weights, *_ = np.linalg.lstsq(scaled, white[seen], rcond=None)
+    flat = np.tensordot(weights, basis, 1).clip(0)
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
     flat = flat[tuple(nearest)]
-    peak = ndimage.gaussian_filter(flat, 1.0, mode="nearest").max()  # not of the noise
-    return np.asarray((flat / peak).clip(0, 1))
+    return np.asarray(flat / flat.max())
 
 
 def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float]:

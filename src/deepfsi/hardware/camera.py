@@ -14,8 +14,6 @@ ideal camera a gate's counts are Poisson, with the scanner's mean.
 
 import math
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -25,7 +23,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.acquisition import Acquisition, Scene, prepare
+from deepfsi.files import new_folder
+from deepfsi.hardware.acquisition import MOST_READOUTS, Acquisition, Scene, prepare
 from deepfsi.hardware.detector import TICK_S, Detector, Stream, divide, draw
 from deepfsi.hardware.dmd import read_frames, read_patterns, unpack
 from deepfsi.hardware.ptu import Writer
@@ -227,7 +226,7 @@ def rates(
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
     images = np.asarray(scenes)
-    if images.ndim == 2 and len(manifest.image_shape) == 1:
+    if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
         images = images[:, None, :]
     if images.ndim != 3 or not images.size:
         raise InputError(f"scenes of shape {np.shape(scenes)} are no images: give (S, h, w)")
@@ -314,7 +313,8 @@ def record(
     flux : float
         Photons/s on the device for a scene of the mean light of the training scenes.
     exposure_s, settle_s, repeats
-        As for `sequence.find_gates`; noted for who counts, the file holds all light.
+        As for `sequence.find_gates`, and not more repeats than can be counted at once; noted for
+        who counts, the file holds all light.
     seed : int
         The same one gives the same file.
     progress : function, optional
@@ -331,6 +331,7 @@ def record(
     """
     target = Path(out)
     manifest = read_patterns(patterns_folder).manifest
+    scenes = _check_scenes(scenes, manifest)
     if target.exists():
         raise InputError(f"'{target}' exists: name a folder that does not")
     if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
@@ -339,33 +340,29 @@ def record(
             f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
         )
     gates = find_gates(manifest, exposure_s, settle_s, repeats)
-    acquisition = Acquisition(
+    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
+    countable = max(MOST_READOUTS // readouts, 1)
+    wanted = Acquisition(
         scenes=tuple(
             Scene(name=name, label=None if labels is None else labels[place])
             for place, name in enumerate(names)
         ),
         exposure_s=exposure_s,
         settle_s=gates.settle_s,
-        repeats=gates.repeats,
+        repeats=repeats or min(gates.repeats, countable),
         marker_bit=MARKER,
         inputs=(0, 1) if manifest.two_arm else (0,),
-        flux=flux,
+        flux=flux or None,
         camera=camera.model_dump(mode="json"),
         seed=seed,
-        manifest_sha256="",
     )
-    part = None if progress is None else lambda share: progress(share / 2)
-    flow = rates(patterns_folder, scenes, camera, flux, part)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
-    try:
-        prepare(draft / "run", Path(patterns_folder), acquisition)
+    with new_folder(target) as draft:
+        acquisition = prepare(draft, patterns_folder, wanted)
+        part = None if progress is None else lambda share: progress(share / 2)
+        flow = rates(patterns_folder, scenes, camera, flux, part)
         part = None if progress is None else lambda share: progress(0.5 + share / 2)
         rng = np.random.default_rng(seed)
-        write_photons(draft / "run" / "photons.ptu", manifest, flow, camera, rng, part)
-        os.rename(draft / "run", target)
-    finally:
-        shutil.rmtree(draft)
+        write_photons(draft / "photons.ptu", manifest, flow, camera, rng, part)
     return acquisition
 
 

@@ -11,7 +11,8 @@ device can realise is shown in the same way, at full contrast, and the realised 
 share · k / K. The shares sum to at most 1: the budget Φ of an exposure is the flux on the device
 times the exposure, whatever time mirrors take to settle.
 
-Each pass over the masks begins and ends with two *sentinel* frames, all mirrors ON and all OFF.
+Each pass over the masks begins and ends with two *sentinel* frames, all mirrors of the cells ON and
+all OFF.
 """
 
 import math
@@ -261,6 +262,7 @@ class Manifest(BaseModel):
 
 
 _RAILS = ("plus", "minus", "both")
+_SHORTEST_S = 1e-15
 
 
 @dataclass(frozen=True)
@@ -349,10 +351,15 @@ def find_gates(
     if not (math.isfinite(settle) and settle >= 0):
         raise InputError(f"settle time {settle!r} is not allowed: give seconds, 0 or more")
     length = manifest.shares * exposure_s
-    window = manifest.picture_s[manifest.shown] - settle
-    fit = int(np.floor((window / length).min() * (1 + 1e-9)))
+    if not (len(length) and length.min() > _SHORTEST_S):
+        raise InputError(
+            f"an exposure of {exposure_s:g} s leaves a frame less than {_SHORTEST_S:g} s: give a "
+            "longer one"
+        )
+    room = float(((manifest.picture_s[manifest.shown] - settle) / length).min())
+    fit = int(np.floor(room * (1 + 1e-9)))
     if fit < 1:
-        longest = exposure_s * float((window / length).min())
+        longest = exposure_s * room
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit frames with {settle:g} s to settle: "
             f"give at most {max(longest, 0):.3g} s, or export with a longer --dwell"
