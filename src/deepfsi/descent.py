@@ -273,7 +273,7 @@ def _told(
 
     def features(streams: Sequence[_Stream], step: int) -> Tensor:
         difference, total = masks()
-        rails = difference[None] if difference is total else torch.stack([difference, total])
+        rails = difference if difference is total else torch.stack([difference, total])
         with torch.no_grad():
             used = constraints.used(constraints.separate(difference, total), light)
             used = used / used[..., -1:]
@@ -284,7 +284,7 @@ def _told(
             parts.append(
                 measure(
                     x.index_select(0, stream.with_mean[step]),
-                    rails[:, stream.jobs] if len(difference) > 1 else rails,
+                    rails[..., stream.jobs, :, :] if len(difference) > 1 else rails,
                     stream.normal(job.masks) * stream.noise.unit / ratio.sqrt(),
                     False,
                 )
