@@ -21,6 +21,7 @@ from deepfsi.report.study import Claim, Picture, Section, Table
 from deepfsi.sweep import Report, compare
 
 Results = Mapping[str, Any]
+Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Experiment:
     show : callable
         Results → Finding.
     measure : callable, optional
-        (results, data, folder of the designs, report) → further numbers, kept in the results as
-        `extra`.
+        (results, data, folder of the designs, workers, report) → further numbers, kept in the
+        results as `extra`.
     prepare : callable, optional
         What is done to the data before anything is trained on it.
     also : tuple of str
@@ -59,7 +60,9 @@ class Experiment:
     title: str
     paper: str
     show: Callable[[Results], Finding]
-    measure: Callable[[Results, Dataset, Path, Report], dict[str, Any]] | None = field(default=None)
+    measure: Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]] | None = field(
+        default=None
+    )
     prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
     also: tuple[str, ...] = ()
 
@@ -108,7 +111,7 @@ class Experiment:
             results = {**part, **results, "points": [*results.get("points", []), *part["points"]]}
         if self.measure:
             tell = report or (lambda share, now: None)
-            results["extra"] = self.measure(results, data, folder / "designs", tell)
+            results["extra"] = self.measure(results, data, folder / "designs", workers, tell)
         write_table(records, folder / f"{self.name}-trials.csv")
         rows = [
             {name: value for name, value in point.items() if not isinstance(value, list)}
