@@ -24,10 +24,10 @@ TINY = {
 }
 
 
-def tiny(experiment, trials: int):
-    """The experiment's recipe on digits, of a moment; what makes it itself is kept."""
-    quick = experiment.recipe(quick=True)
-    kept = quick.model_dump(exclude_unset=True)
+def tiny(experiment, trials: int, name: str):
+    """A recipe of the experiment on digits, of a moment; what makes it itself is kept."""
+    quick = experiment.recipe(quick=True, name=name)
+    kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
     training = {**kept.pop("training"), **TINY["training"], "batch": 200}
     changes = {**TINY, "training": training, "trials": trials}
     if kept.get("gaussian_photons"):
@@ -43,9 +43,15 @@ def tiny(experiment, trials: int):
 def done(request, tmp_path_factory):
     """Folder in which all experiments have been run, with one trial and with two."""
     folder = tmp_path_factory.mktemp("paper")
-    recipes = {each.name: tiny(each, request.param) for each in EVERY}
+    recipes = {
+        name: tiny(each, request.param, name) for each in EVERY for name in (each.name, *each.also)
+    }
+
+    def recipe(self, quick, trials, name=None):
+        return recipes[name or self.name]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study.Experiment, "recipe", lambda self, quick, trials: recipes[self.name])
+        patch.setattr(study.Experiment, "recipe", recipe)
         for each in EVERY:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
     return folder
