@@ -42,7 +42,7 @@ MAGIC = b"PQTTTR"
 CHUNK = 2**19
 """Records in memory at once."""
 
-BLOCK = 2**16
+BLOCK = 2**17
 """Records looked at at once: they and what is made of them stay in the processor's cache."""
 
 LONGEST_HEADER = 2**22
@@ -276,7 +276,7 @@ def inspect(path: str | os.PathLike[str], progress: Progress | None = None) -> C
         markers += np.bincount(part.bits, minlength=16)
         overflows += int(np.count_nonzero(part.wraps))
         syncs += int(np.count_nonzero(part.sync))
-        times = np.concatenate([part.low, part.high, part.times[part.wraps == 0]])
+        times = np.concatenate([part.runs.low, part.runs.high, part.times[part.wraps == 0]])
         if len(times):
             first, last = min(first, int(times.min())), max(last, int(times.max()))
         if part.fault:
@@ -305,7 +305,8 @@ def read_markers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Markers of a file, in its order.
 
-    Those of a file that is cut are given as far as it goes; see `Header.problems`.
+    Those of a file that is cut are given as far as it goes; see `Header.problems`. Whether times
+    run back is not looked at here.
 
     Returns
     -------
@@ -321,7 +322,7 @@ def read_markers(
     """
     header = read_header(path)
     times, bits, found = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], 0
-    for part in _parts(header, progress):
+    for part in _parts(header, progress, ordered=False):
         part.check(header)
         which = np.flatnonzero(part.bits)
         times.append(part.times[which])
@@ -375,8 +376,8 @@ def count_gates(
         part.check(header)
         reached = part.reached
         until = done
-        if len(part.high):
-            until = int(np.searchsorted(edges, part.high[-1], side="right"))
+        if len(part.runs.high):
+            until = int(np.searchsorted(edges, part.runs.high[-1], side="right"))
         places = part.find(edges[done:until])
         for column, each in enumerate(inputs):
             here, total = part.count(each, places)
@@ -505,16 +506,34 @@ class Writer:
 # Records -----------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _Runs:
+    """Photons between two specials; runs without any are left out.
+
+    Attributes
+    ----------
+    begin, end : arrays, shape (r,)
+        Place of the first photon, and the place after the last.
+    base : array, shape (r,)
+        The time from which their fields count.
+    low, high : arrays, shape (r,)
+        Time of the first photon and of the last.
+    """
+
+    begin: np.ndarray
+    end: np.ndarray
+    base: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
 @dataclass
 class _Part:
     """Some records that follow each other, decoded as far as is needed to count.
 
     The specials stand at `places`, shape (s,). Of each there are `times`, `bits` (0 if it is no
-    marker), `sync`, and `wraps` (0 if it is no overflow). The photons between two specials are a
-    run. Of each that is not empty there are its first place and the one after its last (`begin`,
-    `end`), the time from which its fields count (`base`), and its first and last time (`low`,
-    `high`). No photon or sync event after this part is earlier than `reached`. `fault` says what is
-    wrong with the record that follows.
+    marker), `sync`, and `wraps` (0 if it is no overflow). No photon or sync event after this part
+    is earlier than `reached`. `fault` says what is wrong with the record that follows.
     """
 
     kind: Kind
@@ -524,11 +543,7 @@ class _Part:
     bits: np.ndarray
     sync: np.ndarray
     wraps: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
-    base: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    runs: _Runs
     reached: int
     fault: str = ""
 
@@ -538,10 +553,10 @@ class _Part:
             raise _bad(header.path, f"is damaged: {self.fault}; record again")
 
     def find(self, edges: np.ndarray) -> np.ndarray:
-        """Places of the first photons at or after some times, none above the last of `high`."""
-        run = np.searchsorted(self.high, edges)
-        wanted = edges - self.base[run]
-        low, high = self.begin[run], self.end[run] - 1
+        """Places of the first photons at or after some times, none later than the last photon."""
+        run = np.searchsorted(self.runs.high, edges)
+        wanted = edges - self.runs.base[run]
+        low, high = self.runs.begin[run], self.runs.end[run] - 1
         while (low < high).any():
             middle = (low + high) >> 1
             later = self.words[middle] & self.kind.time_mask < wanted
@@ -588,8 +603,11 @@ class _Damage(Exception):
     """Some records are damaged: the place of the first, and how."""
 
 
-def _parts(header: Header, progress: Progress | None) -> Iterator[_Part]:
-    """Decode a file in parts. Where a record is damaged they end before it, with a `fault`."""
+def _parts(header: Header, progress: Progress | None, ordered: bool = True) -> Iterator[_Part]:
+    """Decode a file in parts. Where a record is damaged they end before it, with a `fault`.
+
+    Unless `ordered`, neither runs are found nor whether times run back.
+    """
     state = _State()
     slack = max(round(MARKER_SLACK_S / header.tick_s), 1)
     buffer = np.empty(CHUNK, "<u4")
@@ -600,10 +618,10 @@ def _parts(header: Header, progress: Progress | None) -> Iterator[_Part]:
             if file.readinto(words.data.cast("B")) != words.nbytes:
                 raise _bad(header.path, "became shorter while it was read: wait for its end")
             try:
-                part, state = _decode(header.kind, words, state, slack)
+                part, state = _decode(header.kind, words, state, slack, ordered)
             except _Damage as damage:
                 place, how = damage.args
-                part, _ = _decode(header.kind, words[:place], state, slack)
+                part, _ = _decode(header.kind, words[:place], state, slack, ordered)
                 part.fault = f"record {first + place + 1} of {header.records} has {how}"
                 yield part
                 return
@@ -612,8 +630,10 @@ def _parts(header: Header, progress: Progress | None) -> Iterator[_Part]:
                 progress((first + len(words)) / header.records)
 
 
-def _decode(kind: Kind, words: np.ndarray, state: _State, slack: int) -> tuple[_Part, _State]:
-    places, back = _scan(kind, words)
+def _decode(
+    kind: Kind, words: np.ndarray, state: _State, slack: int, ordered: bool
+) -> tuple[_Part, _State]:
+    places, back = _scan(kind, words, ordered)
     wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
     damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
 
@@ -622,18 +642,16 @@ def _decode(kind: Kind, words: np.ndarray, state: _State, slack: int) -> tuple[_
     bases = kind.wrap * np.minimum(np.append(state.wraps, total), LATEST // kind.wrap)
     times = bases[1:] + values
 
-    begin, end = np.append(0, places + 1), np.append(places, len(words))
-    full = begin < end
-    begin, end, base = begin[full], end[full], bases[full]
-    low = base + (words[begin] & kind.time_mask)
-    high = base + (words[end - 1] & kind.time_mask)
-
-    exact = _merge((begin, low, high), (places[sync], times[sync], times[sync]))
-    marked = times[bits > 0]
-    loose = _merge(exact, (places[bits > 0], marked + slack, marked - slack))
-    late, latest = _follow(exact, state.latest)
-    later, after = _follow(loose, state.after)
-    damages += [(back, BACK), (late, BACK), (later, BACK)]
+    runs = _Runs(*np.zeros((5, 0), np.int64))
+    latest = after = 0
+    if ordered:
+        runs = _find_runs(words, places, bases, kind.time_mask)
+        exact = _merge((runs.begin, runs.low, runs.high), (places[sync], times[sync], times[sync]))
+        marked = times[bits > 0]
+        loose = _merge(exact, (places[bits > 0], marked + slack, marked - slack))
+        late, latest = _follow(exact, state.latest)
+        later, after = _follow(loose, state.after)
+        damages += [(back, BACK), (late, BACK), (later, BACK)]
 
     first = [(int(where[0]), how) for where, how in damages if len(where)]
     if first:
@@ -646,18 +664,24 @@ def _decode(kind: Kind, words: np.ndarray, state: _State, slack: int) -> tuple[_
         bits=bits,
         sync=sync,
         wraps=wraps,
-        begin=begin,
-        end=end,
-        base=base,
-        low=low,
-        high=high,
+        runs=runs,
         reached=max(int(bases[-1]), latest),
     )
     return part, _State(int(bases[-1]) // kind.wrap, latest, after)
 
 
-def _scan(kind: Kind, words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the specials, and of photons earlier than a photon right before them."""
+def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> _Runs:
+    begin, end = np.append(0, places + 1), np.append(places, len(words))
+    full = begin < end
+    begin, end, base = begin[full], end[full], bases[full]
+    return _Runs(begin, end, base, base + (words[begin] & mask), base + (words[end - 1] & mask))
+
+
+def _scan(kind: Kind, words: np.ndarray, ordered: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the specials, and of photons earlier than a photon right before them.
+
+    The latter are not looked for unless `ordered`.
+    """
     specials, backs = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for start in range(0, len(words), BLOCK):
         block = words[start : start + BLOCK + 1]  # and the first of the next
@@ -665,6 +689,8 @@ def _scan(kind: Kind, words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if kind.first:
             special |= block < np.uint32(kind.first << kind.shift)
         specials.append(np.flatnonzero(special[:BLOCK]) + start)
+        if not ordered:
+            continue
         times = block & np.uint32(kind.time_mask)
         back = (times[1:] < times[:-1]) > (special[1:] | special[:-1])
         if back.any():
