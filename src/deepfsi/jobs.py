@@ -6,7 +6,15 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from deepfsi import coding, constraints
 from deepfsi.constraints import Light, Rails
@@ -37,6 +45,15 @@ def _start(name: str) -> str:
 Start = Annotated[str, AfterValidator(_start)]
 
 
+def _levels(count: int) -> int:
+    if count == 1:
+        raise InputError("one grey level is dark alone: give 2 or more, or 0 for continuous masks")
+    return count
+
+
+Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
+
+
 class Training(BaseModel):
     """How a design is trained; all that do so together share one."""
 
@@ -54,6 +71,38 @@ class Training(BaseModel):
     )
     start: Start = Field("pca", description="design that learned masks start from")
     precision: Precision = "auto"
+    levels: Levels = Field(
+        0, description="grey levels of the device, dark included, that masks are made of; 0: any"
+    )
+
+    span: float = Field(
+        1.0,
+        ge=1,
+        le=1e12,
+        description="budgets of the training range log-uniformly from `photons` to span times that",
+    )
+    nested: int = Field(
+        0, ge=0, description="fewest masks, first ones, that must do for a class; 0: all are needed"
+    )
+
+    @property
+    def told(self) -> bool:
+        """Whether the classifier is told the budget and how many masks were shown."""
+        return self.span > 1 or self.nested > 0
+
+    @property
+    def steps(self) -> int:
+        """Grey steps from dark to the peak; 0 for continuous masks."""
+        return max(self.levels - 1, 0)
+
+    @model_serializer(mode="wrap")
+    def _without_what_has_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # so that records made before there were these fields keep their keys
+        return {name: value for name, value in dump(self).items() if value != LATER.get(name)}
+
+
+LATER = {"levels": 0, "span": 1.0, "nested": 0}
+"""Fields of `Training` that came after the first records, with the value of no effect."""
 
 
 TUNED: dict[str, dict[str, Any]] = {
@@ -137,7 +186,7 @@ def products(job: Job, device: torch.device) -> torch.dtype:
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
     readouts = job.masks * (2 if job.rails == "dual" else 1)
-    counts = job.photons / readouts
+    counts = job.photons * job.training.span / readouts
     limit = {
         "ml_gauss": BFLOAT16_COUNTS,
         "poisson": BFLOAT16_COUNTS,
@@ -150,6 +199,16 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     """Raise `InputError` for whatever a job asks that cannot be had on this data."""
     coding.check_design(job.design)
     constraints.check_light(*job.optics)
+    if job.training.told and job.noise != "ml_gauss":
+        raise InputError(
+            "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
+            "--train-noise out"
+        )
+    if job.training.nested > job.masks:
+        raise InputError(
+            f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
+            f"{job.masks}"
+        )
     if job.design == "hadamard" and job.rails == "single":
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):

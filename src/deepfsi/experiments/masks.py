@@ -15,6 +15,7 @@ from deepfsi.report.figures import photons_text
 from deepfsi.report.page import read_masks
 from deepfsi.report.studies import masks_table_figure, measures_figure
 from deepfsi.report.study import Claim, Picture, Table
+from deepfsi.sweep import Report
 
 SHOWN = (1e3, 1e5, 1e8)
 LIGHT, SPAN = "light counted", "independent directions"
@@ -29,7 +30,9 @@ PAPER = (
 )
 
 
-def measure(results: Results, data: Dataset, designs: Path) -> dict[str, Any]:
+def measure(
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+) -> dict[str, Any]:
     """Measures of the masks of every trial, and the masks of the first for the figure."""
     mean_scene = data.x_train[: results["data"]["train"]].mean(axis=0, dtype=np.float64)
     matrices: dict[tuple[str, float], list[np.ndarray]] = {}

@@ -21,6 +21,7 @@ from deepfsi.report.study import Claim, Picture, Section, Table
 from deepfsi.sweep import Report, compare
 
 Results = Mapping[str, Any]
+Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -47,19 +48,28 @@ class Experiment:
     show : callable
         Results → Finding.
     measure : callable, optional
-        (results, data, folder of the designs) → further numbers, kept in the results as `extra`.
+        (results, data, folder of the designs, workers, report) → further numbers, kept in the
+        results as `extra`.
+    prepare : callable, optional
+        What is done to the data before anything is trained on it.
+    also : tuple of str
+        Names of further recipes whose points join the first's.
     """
 
     name: str
     title: str
     paper: str
     show: Callable[[Results], Finding]
-    measure: Callable[[Results, Dataset, Path], dict[str, Any]] | None = field(default=None)
+    measure: Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]] | None = field(
+        default=None
+    )
+    prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
+    also: tuple[str, ...] = ()
 
-    def recipe(self, quick: bool, trials: int | None = None) -> Recipe:
+    def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Recipe:
         """The experiment's recipe, or its coarse one, with another number of trials if given."""
-        name = f"{self.name}-quick.toml" if quick else f"{self.name}.toml"
-        text = (files("deepfsi.experiments") / "recipes" / name).read_text(encoding="utf-8")
+        file = f"{name or self.name}-quick.toml" if quick else f"{name or self.name}.toml"
+        text = (files("deepfsi.experiments") / "recipes" / file).read_text(encoding="utf-8")
         given = {} if trials is None else {"trials": trials}
         with reworded():
             return Recipe.model_validate({**tomllib.loads(text), **given})
@@ -83,19 +93,25 @@ class Experiment:
         figures, and `NAME-trials.csv` one for each test.
         """
         recipe = self.recipe(quick, trials)
-        data = load_dataset(recipe.data, size=recipe.size)
-        results, records = compare(
-            recipe,
-            data,
-            folder,
-            command=command,
-            device=device,
-            workers=workers,
-            ray=ray,
-            report=report,
-        )
+        data = self.prepare(load_dataset(recipe.data, size=recipe.size))
+        results: dict[str, Any] = {}
+        records: list[dict[str, Any]] = []
+        for name in (self.name, *self.also):
+            part, own = compare(
+                self.recipe(quick, trials, name),
+                data,
+                folder,
+                command=command,
+                device=device,
+                workers=workers,
+                ray=ray,
+                report=report,
+            )
+            records += own
+            results = {**part, **results, "points": [*results.get("points", []), *part["points"]]}
         if self.measure:
-            results["extra"] = self.measure(results, data, folder / "designs")
+            tell = report or (lambda share, now: None)
+            results["extra"] = self.measure(results, data, folder / "designs", workers, tell)
         write_table(records, folder / f"{self.name}-trials.csv")
         rows = [
             {name: value for name, value in point.items() if not isinstance(value, list)}

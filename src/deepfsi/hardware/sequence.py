@@ -11,7 +11,8 @@ device can realise is shown in the same way, at full contrast, and the realised 
 share · k / K. The shares sum to at most 1: the budget Φ of an exposure is the flux on the device
 times the exposure, whatever time mirrors take to settle.
 
-Each pass over the masks begins and ends with two *sentinel* frames, all mirrors ON and all OFF.
+Each pass over the masks begins and ends with two *sentinel* frames, all mirrors of the cells ON and
+all OFF.
 """
 
 import math

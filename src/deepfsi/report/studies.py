@@ -121,7 +121,7 @@ def error_figure(results: Results) -> Figure:
         ax.set_title(noise_text(noise))
         ax.label_outer()
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     gap = "; " if len(panels) > 1 else "\n"
     label = f"impulse-imaging reconstruction error (RMSE, reflectance){gap}less noise →"
     figure.supxlabel(label, fontsize=9)
@@ -232,7 +232,7 @@ def heat_figure(
         aspect=30,
         pad=0.02,
     )
-    _plain(bar)
+    plain_bar(bar)
     _keep_if_they_fit(figure, labels, edges)
     return figure
 
@@ -324,7 +324,7 @@ def contour_figure(
             spacing="proportional",
             **beside,
         )
-        _plain(bar)
+        plain_bar(bar)
         bar.set_ticks(ticks, labels=[text(value) for value in ticks])
     return figure
 
@@ -365,7 +365,7 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
         top = total - head - place * row_height
         bottom = top - down * (tall + gap) + gap
         name = figure.text(0.12 / PAGE_WIDTH, (top + bottom) / 2 / total, "", fontweight="bold")
-        name.set(text=f"{_power(row['photons'])} photons", rotation=90)
+        name.set(text=f"{power_text(row['photons'])} photons", rotation=90)
         name.set(horizontalalignment="center", verticalalignment="center")
         for noise, left in zip(AXIS_NOISES, (0.27, 0.27 + block), strict=True):
             matrix = signed(row[noise])
@@ -401,7 +401,7 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
         orientation="horizontal",
     )
     bar.set_ticks([-1, 0, 1], labels=["−peak", "0", "peak"])
-    _plain(bar)
+    plain_bar(bar)
     return figure
 
 
@@ -545,7 +545,7 @@ def _budget_axis(ax: Axes, budgets: Iterable[float]) -> None:
     ax.set_xlim(values[0] / margin, values[-1] * margin)
     ax.xaxis.set_major_locator(FixedLocator(_some(values)))
     ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
 
 
 def _some(values: Sequence[float], most: int = 7) -> list[float]:
@@ -553,7 +553,7 @@ def _some(values: Sequence[float], most: int = 7) -> list[float]:
     return list(values[:: -(-len(values) // most)])
 
 
-def _power(value: float) -> str:
+def power_text(value: float) -> str:
     """A number as a power of ten if it is one, which is shorter on an axis than 1000 or 0.001."""
     exponent = round(math.log10(value))
     if not math.isclose(value, 10.0**exponent, rel_tol=1e-6):
@@ -609,7 +609,7 @@ def _cell_labels(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normal
                 (edges[column] + edges[column + 1]) / 2,
                 row + 0.5,
                 f"{value:.2f}".removeprefix("0") if known else "–",
-                color=_readable(SEQUENTIAL, norm(value)) if known else MUTED,
+                color=readable_ink(SEQUENTIAL, norm(value)) if known else MUTED,
                 fontsize=6.5,
                 horizontalalignment="center",
                 verticalalignment="center_baseline",
@@ -618,7 +618,7 @@ def _cell_labels(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normal
     return texts
 
 
-def _readable(colours: str, place: float) -> str:
+def readable_ink(colours: str, place: float) -> str:
     """Ink for text on a colour map, by the luminance beneath it."""
     luminance = np.dot(colormaps[colours](place)[:3], (0.2126, 0.7152, 0.0722))
     return ON_LIGHT if luminance > 0.45 else ON_DARK
@@ -712,11 +712,12 @@ def _value_shares(ax: Axes, row: Point, floor: float) -> None:
     ax.set_xlim(-1, 1)
     ax.yaxis.set_major_locator(LogLocator(numticks=4))
     ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     ax.set_ylabel("share of entries", fontsize=8)
 
 
-def _plain(bar: Colorbar) -> None:
+def plain_bar(bar: Colorbar) -> None:
+    """Give a colour bar a faint outline and small numbers."""
     bar.outline.set_edgecolor(MUTED)
     bar.ax.tick_params(labelsize=SMALL)
 
@@ -734,4 +735,4 @@ def _ratio_ticks(ratios: Sequence[float]) -> list[float]:
 def _budget_ticks(ax: Axes, budgets: Sequence[float]) -> None:
     """Ticks at budgets, on an axis of log10 photons."""
     ax.xaxis.set_major_locator(FixedLocator([math.log10(value) for value in _some(budgets)]))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(10**value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(10**value)))

@@ -1,0 +1,55 @@
+"""The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
+
+import sys
+from typing import NoReturn
+
+import typer
+
+from deepfsi.cli import camera, data
+from deepfsi.cli.designs import design, evaluate, show
+from deepfsi.cli.studies import compare, report, reproduce, sweep
+from deepfsi.errors import InputError
+
+app = typer.Typer(
+    name="deepfsi",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Design the masks of a photon-limited single-pixel camera with the network that reads "
+    "them.\n\nStart with: deepfsi compare",
+)
+for _command in (compare, sweep, reproduce, report, design, evaluate, show):
+    app.command()(_command)
+app.add_typer(camera.dmd, name="dmd")
+app.add_typer(camera.camera, name="camera")
+app.add_typer(data.app, name="data")
+
+_STOPPED = 130
+
+
+def main() -> NoReturn:
+    """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
+    try:
+        code = app(standalone_mode=False)
+    except typer.Exit as stop:
+        code = stop.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        code = _STOPPED
+    except InputError as error:
+        _fail(str(error))
+    except typer.TyperException as error:
+        _fail(getattr(error, "format_message", error.__str__)())
+    except OSError as error:
+        _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
+    if code == _STOPPED:
+        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"])
+        kept = "; finished trials are kept, run again to go on" if resumes else ""
+        print(f"deepfsi: stopped{kept}", file=sys.stderr)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> NoReturn:
+    print(f"deepfsi: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)

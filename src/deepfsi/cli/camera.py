@@ -1,0 +1,396 @@
+"""Commands of the camera: patterns for a device, virtual and real acquisitions, photon files."""
+
+import io
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepfsi.cli.common import (
+    JsonOption,
+    check_writable,
+    print_json,
+    print_table,
+    progress,
+    read_toml,
+)
+from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    from deepfsi.hardware.acquisition import Counts
+    from deepfsi.hardware.camera import Camera
+    from deepfsi.hardware.sequence import Patterns
+
+dmd = typer.Typer(
+    no_args_is_help=True,
+    help="Patterns for a micromirror device.\n\n"
+    "Example: deepfsi dmd export digits.safetensors --device dlp7000 --dwell 1ms -o patterns",
+)
+camera = typer.Typer(
+    no_args_is_help=True,
+    help="Acquisitions, virtual or real: photon files to counts, classes and pictures.\n\n"
+    "Example: deepfsi camera count run_0001",
+)
+
+RunArgument = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
+ExposureOption = Annotated[
+    str | None, typer.Option(help="total exposure, such as 0.01 or 10ms; the recorded one if none")
+]
+SettleOption = Annotated[
+    str | None, typer.Option(help="time for mirrors to settle in each frame; the device's if none")
+]
+RepeatsOption = Annotated[
+    int | None, typer.Option(min=1, help="exposures in one pass; as many as fit if none")
+]
+
+
+@dmd.command("export")
+def dmd_export(
+    file: Annotated[Path, typer.Argument(help="design file")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the patterns, new")],
+    device: Annotated[str, typer.Option(help="dlp7000, or COLUMNSxROWS mirrors")] = "dlp7000",
+    dwell: Annotated[
+        str, typer.Option(help="mean time of a frame on the device, such as 1ms or 44us")
+    ] = "1ms",
+    selection: Annotated[
+        str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
+    ] = "ordered",
+    seed: Annotated[int, typer.Option(help="of a random selection")] = 0,
+    kind: Annotated[
+        str, typer.Option("--format", help="npy or raw (packed bits), or png (one a frame)")
+    ] = "npy",
+    as_json: JsonOption = False,
+) -> None:
+    """Turn a design into frames for a micromirror device, with a manifest.
+
+    Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
+    """
+    from deepfsi.artifact import Design
+    from deepfsi.hardware.dmd import export_patterns
+    from deepfsi.hardware.sequence import find_device
+
+    target, mean = find_device(device), seconds("dwell", dwell)
+    made = Design.load(file)
+    if made.name == "impulse":
+        raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
+    check_writable(out.parent)
+    with progress("patterns", quiet=as_json) as tell:
+        patterns = export_patterns(
+            made.rails.numpy(),
+            made.light,
+            made.image_shape,
+            target,
+            mean,
+            out,
+            mean_light=made.mean_light,
+            selection=selection,  # type: ignore[arg-type]
+            seed=seed,
+            format=kind,  # type: ignore[arg-type]
+            design=file.read_bytes(),
+            progress=lambda share: tell(share, ""),
+        )
+    _print_patterns(patterns, out, as_json)
+
+
+@dmd.command("check")
+def dmd_check(
+    folder: Annotated[Path, typer.Argument(help="folder of patterns")],
+    as_json: JsonOption = False,
+) -> None:
+    """Read every frame of a folder back and compare it with the manifest.
+
+    Example: deepfsi dmd check patterns
+    """
+    from deepfsi.hardware.dmd import check_patterns
+
+    with progress("frames", quiet=as_json) as tell:
+        patterns = check_patterns(folder, lambda share: tell(share, ""))
+    _print_patterns(patterns, folder, as_json)
+
+
+@camera.command("simulate")
+def camera_simulate(
+    patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
+    scene: Annotated[
+        Path, typer.Option(help="image, folder of images, or one with a folder for each class")
+    ],
+    flux: Annotated[
+        float, typer.Option(help="photons/s on the device, for the mean training scene")
+    ],
+    exposure: Annotated[str, typer.Option(help="total exposure, such as 0.01 or 10ms")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
+    settings: Annotated[
+        str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
+    ] = "pmt",
+    settle: SettleOption = None,
+    repeats: RepeatsOption = None,
+    seed: Annotated[int, typer.Option(help="repeats exactly")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Record scenes with a virtual camera: a photon file as a real one would write it.
+
+    Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
+    """
+    from deepfsi.datasets import read_display
+    from deepfsi.hardware.camera import record
+
+    model = _camera(settings)
+    images = read_display(scene)
+    check_writable(out.parent)
+    with progress("photons", quiet=as_json) as tell:
+        made = record(
+            patterns,
+            images.x,
+            images.names,
+            images.labels,
+            out,
+            camera=model,
+            flux=flux,
+            exposure_s=seconds("exposure", exposure),
+            settle_s=None if settle is None else seconds("settle", settle),
+            repeats=repeats,
+            seed=seed,
+            progress=lambda share: tell(share, ""),
+        )
+    if as_json:
+        print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
+        return
+    print(
+        f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:g} s each\n"
+        f"recorded: {out}"
+    )
+
+
+@camera.command("count")
+def camera_count(
+    folder: RunArgument,
+    exposure: ExposureOption = None,
+    settle: SettleOption = None,
+    repeats: RepeatsOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Count the photons of each frame's gates; missing, doubled and late markers are named.
+
+    A shorter exposure than the recorded one is counted in shorter gates, and more of them.
+
+    Example: deepfsi camera count run_0001 --exposure 1ms
+    """
+    from deepfsi.hardware.acquisition import count
+
+    with progress("counting", quiet=as_json) as tell:
+        counts = count(
+            folder,
+            exposure_s=None if exposure is None else seconds("exposure", exposure),
+            settle_s=None if settle is None else seconds("settle", settle),
+            repeats=repeats,
+            progress=lambda share: tell(share, ""),
+        )
+    if as_json:
+        print_json(
+            {
+                **_summary(counts),
+                "faults": [fault.model_dump() for fault in counts.faults],
+                "counts": counts.counts.tolist(),
+                "valid": counts.valid.tolist(),
+            }
+        )
+        return
+    for fault in counts.faults:
+        print(f"marker {fault}")
+    summary = _summary(counts)
+    print(
+        f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
+        f"{summary['whole']} of them whole\n"
+        f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
+        f"{counts.photons:.4g} photons an exposure, dark "
+        f"{', '.join(f'{rate:.4g}' for rate in sorted(set(summary['dark_rate'])))} counts/s\n"
+        f"counts: {folder / 'counts.npz'}"
+    )
+
+
+@camera.command("classify")
+def camera_classify(
+    file: Annotated[Path, typer.Argument(help="design file whose patterns were shown")],
+    folder: RunArgument,
+    photons: Annotated[
+        float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say the class of each exposure of an acquisition that was counted.
+
+    Example: deepfsi camera classify one-dmd.safetensors run_0001
+    """
+    from deepfsi.artifact import Design
+    from deepfsi.hardware.acquisition import read_acquisition, read_counts
+
+    acquisition, patterns = read_acquisition(folder)
+    counts = read_counts(folder)
+    made = Design.load(file).as_shown(patterns)
+    signal = counts.signal()
+    probabilities = made.classify(
+        signal if len(made.rails) == 2 else signal[..., 0, :], photons or counts.photons
+    )
+    scenes: list[dict[str, Any]] = []
+    for scene, chances, whole in zip(acquisition.scenes, probabilities, counts.valid, strict=True):
+        guesses = [made.classes[k] for k in chances[whole].argmax(axis=-1)]
+        mean = chances[whole].mean(axis=0) if whole.any() else None
+        scenes.append(
+            {
+                "scene": scene.name,
+                "label": scene.label,
+                "class": None if mean is None else made.classes[mean.argmax()],
+                "probability": None if mean is None else float(mean.max()),
+                "exposures": len(guesses),
+                "guesses": guesses,
+            }
+        )
+    if as_json:
+        print_json({"photons": float(photons or counts.photons), "scenes": scenes})
+        return
+    rows = [
+        (
+            str(s["scene"]),
+            str(s["class"] or "no whole exposure"),
+            f"{s['probability']:.3f}" if s["probability"] is not None else "",
+            f"{_share(s['guesses'], s['class'])}",
+            str(s["label"] or ""),
+        )
+        for s in scenes
+    ]
+    heads = ("scene", "class", "mean probability", "of its exposures", "labelled")
+    print_table(f"{made.name}, {made.masks} masks", heads, rows)
+    known = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
+    if known:
+        right = sum(guess == label for guess, label in known)
+        print(f"right: {right} of {len(known)} exposures")
+
+
+@camera.command("image")
+def camera_image(
+    folder: RunArgument,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="picture; picture.png in the folder if none")
+    ] = None,
+) -> None:
+    """Draw the least-squares picture of each scene from its counts, for alignment.
+
+    Example: deepfsi camera image run_0001 -o picture.png
+    """
+    from deepfsi.files import write_atomically
+    from deepfsi.hardware.acquisition import picture, read_acquisition
+    from deepfsi.report.hardware import pictures_figure
+
+    target = out or folder / "picture.png"
+    kind = target.suffix.lower()
+    if kind not in (".png", ".svg", ".pdf"):
+        raise InputError(f"cannot draw to {target}: end the name in .png, .svg or .pdf")
+    acquisition, _ = read_acquisition(folder)
+    figure = pictures_figure(picture(folder), [scene.name for scene in acquisition.scenes])
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=160, format=kind[1:])
+    write_atomically(target, drawn.getvalue())
+    print(f"drawn: {target}")
+
+
+@camera.command("inspect")
+def camera_inspect(
+    file: Annotated[Path, typer.Argument(help="PicoQuant .ptu file")], as_json: JsonOption = False
+) -> None:
+    """Say what is in a photon file: records, photons and markers by channel, overflows, span.
+
+    Example: deepfsi camera inspect photons.ptu
+    """
+    from deepfsi.hardware.ptu import inspect
+
+    with progress("records", quiet=as_json) as tell:
+        contents = inspect(file, lambda share: tell(share, ""))
+    if as_json:
+        print_json(contents.model_dump())
+        return
+    rows = [
+        ("record type", contents.kind),
+        ("time unit", f"{contents.tick_s:g} s"),
+        ("records", str(contents.records)),
+        *((f"photons on input {k + 1}", str(n)) for k, n in contents.photons.items()),
+        *((f"markers with bit {k}", str(n)) for k, n in contents.markers.items()),
+        ("overflow records", str(contents.overflows)),
+        ("sync records", str(contents.syncs)),
+        ("span", f"{contents.span_s:.6f} s"),
+        *(("problem", problem) for problem in contents.problems),
+    ]
+    print_table(str(file), ("what", "value"), rows)
+
+
+def seconds(option: str, text: str) -> float:
+    """Seconds of a time such as 0.01, 10ms or 44us."""
+    value, scale = text.strip().lower(), 1.0
+    for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)):
+        if value.endswith(unit):
+            value, scale = value.removesuffix(unit), factor
+            break
+    try:
+        time = float(value) * scale
+    except ValueError:
+        time = math.nan
+    if not (math.isfinite(time) and time >= 0):
+        raise InputError(f"--{option} {text!r} is not a time: give seconds, or such as 10ms, 44us")
+    return time
+
+
+def _camera(text: str) -> "Camera":
+    from deepfsi.errors import closest
+    from deepfsi.hardware.camera import CAMERAS, Camera
+    from deepfsi.jobs import reworded
+
+    if text in CAMERAS:
+        return CAMERAS[text]
+    if not text.endswith(".toml"):
+        raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
+    with reworded():
+        return Camera.model_validate(read_toml(Path(text)))
+
+
+def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
+    manifest = patterns.manifest
+    sentinels = len(manifest.frames) - len(manifest.shown)
+    longest = float((manifest.picture_s[manifest.shown] / manifest.shares).min())
+    if as_json:
+        print_json(
+            {
+                "patterns": str(folder),
+                "frames": len(manifest.frames),
+                "mask_frames": len(manifest.shown),
+                "pass_s": manifest.pass_s,
+                "longest_exposure_s": longest,
+                "dimmed": manifest.dimmed,
+            }
+        )
+        return
+    print(
+        f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
+        f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s less the settling"
+    )
+    if manifest.dimmed < 0.999:
+        print(
+            f"cost: one device shows a {manifest.light} design with {manifest.dimmed:.3g} of its "
+            "light; learn it with --light free-dwell or equal-dwell instead"
+        )
+    print(f"patterns: {folder}")
+
+
+def _summary(counts: "Counts") -> dict[str, Any]:
+    return {
+        "scenes": len(counts.counts),
+        "exposures": int(counts.valid.size),
+        "whole": int(counts.valid.sum()),
+        "exposure_s": counts.exposure_s,
+        "photons_counted": int(counts.counts.sum()),
+        "photons": float(counts.photons),
+        "dark_rate": counts.dark_rate.tolist(),
+    }
+
+
+def _share(guesses: list[str], name: object) -> str:
+    return f"{guesses.count(str(name))} of {len(guesses)}" if guesses else ""

@@ -1,0 +1,85 @@
+"""Commands of data sets by name."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepfsi.cli.common import JsonOption, SizeOption, load, print_json, print_table, size_of
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Data sets by name: what there is, fetch it, check it.\n\nExample: deepfsi data list",
+)
+
+
+@app.command("list")
+def data_list(as_json: JsonOption = False) -> None:
+    """List the data sets that have a name, and where they are.
+
+    Example: deepfsi data list --json
+    """
+    from deepfsi.datasets import list_datasets
+
+    known = list_datasets()
+    if as_json:
+        print_json([entry._asdict() for entry in known])
+        return
+    rows = [
+        (entry.name, str(entry.images), str(entry.pixels), str(entry.classes), str(entry.where))
+        for entry in known
+    ]
+    print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
+
+
+@app.command("download")
+def data_download(name: Annotated[str, typer.Argument(help="name of a data set")]) -> None:
+    """Fetch a data set once, checked by hash.
+
+    Example: deepfsi data download mnist
+    """
+    from deepfsi.datasets import download
+
+    print(f"{name}: {download(name)}")
+
+
+@app.command("check")
+def data_check(
+    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: JsonOption = False
+) -> None:
+    """Compare a data set's files with their known hashes.
+
+    Example: deepfsi data check mnist
+    """
+    from deepfsi.datasets import check
+
+    files = check(name)
+    if as_json:
+        print_json([entry._asdict() for entry in files])
+    else:
+        rows = [(str(f.file), "good" if f.ok else "BAD", f.detail) for f in files]
+        print_table(name, ("file", "state", "detail"), rows)
+    if not all(entry.ok for entry in files):
+        raise typer.Exit(1)
+
+
+@app.command("export")
+def data_export(
+    name: Annotated[str, typer.Argument(help="name, folder of images or .npz file")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
+    per_class: Annotated[int, typer.Option(min=1, help="test scenes of each class")] = 1,
+    seed: Annotated[int, typer.Option(help="draws them")] = 0,
+    size: SizeOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write test scenes as pictures, to be shown to a camera, with a folder for each class.
+
+    Example: deepfsi data export mnist --per-class 2 -o images
+    """
+    from deepfsi.datasets import write_display
+
+    written = write_display(load(name, size_of(size)), out, per_class, seed)
+    if as_json:
+        print_json([str(path) for path in written])
+    else:
+        print(f"{len(written)} pictures: {out}")

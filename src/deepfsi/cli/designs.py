@@ -1,0 +1,210 @@
+"""Commands of one design: design, evaluate, show."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepfsi.cli.common import (
+    DataOption,
+    DeviceOption,
+    EpochsOption,
+    JsonOption,
+    LightOption,
+    MatrixOption,
+    RailsOption,
+    SigmaOption,
+    SizeOption,
+    TrainNoiseOption,
+    check_writable,
+    load,
+    numbers,
+    one,
+    print_json,
+    print_table,
+    progress,
+    read_matrix,
+    size_of,
+    whole_number,
+)
+from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+
+def design(
+    photons: Annotated[str, typer.Option(help="budget: expected photons on the coding device")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")],
+    masks: Annotated[str | None, typer.Option(help="number of masks, m")] = None,
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    name: Annotated[
+        str | None, typer.Option("--design", help="which design; deepfsi unless given")
+    ] = None,
+    noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
+    train_noise: TrainNoiseOption = None,
+    sigma: SigmaOption = 1.0,
+    light: LightOption = "column",
+    rails: RailsOption = "dual",
+    epochs: EpochsOption = None,
+    seed: Annotated[int, typer.Option(help="repeats exactly on one device")] = 0,
+    matrix: MatrixOption = None,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Learn masks and classifier for one budget, and save them as one file.
+
+    Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
+    """
+    from deepfsi import coding
+    from deepfsi.evaluation import evaluate as test
+    from deepfsi.recipes import TRAINING_NOISE
+    from deepfsi.training import learn
+
+    own = read_matrix(matrix)
+    budget = one("photons", photons)
+    scenes = load(data, size_of(size))
+    if noise not in TRAINING_NOISE:
+        from deepfsi.errors import closest
+
+        raise InputError(f"unknown noise {noise!r}: {closest(noise, TRAINING_NOISE)}")
+    if own is not None and (masks is not None or name not in (None, "custom")):
+        raise InputError("--matrix is a design with its own masks: leave --masks and --design out")
+    kind = "custom" if own is not None else coding.check_design(name or "deepfsi")
+    if own is not None:
+        count = len(own)
+    elif masks is not None:
+        count = whole_number("masks", masks)
+    elif coding.DESIGNS[kind].fixed_count:
+        count = coding.count_allowed(kind, scenes)[1]
+    else:
+        raise InputError(f"{kind} needs a number of masks: add --masks, for instance --masks 10")
+    if out.is_dir():
+        raise InputError(f"{out} is a folder: give a file name ending in .safetensors")
+    check_writable(out.parent)
+    settings = {} if epochs is None else {"epochs": epochs}
+    with progress(f"{kind}, {count} masks", quiet=as_json) as tell:
+        made = learn(
+            scenes,
+            photons=budget,
+            masks=count,
+            design=kind,
+            noise=train_noise or TRAINING_NOISE[noise],
+            sigma=sigma,
+            light=light,
+            rails=rails,
+            seed=seed,
+            matrix=own,
+            device=device,
+            progress=lambda share: tell(share, ""),
+            **settings,
+        )
+    result = test(made, scenes, budget, noise=noise, sigma=sigma)[0]
+    made.save(out)
+    if as_json:
+        print_json({"design": str(out), "info": made.info, "test": result.as_dict()})
+        return
+    print(
+        f"{kind} with {made.masks} masks at {budget:g} photons: test accuracy "
+        f"{result.accuracy:.4f} [{result.low:.4f}, {result.high:.4f}], "
+        f"light throughput {result.throughput:.3f}\nsaved: {out}"
+    )
+
+
+def evaluate(
+    file: Annotated[
+        Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
+    ],
+    photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    noise: Annotated[str, typer.Option(help="poisson, gaussian, ml_gauss or none")] = "poisson",
+    sigma: SigmaOption = 1.0,
+    draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
+    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Test a design at any budgets, under exact photon noise.
+
+    Example: deepfsi evaluate digits.safetensors --data mnist --photons 1e2,1e3,1e4
+    """
+    from deepfsi.artifact import Design
+    from deepfsi.evaluation import evaluate as test
+    from deepfsi.scenes import find_device
+
+    budgets = numbers("photons", photons) or []
+    if file.is_dir():
+        from deepfsi.hardware.dmd import check_patterns
+
+        made = Design.load(file / "design.safetensors").as_shown(check_patterns(file))
+        made = made.to(find_device(device))
+    else:
+        made = Design.load(file, find_device(device))
+    scenes = load(data, size_of(size))
+    with progress("evaluate", quiet=as_json) as tell:
+        results = test(
+            made,
+            scenes,
+            budgets,
+            noise=noise,
+            sigma=sigma,
+            draws=draws,
+            seed=seed,
+            progress=lambda share: tell(share, ""),
+        )
+    if as_json:
+        print_json({"design": str(file), "results": [result.as_dict() for result in results]})
+        return
+    rows = [
+        (
+            f"{r.photons:g}",
+            f"{r.accuracy:.4f} [{r.low:.4f}, {r.high:.4f}]",
+            _worst(r.rates, made.classes),
+            f"{r.throughput:.3f}",
+            f"{r.photons * r.throughput / made.masks:.3g}",
+        )
+        for r in results
+    ]
+    heads = ("photons", "accuracy, 95 % interval", "worst class", "counted", "counts per mask")
+    print_table(f"{made.name}, {made.masks} masks, {noise} noise", heads, rows)
+    print(f"interval: {results[0].covers}")
+
+
+def show(
+    file: Annotated[Path, typer.Argument(help="design file")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="picture: .png, .svg or .pdf")],
+    count: Annotated[int, typer.Option(help="at most this many masks")] = 24,
+) -> None:
+    """Draw the masks of a design.
+
+    Example: deepfsi show digits.safetensors -o masks.png
+    """
+    from deepfsi import report
+    from deepfsi.artifact import Design
+    from deepfsi.files import write_atomically
+
+    kind = out.suffix.lower()
+    if kind not in (".png", ".svg", ".pdf") or out.is_dir():
+        raise InputError(f"cannot draw to {out}: end the name in .png, .svg or .pdf")
+    if count < 1:
+        raise InputError(f"{count} masks cannot be drawn: give at least 1")
+    made = Design.load(file)
+    check_writable(out.parent)
+    budget = made.info.get("job", {}).get("photons")
+    title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
+    figure = report.masks_figure(made.matrix, made.image_shape, title=title, count=count)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=160, format=kind[1:])
+    write_atomically(out, picture.getvalue())
+    print(f"drawn: {out}")
+
+
+def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:
+    rate, name = min(
+        (rate, name) for rate, name in zip(rates, classes, strict=True) if rate is not None
+    )
+    return f"{rate:.3f} ({name})"

@@ -1,0 +1,290 @@
+"""Vialux micromirror devices with an ALP 4 or 5 controller, through ALP4lib.
+
+**Untested on hardware.** It was written from the library's source and Vialux's constants, and is
+tested against a fake of the library. Watch its first runs with an oscilloscope on the sync output.
+
+ALP holds one picture time for each sequence. So consecutive frames of the same picture time become
+one sequence, and the sequences of a pass follow each other through the controller's queue, which
+leaves no gap as long as the next sequence waits in it. An `equal-dwell` design whose sentinels
+have the same time is one sequence; a `free-dwell` design may need one for each frame. Mirrors keep
+their pattern for the whole picture time (binary, uninterrupted).
+"""
+
+import contextlib
+import ctypes
+import importlib
+import itertools
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.dmd import read_frames, read_patterns
+from deepfsi.hardware.drivers import Progress
+from deepfsi.hardware.sequence import Manifest
+
+__all__ = ["VialuxProjector"]
+
+BLOCK = 64  # frames sent at a time, 6 MB on a DLP7000
+POLL_S = 0.002
+GRACE_S = 5.0  # how much later than planned a pass may end
+
+# Constants of Vialux's alp.h
+AVAIL_MEMORY = 2003  # binary pictures that still fit the controller
+BIN_MODE, BIN_UNINTERRUPTED = 2104, 2106
+DATA_FORMAT, DATA_BINARY_TOPDOWN = 2110, 2
+MIN_PICTURE_TIME, MAX_PICTURE_TIME = 2211, 2213
+QUEUE_MODE, SEQUENCE_QUEUE = 2314, 1
+QUEUE_AVAIL = 2317
+RESET_QUEUE, DEFAULT = 2319, 0
+PROJ_STATE, PROJ_ACTIVE = 2400, 1200
+
+
+class VialuxProjector:
+    """Shows a pattern folder on a Vialux device. Untested on hardware: see the module.
+
+    Parameters
+    ----------
+    version : str
+        Of the ALP interface that is installed, "4.1" to "5.1".
+    library : path, optional
+        Folder of Vialux's library; by default where its installer puts it.
+    serial : int, optional
+        Of the device; by default the first that is found.
+
+    Raises
+    ------
+    InputError
+        On entering, if ALP4lib, Vialux's library or the device is not there; later, if the device
+        refuses something.
+
+    Examples
+    --------
+    >>> with VialuxProjector() as projector:  # doctest: +SKIP
+    ...     projector.load(Path("patterns"))
+    ...     projector.run()
+    ...     projector.wait()
+    """
+
+    def __init__(
+        self, version: str = "4.3", library: Path | None = None, serial: int | None = None
+    ) -> None:
+        self.version, self.library, self.serial = version, library, serial
+        self._alp: Any = None
+        self._sequences: list[Any] = []
+        self._pass_s = 0.0
+        self._end = 0.0
+
+    def __enter__(self) -> Self:
+        """Open the device, with its sequence queue on."""
+        try:
+            module = importlib.import_module("ALP4")
+        except ImportError:
+            raise InputError(
+                "Vialux devices need ALP4lib, which is not installed: pip install 'deepfsi[vialux]'"
+            ) from None
+        folder = None if self.library is None else str(self.library)
+        with _refusals("be opened"), contextlib.redirect_stdout(sys.stderr):  # it prints
+            alp = module.ALP4(version=self.version, libDir=folder)
+            try:
+                alp.Initialize(self.serial)
+                alp.ProjControl(QUEUE_MODE, SEQUENCE_QUEUE)
+            except BaseException:
+                with contextlib.suppress(Exception):
+                    alp.Free()
+                raise
+        self._alp = alp
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Halt and free the device; what went wrong before goes before what goes wrong here."""
+        quiet = contextlib.suppress(InputError) if kind else contextlib.nullcontext()
+        with quiet, contextlib.ExitStack() as stack:
+            stack.callback(self._free)
+            self.halt()
+
+    def load(self, folder: Path, progress: Progress | None = None) -> None:
+        """Send the frames of a pattern folder to the device, in place of earlier ones.
+
+        Parameters
+        ----------
+        folder : path
+            As `dmd.export_patterns` writes it, in any format.
+        progress : callable, optional
+            Called with the share done.
+
+        Raises
+        ------
+        InputError
+            If the folder is damaged, made for another device, too large for the controller's
+            memory, or has a picture time that the device cannot keep; or if this is not open.
+        """
+        manifest = read_patterns(folder).manifest
+        self.halt()
+        self._unload()
+        self._check(manifest, folder)
+        try:
+            with _refusals("load frames"):
+                self._send(manifest, read_frames(folder), progress)
+        except BaseException:
+            with contextlib.suppress(InputError):
+                self._unload()
+            raise
+        self._pass_s = manifest.pass_s
+
+    def run(self) -> None:
+        """Start one pass; returns when its last sequence is in the controller's queue.
+
+        Raises
+        ------
+        InputError
+            If nothing is loaded, a pass is still running or the device refuses.
+        """
+        if not self._sequences:
+            raise InputError("no patterns on the Vialux device: load a pattern folder first")
+        with _refusals("show patterns"):
+            if self._running():
+                raise InputError("the Vialux device still shows a pass: wait for it or halt it")
+            self._end = time.monotonic() + self._pass_s + GRACE_S
+            for sequence in self._sequences:
+                while self._ask(QUEUE_AVAIL) < 1:
+                    self._sleep()
+                self._alp.Run(sequence, loop=False)
+
+    def wait(self) -> None:
+        """Return when the pass has ended; Ctrl-C is heard meanwhile.
+
+        Raises
+        ------
+        InputError
+            If it has not ended 5 s after it should have.
+        """
+        with _refusals("show patterns"):
+            while self._running():
+                self._sleep()
+
+    def halt(self) -> None:
+        """Stop at once, and take what waits from the queue."""
+        self._check_open()
+        with _refusals("be halted"), contextlib.ExitStack() as stack:
+            stack.callback(self._alp.Halt)
+            self._alp.ProjControl(RESET_QUEUE, DEFAULT)
+
+    def _send(
+        self, manifest: Manifest, frames: Iterator[np.ndarray], progress: Progress | None
+    ) -> None:
+        sent = 0
+        for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
+            count = len(list(run))
+            sequence = self._new_sequence(count, picture_us)
+            for first in range(0, count, BLOCK):
+                block = np.stack(list(itertools.islice(frames, min(BLOCK, count - first))))
+                self._alp.SeqPut(block.ravel(), sequence, first, len(block))
+                sent += len(block)
+                if progress:
+                    progress(sent / len(manifest.frames))
+
+    def _unload(self) -> None:
+        with _refusals("free its frames"):
+            while self._sequences:
+                self._alp.FreeSeq(self._sequences.pop())
+
+    def _new_sequence(self, count: int, picture_us: int) -> Any:
+        sequence = self._alp.SeqAlloc(nbImg=count, bitDepth=1)
+        self._sequences.append(sequence)
+        self._alp.SeqControl(DATA_FORMAT, DATA_BINARY_TOPDOWN, sequence)
+        self._alp.SeqControl(BIN_MODE, BIN_UNINTERRUPTED, sequence)
+        shortest, longest = (
+            self._alp.SeqInquire(which, sequence) for which in (MIN_PICTURE_TIME, MAX_PICTURE_TIME)
+        )
+        if not shortest <= picture_us <= longest:
+            raise InputError(
+                f"a picture time of {picture_us} µs is not possible: the Vialux device keeps "
+                f"{shortest} to {longest} µs; export with another --dwell"
+            )
+        self._alp.SetTiming(sequence, pictureTime=picture_us)
+        return sequence
+
+    def _check(self, manifest: Manifest, folder: Path) -> None:
+        device = manifest.device
+        if (device.columns, device.rows) != (self._alp.nSizeX, self._alp.nSizeY):
+            raise InputError(
+                f"'{folder}' is made for {device.columns} x {device.rows} mirrors and the Vialux "
+                f"device has {self._alp.nSizeX} x {self._alp.nSizeY}: export for that device"
+            )
+        if device.columns % 8:
+            raise InputError(
+                f"rows of {device.columns} mirrors do not fill bytes, which this driver needs: "
+                "use a device with a multiple of 8"
+            )
+        with _refusals("be asked for its memory"):
+            free = self._alp.DevInquire(AVAIL_MEMORY)
+        if len(manifest.frames) > free:
+            raise InputError(
+                f"{len(manifest.frames)} frames do not fit the Vialux controller, which has room "
+                f"for {free}: export fewer masks"
+            )
+
+    def _check_open(self) -> None:
+        if self._alp is None:
+            raise InputError("the Vialux device is not open: use `with VialuxProjector() as ...`")
+
+    def _running(self) -> bool:
+        return self._ask(PROJ_STATE) == PROJ_ACTIVE
+
+    def _ask(self, which: int) -> int:
+        """AlpProjInquire of the library itself: ALP4lib 1.1 hands it one argument too many."""
+        value = ctypes.c_long(0)
+        alp = self._alp
+        alp._checkError(
+            alp._ALPLib.AlpProjInquire(alp.ALP_ID, ctypes.c_long(which), ctypes.byref(value)),
+            "Error sending request.",
+        )
+        return value.value
+
+    def _sleep(self) -> None:
+        if time.monotonic() > self._end:
+            raise InputError(
+                f"the pass should have ended {GRACE_S:g} s ago and has not: check that the Vialux "
+                "device does not wait for a trigger"
+            )
+        time.sleep(POLL_S)
+
+    def _free(self) -> None:
+        alp, self._alp = self._alp, None
+        self._sequences.clear()  # freed with the device
+        with _refusals("be freed"):
+            alp.Free()
+
+
+@contextlib.contextmanager
+def _refusals(doing: str) -> Iterator[None]:
+    """Say in one line what a device refused.
+
+    ALP4lib raises its own `ALPError`, `KeyError` for codes it does not know, `ValueError` for
+    versions it does not know, and `OSError` where Vialux's library is not there.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        if type(error).__name__ != "ALPError" and not isinstance(
+            error, KeyError | ValueError | OSError
+        ):
+            raise
+        reason = f"code {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(
+            f"the Vialux device cannot {doing}: {reason.rstrip('.')}; check that it is on, "
+            "connected and not used by another program"
+        ) from error
