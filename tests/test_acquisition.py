@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from deepfsi.errors import InputError
 from deepfsi.hardware import acquisition as acq
 from deepfsi.hardware.acquisition import Acquisition, Scene, count, picture, prepare, read_counts
-from deepfsi.hardware.alignment import Counter, align
+from deepfsi.hardware.alignment import Counter, align, find_steps
 from deepfsi.hardware.dmd import export_patterns
 from deepfsi.hardware.ptu import Writer
 from deepfsi.hardware.sequence import DEVICES, Frame, Manifest, Patterns, find_device
@@ -246,6 +246,20 @@ def test_a_clock_that_warms_up_is_followed():
 def test_markers_of_other_patterns_are_refused(markers, scenes, match):
     with pytest.raises(InputError, match=match):
         align(markers, EQUAL, scenes)
+
+
+@pytest.mark.parametrize("brightest", [0.0, 0.1, 3.0, 200.0, 1e4])
+def test_a_pass_in_its_place_is_never_taken_for_a_shifted_one(brightest):
+    """Over 500 passes of 1000 frames, however faint."""
+    rng = np.random.default_rng(1)
+    rates = rng.uniform(0.1, 0.9, 1000)
+    rates[2:4] = 1.0, 0.45  # as a Hadamard basis begins
+    rates[[0, -2]], rates[[1, -1]] = 1.0, 0.0
+    for _ in range(500):
+        fits, clear = find_steps(rng.poisson(rates * brightest + 0.01), np.ones(1000))
+        assert fits[0]
+        assert fits[-1]
+        assert clear == (brightest > 10)
 
 
 @dataclass
