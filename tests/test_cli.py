@@ -24,6 +24,14 @@ COMMANDS = [
     "data list",
     "data download",
     "data check",
+    "data export",
+    "dmd export",
+    "dmd check",
+    "camera simulate",
+    "camera count",
+    "camera classify",
+    "camera image",
+    "camera inspect",
 ]
 
 

@@ -201,8 +201,7 @@ def rates(
     """
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
-    if not 0 <= flux <= MOST_FLUX:
-        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
+    _check_flux(flux)
     arms = 2 if manifest.two_arm else 1
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, arms))
@@ -222,6 +221,11 @@ def rates(
                 done = first * frames + (place + len(on)) * len(part)
                 progress(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
+
+
+def _check_flux(flux: float) -> None:
+    if not 0 <= flux <= MOST_FLUX:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
 
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
@@ -339,6 +343,7 @@ def record(
             f"{len(scenes)} scenes, {len(names)} names and "
             f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
         )
+    _check_flux(flux)
     gates = find_gates(manifest, exposure_s, settle_s, repeats)
     readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
     countable = max(MOST_READOUTS // readouts, 1)
