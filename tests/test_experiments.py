@@ -12,7 +12,7 @@ from scipy import stats
 
 from deepfsi import experiments
 from deepfsi.errors import InputError
-from deepfsi.experiments import contrast, mnist, study
+from deepfsi.experiments import contrast, hardware, mnist, study
 from deepfsi.experiments.contrast import Difference, above, difference, of_trials
 
 EVERY = [each for members in experiments.STUDIES.values() for each in members]
@@ -52,6 +52,7 @@ def done(request, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study.Experiment, "recipe", recipe)
+        patch.setattr(hardware, "DRAWS", 2)
         for each in EVERY:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
     return folder

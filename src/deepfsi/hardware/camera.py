@@ -127,7 +127,8 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
         cell's mirrors together: the ideal camera gives x_j / K to each of the K mirrors of cell j.
         0 beyond the cells. Light at a mirror's centre stands for its whole.
     """
-    from scipy.ndimage import gaussian_filter
+    from scipy.fft import irfft2, rfft2
+    from scipy.ndimage import fourier_gaussian
 
     height, width = grid.down * grid.height, grid.across * grid.width
     edge = math.ceil(4 * camera.blur)
@@ -142,7 +143,8 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     for scene, mirrors in zip(scenes, out, strict=True):
         light = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
         if camera.blur:
-            light = gaussian_filter(light, camera.blur, mode="constant", truncate=4.0)
+            spectrum = fourier_gaussian(rfft2(light), camera.blur, n=light.shape[1])
+            light = np.maximum(irfft2(spectrum, light.shape), 0)
         mirrors[_area(grid)] = light[kept] * share
     return out
 
