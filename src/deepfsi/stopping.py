@@ -191,7 +191,8 @@ def stop(
     draws : int
         Noise draws of each scene.
     seed : int
-        Of the noise; whole exposures are those of `evaluation.evaluate` with this seed.
+        Of the noise and the halves; whole exposures are those of `evaluation.evaluate` with this
+        seed.
 
     Returns
     -------
@@ -219,7 +220,8 @@ def stop(
     masks = tuple(range(fewest, design.masks + 1))
     share = np.array([design.first(k).used for k in masks]) / design.used
     seen = _Exposures(design, kept.x_test, kept.y_test, budget, masks, draws, seed ^ 2**31)
-    half = np.arange(len(seen.labels)) % 2 == 0
+    # at random: the images of MNIST come from two sources by turns
+    half = np.random.default_rng(seed).permutation(len(kept.x_test))[seen.images] % 2 == 0
     temperatures = tuple(
         _temperature(logits[half], seen.labels[half]) for _, logits in seen.answers()
     )
@@ -323,9 +325,8 @@ class _Answers:
 
     def rate(self, values: np.ndarray, spread: bool = True) -> Rate:
         """Mean of values (E,) over draws and images, the images as the trials."""
-        count = int(self.images.max()) + 1
-        each = np.bincount(self.images, values, count) / np.bincount(self.images, minlength=count)
-        mean = float(each.mean())
+        each = np.bincount(self.images, values) / np.bincount(self.images)
+        mean, count = float(each.mean()), len(each)
         if not spread:
             return Rate(mean, *wilson(mean, count))
         half = 1.96 * float(each.std(ddof=1)) / count**0.5

@@ -4,7 +4,16 @@ import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, closest
-from deepfsi.experiments import compression, hardware, masks, mlgauss, mnist, quantization, starts
+from deepfsi.experiments import (
+    compression,
+    forgiving,
+    hardware,
+    masks,
+    mlgauss,
+    mnist,
+    quantization,
+    starts,
+)
 from deepfsi.experiments.study import Experiment
 from deepfsi.files import write_atomically
 from deepfsi.report.study import write_study
@@ -17,6 +26,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
     "hardware": (hardware.EXPERIMENT,),
+    "forgiving": (forgiving.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

@@ -53,7 +53,7 @@ class Experiment:
     prepare : callable, optional
         What is done to the data before anything is trained on it.
     also : tuple of str
-        Names of further recipes whose points join the first's.
+        Names of further recipes whose points join the first's; each says its `recipe`.
     """
 
     name: str
@@ -108,7 +108,8 @@ class Experiment:
                 report=report,
             )
             records += own
-            results = {**part, **results, "points": [*results.get("points", []), *part["points"]]}
+            named = [{"recipe": name, **point} for point in part["points"]]
+            results = {**part, **results, "points": [*results.get("points", []), *named]}
         if self.measure:
             tell = report or (lambda share, now: None)
             results["extra"] = self.measure(results, data, folder / "designs", workers, tell)
