@@ -6,8 +6,9 @@ probability of the likeliest class, is above a threshold. Photons that a stopped
 are the first of those that the whole one takes: nothing is drawn again.
 
 A network's own probabilities are rarely right, so each number of masks has a temperature that
-divides the logits. Temperatures are fitted on one half of the scenes that were held out of the
-training, and the threshold is chosen on the other; the test scenes are read once.
+divides the logits. It is fitted on scenes that were held out of the training. The threshold is
+chosen on the same scenes, of which each half has the temperatures of the other; the test scenes are
+read once.
 """
 
 from collections.abc import Iterator, Sequence
@@ -222,13 +223,17 @@ def stop(
     seen = _Exposures(design, kept.x_test, kept.y_test, budget, masks, draws, seed ^ 2**31)
     # at random: the images of MNIST come from two sources by turns
     half = np.random.default_rng(seed).permutation(len(kept.x_test))[seen.images] % 2 == 0
-    temperatures = tuple(
-        _temperature(logits[half], seen.labels[half]) for _, logits in seen.answers()
+    halves = np.array(
+        [
+            [_temperature(logits[part], seen.labels[part]) for part in (half, ~half)]
+            for _, logits in seen.answers()
+        ]
     )
-    choice = _Answers(seen, temperatures, ~half)
+    choice = _Answers(seen, [np.where(half, b, a)[:, None] for a, b in halves])
     if threshold is None:
         threshold = choice.least_threshold(share)
-    policy = Policy(masks, temperatures, float(threshold))
+    temperatures = np.sqrt(halves.prod(axis=1)).tolist()
+    policy = Policy(masks, tuple(temperatures), float(threshold))
     test = _Exposures(design, data.x_test, data.y_test, budget, masks, draws, seed)
     return _result(policy, _Answers(test, temperatures), choice, share, budget, draws)
 
@@ -286,21 +291,19 @@ class _Exposures:
 class _Answers:
     """Guesses and their confidences, (E, K) for E exposures and K numbers of masks."""
 
-    def __init__(
-        self,
-        seen: _Exposures,
-        temperatures: Sequence[float],
-        rows: np.ndarray | slice = slice(None),
-    ) -> None:
-        labels, self.images = seen.labels[rows], seen.images[rows]
+    def __init__(self, seen: _Exposures, temperatures: Sequence[Any]) -> None:
+        labels, self.images = seen.labels, seen.images
         sure, raw, right, self.log_loss, self.raw_log_loss = [], [], [], 0.0, 0.0
         for (_, logits), temperature in zip(seen.answers(), temperatures, strict=True):
-            calibrated, plain = (log_softmax(logits[rows] / t, axis=1) for t in (temperature, 1.0))
+            calibrated, plain = (
+                log_softmax(each, axis=1) for each in (logits / temperature, logits)
+            )
             sure.append(np.exp(calibrated.max(axis=1)))
             raw.append(np.exp(plain.max(axis=1)))
             right.append(plain.argmax(axis=1) == labels)
-            self.log_loss += _log_loss(logits[rows] / temperature, labels) / len(temperatures)
-            self.raw_log_loss += _log_loss(logits[rows], labels) / len(temperatures)
+            true = np.arange(len(labels)), labels
+            self.log_loss -= float(calibrated[true].mean()) / len(temperatures)
+            self.raw_log_loss -= float(plain[true].mean()) / len(temperatures)
         self.sure, self.raw, self.right = (np.stack(part, axis=1) for part in (sure, raw, right))
 
     def ends(self, threshold: float) -> np.ndarray:
@@ -397,6 +400,7 @@ def _temperature(logits: np.ndarray, labels: np.ndarray) -> float:
         lambda log: _log_loss(logits / np.exp(log), labels),
         bounds=(-np.log(20), np.log(20)),
         method="bounded",
+        options={"xatol": 1e-3},
     )
     return float(np.exp(found.x))
 
