@@ -32,6 +32,8 @@ COMMANDS = [
     "camera classify",
     "camera image",
     "camera inspect",
+    "camera spots",
+    "camera calibrate",
 ]
 
 

@@ -206,3 +206,54 @@ def test_one_picture_or_a_plain_folder_is_read(digits, tmp_path):
     assert read_display(tmp_path / "1.png").x.shape == (1, 4, 6)
     with pytest.raises(InputError, match="no picture"):
         read_display(tmp_path / "2.png")
+
+
+def test_a_camera_is_calibrated_by_files_alone(call, made, tmp_path):
+    """A tilted view is found to a tenth of a cell, and a design is trained on what it sees."""
+    made("hadamard", "equal-dwell", "dual").save(tmp_path / "hadamard.safetensors")
+    camera = tmp_path / "tilted.toml"
+    camera.write_text(
+        "view = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]\ndark = 1e3\n"
+    )
+    spots, run, out = tmp_path / "spots", tmp_path / "run", tmp_path / "calibration"
+    device = ["--device", "64x64", "--dwell", "20ms"]
+    assert (
+        call("dmd", "export", tmp_path / "hadamard.safetensors", *device, "-o", tmp_path / "p")[0]
+        == 0
+    )
+    assert call("camera", "spots", "--size", "32x32", "-o", spots)[0] == 0
+    code, _, _ = call(
+        "camera", "simulate", tmp_path / "p", "--scene", spots, "--flux", 1e7, "--exposure", "2s",
+        "--repeats", 1, "--camera", camera, "-o", run,
+    )  # fmt: skip
+    assert code == 0
+    assert call("camera", "count", run)[0] == 0
+    code, text, _ = call("camera", "calibrate", run, "--spots", spots, "-o", out, "--json")
+    found = json.loads(text)
+    assert code == 0
+    assert found["spots"] >= 16  # the others fall between the large cells or beside them
+    truth = np.array([[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]])
+    for corner in ((0.2, 0.2, 1), (0.8, 0.2, 1), (0.5, 0.5, 1), (0.8, 0.8, 1)):
+        ours, theirs = (np.array(h) @ corner for h in (found["homography"], truth))
+        assert np.abs(ours[:2] / ours[2] - theirs[:2] / theirs[2]).max() < 0.1 / 8
+    assert found["dark"] == pytest.approx(1e3, rel=0.5)
+    words = ["--photons", "1e4", "--masks", 4, "--epochs", 1, "--view", out]
+    assert call("design", *words, "-o", tmp_path / "seen.safetensors")[0] == 0
+    design = Design.load(tmp_path / "seen.safetensors")
+    assert "calibration" in design.info["preprocessing"]
+    assert (
+        call("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)[0] == 0
+    )
+
+
+def test_a_run_of_other_pictures_does_not_calibrate(call, lab, tmp_path):
+    exported(call, lab, tmp_path / "p")
+    words = ["--scene", lab / "images", "--flux", 1e6, "--exposure", "1ms", "--camera", "ideal"]
+    call("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    call("camera", "count", tmp_path / "run")
+    call("camera", "spots", "-o", tmp_path / "spots")
+    words = [tmp_path / "run", "--spots", tmp_path / "spots", "-o", tmp_path / "c"]
+    code, _, err = call("camera", "calibrate", *words)
+    assert code == 2
+    assert "0/one.png" in err
+    assert not (tmp_path / "c").exists()

@@ -26,6 +26,10 @@ DataOption = Annotated[
 SizeOption = Annotated[
     str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
 ]
+ViewOption = Annotated[
+    Path | None,
+    typer.Option(help="folder of a camera's calibration: use what it sees of the scenes"),
+]
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
 WorkersOption = Annotated[
     int | None, typer.Option(min=1, help="processes; one for each core unless given")
@@ -90,11 +94,16 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     return int(sides[0]), int(sides[-1])
 
 
-def load(data: str, size: tuple[int, int] | None) -> "Dataset":
-    """The data set of that name or path."""
+def load(data: str, size: tuple[int, int] | None, view: Path | None = None) -> "Dataset":
+    """The data set of that name or path, as a camera of that calibration sees it if given."""
     from deepfsi.datasets import load_dataset
 
-    return load_dataset(data, size=size)
+    scenes = load_dataset(data, size=size)
+    if view is None:
+        return scenes
+    from deepfsi.hardware.calibration import load_calibration, view_dataset
+
+    return view_dataset(scenes, load_calibration(view))
 
 
 def read_matrix(path: Path | None) -> "np.ndarray | None":

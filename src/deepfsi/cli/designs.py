@@ -18,6 +18,7 @@ from deepfsi.cli.common import (
     SigmaOption,
     SizeOption,
     TrainNoiseOption,
+    ViewOption,
     check_writable,
     load,
     numbers,
@@ -66,6 +67,7 @@ def design(
     ] = 0,
     seed: Annotated[int, typer.Option(help="repeats exactly on one device")] = 0,
     matrix: MatrixOption = None,
+    view: ViewOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -80,7 +82,7 @@ def design(
 
     own = read_matrix(matrix)
     budgets = budget_range(photons)
-    scenes = load(data, size_of(size))
+    scenes = load(data, size_of(size), view)
     if noise not in TRAINING_NOISE:
         from deepfsi.errors import closest
 
@@ -158,6 +160,7 @@ def evaluate(
     ] = None,
     draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
     seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    view: ViewOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -179,7 +182,7 @@ def evaluate(
         made = Design.load(file, find_device(device))
     if first is not None:
         made = made.first(first)
-    scenes = load(data, size_of(size))
+    scenes = load(data, size_of(size), view)
     with progress("evaluate", quiet=as_json) as tell:
         results = test(
             made,
