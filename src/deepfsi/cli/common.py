@@ -90,11 +90,11 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     return int(sides[0]), int(sides[-1])
 
 
-def load(data: str, size: tuple[int, int] | None) -> "Dataset":
+def load(data: str, size: tuple[int, int] | None, split: str | None = None) -> "Dataset":
     """The data set of that name or path."""
     from deepfsi.datasets import load_dataset
 
-    return load_dataset(data, size=size)
+    return load_dataset(data, size=size, split=split)
 
 
 def read_matrix(path: Path | None) -> "np.ndarray | None":

@@ -4,7 +4,16 @@ import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, closest
-from deepfsi.experiments import compression, hardware, masks, mlgauss, mnist, quantization, starts
+from deepfsi.experiments import (
+    compression,
+    hardware,
+    indian_pines,
+    masks,
+    mlgauss,
+    mnist,
+    quantization,
+    starts,
+)
 from deepfsi.experiments.study import Experiment
 from deepfsi.files import write_atomically
 from deepfsi.report.study import write_study
@@ -16,6 +25,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
+    "indian-pines": (indian_pines.EXPERIMENT,),
     "hardware": (hardware.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
