@@ -81,6 +81,7 @@ def measure(
     for number, split in enumerate(splits):
         report(number / len(splits), f"class maps, {split} split")
         uses = _uses(scene, split)
+        uses = _uses(scene, split)
         extra["parts"][split] = {"uses": pack(uses), **_counts(scene, uses)}
         chosen = best(results, noise="poisson", split=split)
         for photons in MAPPED:
@@ -140,13 +141,17 @@ def _overview(scene: SpectralImage) -> dict[str, Any]:
     if wavelengths is not None and len(wavelengths) == 220:
         gaps = np.split(WATER, np.flatnonzero(np.diff(WATER) > 1) + 1)
         water = [
-            [float(f(wavelengths[part])) for f in (np.min, np.max)] for part in gaps if len(part) > 1
+            [float(f(wavelengths[part])) for f in (np.min, np.max)]
+            for part in gaps
+            if len(part) > 1
         ]
     return {
         "classes": list(names),
         "labels": pack(labels),
         "band": pack(np.rint(255 * band / band.max())),
-        "band_nm": None if wavelengths is None else float(wavelengths[min(BAND, len(wavelengths)) - 1]),
+        "band_nm": None
+        if wavelengths is None
+        else float(wavelengths[min(BAND, len(wavelengths)) - 1]),
         "bands": spectra.shape[2],
         "wavelengths": None if wavelengths is None else wavelengths.tolist(),
         "water": water,
@@ -313,12 +318,10 @@ def _same_claim(of: str, results: Results, splits: Sequence[str]) -> Claim:
 def _found(results: Results, of: str, compared: dict[tuple[str, str], Compared]) -> str:
     extra = results["extra"]
     parts = []
-    for split, own in compared.items():
-        noise, where_from = split
+    for (noise, split), own in compared.items():
         most = max(own, key=lambda budget: own[budget].mean)
         parts.append(
-            f"{SHORT[noise]}, {where_from} split: {own[most]} at most, at {photons_text(most)} "
-            "photons"
+            f"{SHORT[noise]}, {split} split: {own[most]} at most, at {photons_text(most)} photons"
         )
     text = ""
     if results["recipe"]["data"] == SURROGATE:
@@ -373,7 +376,7 @@ def _pictures(results: Results, of: str, splits: Sequence[str]) -> list[Picture]
         Picture(
             overview_figure(
                 unpack(scene["band"]), labels, names, spectra, nm, scene["water"],
-                title=of, band=f"band {min(BAND, scene['bands'])}{at}",
+                title=of, band_name=f"band {min(BAND, scene['bands'])}{at}",
             ),
             f"{of}: a band, the classes, their pixels, and the spectra of two (median, and 5 to "
             "95 % of pixels). Grey: bands that water vapour darkens.",
