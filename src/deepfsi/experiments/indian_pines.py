@@ -18,7 +18,7 @@ from deepfsi.datasets.indian_pines import SURROGATE, WATER, where
 from deepfsi.experiments.contrast import Difference, above, difference, of_trials
 from deepfsi.experiments.study import Experiment, Finding, Results, best
 from deepfsi.recipes import Recipe
-from deepfsi.report.figures import accuracy_figure, brightest, noise_text, photons_text
+from deepfsi.report.figures import INK, accuracy_figure, brightest, noise_text, photons_text
 from deepfsi.report.page import listed, read_masks
 from deepfsi.report.spectra import class_maps_figure, overview_figure, spectral_masks_figure
 from deepfsi.report.study import Claim, Picture, Table
@@ -257,7 +257,7 @@ def _advantageous(of: str, split: str, compared: Compared) -> Claim:
     holds = above(compared.values())
     said = (
         f"{of}: DeepFSI − best other lowest {compared[least]} at {photons_text(least)}, highest "
-        f"{compared[most]} at {photons_text(most)} photons; above at {listed(clear) or 'none'}"
+        f"{compared[most]} at {photons_text(most)} photons; above at {listed(clear or ['none'])}"
     )
     why = (
         "With very few photons every design guesses, and in bright light all come to what the "
@@ -359,16 +359,18 @@ def _pictures(results: Results, of: str, splits: Sequence[str]) -> list[Picture]
     nm = None if scene["wavelengths"] is None else np.array(scene["wavelengths"])
     at = "" if scene["band_nm"] is None else f", {scene['band_nm']:.0f} nm"
     pictures = []
+    counts = np.bincount(labels.ravel())[1:]
+    guess = f"always naming the largest class gives {counts.max() / counts.sum():.2f}"
     for split in splits:
         part = {**results, "points": [p for p in results["points"] if p["split"] == split]}
         figure = accuracy_figure(part)
-        figure.suptitle(f"{of}, {split} split", fontsize=10, fontweight="bold")
+        figure.suptitle(f"{of}, {split} split", fontsize=10, fontweight="bold", color=INK)
         pictures.append(
             Picture(
                 figure,
                 f"{of}, {split} split: accuracy against photons, each design at the number of "
                 "masks that validation chooses. Circles are feature-specific designs. Bars: 95 % "
-                "intervals. Chance is one in as many classes; the largest class alone gives more.",
+                f"intervals. Chance is one in {len(names)} classes; {guess}.",
                 f"Accuracy of all designs on {of}, {split} split; numbers in the table.",
             )
         )

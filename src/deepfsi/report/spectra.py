@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from scipy.ndimage import distance_transform_edt
 
 from deepfsi.report.figures import (
@@ -35,8 +36,8 @@ Maps number their classes all the same.
 USES = (
     (NO_CLASS, "no label"),
     ("#9ec9e6", "training"),
-    ("#d55e00", "test"),
-    ("#1b1f25", "left out beside test"),
+    ("#cc5500", "test"),
+    (ON_LIGHT, "left out beside test"),
 )
 USE_MAP = ListedColormap([colour for colour, _ in USES])
 MAPS_WIDTH = 9.6  # inches
@@ -96,7 +97,7 @@ def overview_figure(
     places = np.arange(1, len(names) + 1)
     counts = np.bincount(labels.ravel(), minlength=len(names) + 1)[1:]
     ax.barh(places, counts, color=CLASS_COLOURS[: len(names)], edgecolor=INK, linewidth=0.4)
-    ax.set_yticks(places, [f"{name} {k}" for k, name in zip(places, names, strict=True)])
+    ax.set_yticks(places, [f"{k} {name}" for k, name in zip(places, names, strict=True)])
     ax.tick_params(axis="y", labelsize=SMALL, length=0)
     ax.set_ylim(len(names) + 0.6, 0.4)
     ax.set_xlim(0, 1.2 * counts.max())
@@ -147,7 +148,7 @@ def class_maps_figure(
     """
     budgets = sorted({row["photons"] for row in rows})
     columns = 2 + len(budgets)
-    height = len(uses) * (MAPS_WIDTH / columns + 0.35) + 0.16 * -(-len(names) // 5) + 0.9
+    height = len(uses) * (MAPS_WIDTH / columns + 0.25) + 0.16 * -(-len(names) // 5) + 0.6
     figure = Figure(figsize=(MAPS_WIDTH, height), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
     panels = figure.subplots(len(uses), columns, squeeze=False)
@@ -263,7 +264,6 @@ def _number_fields(ax: Axes, labels: np.ndarray, classes: int) -> None:
         depth = distance_transform_edt(np.pad(labels == number, 1))[1:-1, 1:-1]
         if depth.any():
             y, x = np.unravel_index(depth.argmax(), depth.shape)
-            luminance = np.dot(to_rgb(CLASS_COLOURS[number - 1]), (0.2126, 0.7152, 0.0722))
-            text = ax.text(x, y, str(number), fontsize=SMALL)
+            text = ax.text(x, y, str(number), fontsize=SMALL, color=ON_LIGHT)
             text.set(horizontalalignment="center", verticalalignment="center")
-            text.set_color(ON_LIGHT if luminance > 0.45 else ON_DARK)
+            text.set_path_effects([withStroke(linewidth=1.5, foreground=ON_DARK)])
