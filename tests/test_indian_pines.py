@@ -130,6 +130,12 @@ def test_the_real_scene_is_used_where_it_is_at_hand(home, tmp_path, monkeypatch)
         assert "wavelength (nm)" not in labels, "there is no band table"
 
 
+def test_the_corrected_cube_goes_before_a_simulated_one(home):
+    cube = np.ones((145, 145, 200), np.uint16)
+    savemat(home / "Indian_pines_corrected.mat", {"indian_pines_corrected": cube})
+    assert EXPERIMENT.recipe(quick=True).data == "indian-pines-corrected"
+
+
 def test_without_any_scene_the_real_one_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     assert EXPERIMENT.recipe(quick=True).data == "indian-pines"

@@ -26,7 +26,9 @@ from deepfsi.report.study import Claim, Picture, Table
 from deepfsi.scanner import subtract
 from deepfsi.sweep import Report
 
-REAL = "indian-pines"
+SCENES = ("indian-pines", "indian-pines-corrected", SURROGATE)
+"""What may stand for the scene, best first."""
+
 MAPPED = (1e2, 1e4, 1e6)
 """Budgets of the class maps, photons."""
 
@@ -63,10 +65,11 @@ Chosen = Mapping[tuple[str, float], Mapping[str, Any]]
 
 
 def adapt(recipe: Recipe) -> Recipe:
-    """The recipe on the simulated scene, where only what that needs is at hand."""
-    if recipe.data != REAL or where(REAL) or not where(SURROGATE):
+    """The recipe on the first of `SCENES` that is at hand."""
+    there = [name for name in SCENES if where(name)]
+    if recipe.data != SCENES[0] or not there:
         return recipe
-    return recipe.model_copy(update={"data": SURROGATE})
+    return recipe.model_copy(update={"data": there[0]})
 
 
 # ---------------------------------------------------------------- what is measured
