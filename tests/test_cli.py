@@ -339,11 +339,24 @@ def test_all_mistakes_of_a_recipe_are_told_at_once(call, tmp_path):
         assert part in errors
 
 
+@pytest.mark.parametrize("options", [[], ["--dry-run"]])
+def test_the_split_of_a_recipe_is_asked_of_the_data(call, tmp_path, options):
+    path = tmp_path / "split.toml"
+    path.write_text('data = "digits"\nsplit = "blocks"\n')
+    code, _, errors = call("sweep", path, "-o", tmp_path / "out", *options)
+    assert code == 2
+    assert "digits: a split was given; only a hyperspectral image takes one" in errors
+    path.write_text('split = "halves"\n')
+    assert "'random' or 'blocks'" in call("sweep", path, "-o", tmp_path / "out", *options)[2]
+
+
 def test_experiments_are_listed(call):
     assert {row["name"] for row in json.loads(call("reproduce", "list", "--json")[1])} == {
         "mnist",
         "compression",
         "mlgauss",
         "quantization",
+        "indian-pines",
+        "hardware",
     }
     assert "compression" in call("reproduce", "list")[1]

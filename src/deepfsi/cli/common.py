@@ -94,11 +94,16 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     return int(sides[0]), int(sides[-1])
 
 
-def load(data: str, size: tuple[int, int] | None, view: Path | None = None) -> "Dataset":
+def load(
+    data: str,
+    size: tuple[int, int] | None,
+    view: Path | None = None,
+    split: str | None = None,
+) -> "Dataset":
     """The data set of that name or path, as a camera of that calibration sees it if given."""
     from deepfsi.datasets import load_dataset
 
-    scenes = load_dataset(data, size=size)
+    scenes = load_dataset(data, size=size, split=split)
     if view is None:
         return scenes
     from deepfsi.hardware.calibration import load_calibration, view_dataset

@@ -8,6 +8,7 @@ from deepfsi.experiments import (
     compression,
     forgiving,
     hardware,
+    indian_pines,
     masks,
     mlgauss,
     mnist,
@@ -25,6 +26,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
+    "indian-pines": (indian_pines.EXPERIMENT,),
     "hardware": (hardware.EXPERIMENT,),
     "forgiving": (forgiving.EXPERIMENT,),
 }
