@@ -1,0 +1,112 @@
+"""The data sets that have a name: list them, fetch them, check them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from deepfsi.datasets import cifar, idx, indian_pines
+from deepfsi.datasets.store import FileCheck
+from deepfsi.errors import InputError, closest
+
+CIFAR = ("cifar10", "cifar10-jpeg")
+NAMES = ("digits", *idx.ORIGINALS, *CIFAR, *indian_pines.SOURCES)
+
+
+class DatasetInfo(NamedTuple):
+    """A named data set: how many images, pixels (N) and classes, and where it is."""
+
+    name: str
+    images: int
+    pixels: int
+    classes: int
+    where: str  # "embedded", the folder or file, or "not here"
+
+
+def list_datasets() -> list[DatasetInfo]:
+    """List the data sets that have a name. Files are looked for, but not opened."""
+    return [
+        DatasetInfo("digits", 1797, 64, 10, "embedded"),
+        *(
+            DatasetInfo(name, 70_000, 1024, len(original.classes), _shown(idx.where(name)))
+            for name, original in idx.ORIGINALS.items()
+        ),
+        *(DatasetInfo(name, 60_000, 1024, 10, _shown(cifar.where(name))) for name in CIFAR),
+        *(
+            DatasetInfo(name, 10_249, indian_pines.BANDS, 16, _shown(indian_pines.where(name)))
+            for name in indian_pines.SOURCES
+        ),
+    ]
+
+
+def _shown(path: Path | None) -> str:
+    return "not here" if path is None else str(path)
+
+
+def download(name: str) -> Path:
+    """Make sure that the files of a data set are here, and undamaged.
+
+    What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
+    into it, each from the first mirror that gives it whole.
+
+    Parameters
+    ----------
+    name
+        ``"mnist"``, ``"fashion-mnist"`` or ``"cifar10"``; of the others, which cannot be
+        downloaded, this finds the files that are here.
+
+    Returns
+    -------
+    Path
+        The folder or file, checked by its hash where one is known.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to download under this name, a file in ``$DEEPFSI_DATA`` is damaged,
+        or no mirror gives a file.
+    """
+    if name == "digits":
+        raise InputError(
+            "digits is embedded in scikit-learn: there is nothing to download, load it"
+        )
+    _check_name(name)
+    if name in CIFAR:
+        return cifar.download(name)
+    if name in indian_pines.SOURCES:
+        return indian_pines.download(name)
+    return idx.download(name)
+
+
+def check(name: str) -> list[FileCheck]:
+    """Compare the files of a data set with the hashes of the originals.
+
+    Parameters
+    ----------
+    name
+        One of those that `list_datasets` gives.
+
+    Returns
+    -------
+    list of FileCheck
+        One for each file, in the folder where all are, or else where they belong. Where no hash
+        is known, the content is looked at instead.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+    """
+    _check_name(name)
+    if name == "digits":
+        return [FileCheck("digits", True, "embedded in scikit-learn")]
+    if name in CIFAR:
+        return cifar.check(name)
+    if name in indian_pines.SOURCES:
+        return indian_pines.check(name)
+    return idx.check(name)
+
+
+def _check_name(name: str) -> None:
+    if name not in NAMES:
+        raise InputError(f"unknown data set '{name}': {closest(name, NAMES)}")

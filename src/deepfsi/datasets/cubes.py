@@ -1,0 +1,182 @@
+"""Read a hyperspectral image and its label map from ``.mat``, ``.npy`` or ENVI files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.datasets.spectra import SpectralImage
+from deepfsi.errors import InputError
+
+__all__ = ["SUFFIXES", "read_cube", "read_labels"]
+
+SUFFIXES = (".mat", ".npy", ".hdr")
+MAX_VALUES = 2**30  # of a .mat file, which is small where all its values are the same
+NUMBERS = (
+    *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
+    *("single", "double"),
+)
+
+
+class _Array(NamedTuple):
+    values: npt.NDArray[Any]
+    wavelengths: npt.NDArray[np.float64] | None = None
+    classes: tuple[str, ...] | None = None
+
+
+def read_cube(
+    path: Path,
+    labels: Path | None = None,
+    *,
+    variables: tuple[str | None, str | None] = (None, None),
+    name: str | None = None,
+    classes: Sequence[str] | None = None,
+    wavelengths: npt.NDArray[np.float64] | None = None,
+    origin: str = "Spectra",
+) -> SpectralImage:
+    """Read a cube and its label map.
+
+    Parameters
+    ----------
+    path
+        The cube, (H, W, B): a ``.mat`` file up to version 7 with one three-dimensional variable,
+        an ``.npy`` file, or the ``.hdr`` header of an ENVI file (needs the package ``spectral``).
+    labels
+        The label map, (H, W) integers with 0 for no label, in any of the three. By default
+        the file beside the cube that is named as it is with ``_gt`` added, or put in place of
+        ``_corrected``: ``Salinas_gt.mat`` for ``Salinas_corrected.mat``.
+    variables
+        Names of the cube's and the label map's variable in ``.mat`` files; by default the only
+        one of that many dimensions.
+    name, classes, wavelengths, origin
+        As in `SpectralImage`; by default the file's name, and what an ENVI header says.
+
+    Returns
+    -------
+    SpectralImage
+
+    Raises
+    ------
+    InputError
+        If a file is missing, damaged, or holds something else.
+    """
+    labels = _find_labels(path) if labels is None else labels
+    cube = _read(path, 3, variables[0])
+    label_map = _read(labels, 2, variables[1])
+    names = label_map.classes[1:] if label_map.classes else None  # ENVI's class 0 is "none"
+    return SpectralImage(
+        name=name or path.stem,
+        cube=cube.values,
+        labels=_integers(label_map.values),
+        classes=names if classes is None else classes,
+        wavelengths=cube.wavelengths if wavelengths is None else wavelengths,
+        origin=origin,
+    )
+
+
+def read_labels(path: Path, variable: str | None = None) -> npt.NDArray[np.integer]:
+    """Read a label map alone, as `read_cube` does."""
+    return _integers(_read(path, 2, variable).values)
+
+
+def _integers(labels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Whole numbers as integers: MATLAB's own are doubles. Others are left for the checks."""
+    if labels.dtype.kind == "f" and (np.abs(labels) < 2**31).all() and not (labels % 1).any():
+        return labels.astype(np.int64)
+    return labels
+
+
+def _find_labels(path: Path) -> Path:
+    stems = [path.stem + "_gt", path.stem.removesuffix("_corrected") + "_gt"]
+    for stem in stems:
+        for suffix in SUFFIXES:
+            if (path.parent / (stem + suffix)).is_file():
+                return path.parent / (stem + suffix)
+    raise InputError(
+        f"{path} has no label map beside it: put one there as {stems[-1]} with the ending "
+        f"{' or '.join(SUFFIXES)}, 0 where a pixel has no label"
+    )
+
+
+def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path} is no {', '.join(SUFFIXES)} file; save it as one of them")
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    if path.suffix == ".hdr":
+        array = _read_envi(path)
+    elif path.suffix == ".npy":
+        array = _Array(_read_npy(path))
+    else:
+        array = _Array(_read_mat(path, dimensions, variable))
+    if dimensions == 2 and array.values.ndim == 3 and array.values.shape[2] == 1:
+        array = array._replace(values=array.values[..., 0])
+    return array
+
+
+def _read_npy(path: Path) -> npt.NDArray[Any]:
+    try:
+        # mapped, so that no more is read than the file holds
+        values: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+        return np.array(values)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"cannot read {path} ({error}); write it with numpy.save") from error
+
+
+def _read_mat(path: Path, dimensions: int, variable: str | None) -> npt.NDArray[Any]:
+    from scipy.io import loadmat, whosmat
+
+    try:
+        found = {
+            name: shape
+            for name, shape, kind in whosmat(path)
+            if kind in NUMBERS and len(shape) == dimensions
+        }
+    except NotImplementedError as error:
+        raise InputError(f"{path} is of version 7.3; save it in MATLAB with '-v7'") from error
+    except Exception as error:  # scipy raises almost anything on a damaged file
+        raise InputError(f"cannot read {path} as a .mat file ({error}); save it again") from error
+    if variable is None and len(found) == 1:
+        (variable,) = found
+    if variable not in found:
+        wanted = f"the {dimensions}-dimensional variable " + (variable or "that is the only one")
+        raise InputError(
+            f"{path} lacks {wanted}: of that many dimensions it holds "
+            f"{', '.join(found) or 'nothing'}; save it as that"
+        )
+    if np.prod(found[variable], dtype=float) > MAX_VALUES:
+        raise InputError(
+            f"{path}: {variable} has the shape {found[variable]}; give {MAX_VALUES} values or fewer"
+        )
+    try:
+        values: npt.NDArray[Any] = loadmat(path, variable_names=[variable])[variable]
+    except Exception as error:
+        raise InputError(f"cannot read {path} as a .mat file ({error}); save it again") from error
+    return np.ascontiguousarray(values)
+
+
+def _read_envi(path: Path) -> _Array:
+    try:
+        from spectral.io import envi
+    except ImportError as error:
+        raise InputError(
+            f"{path} is an ENVI header, read by the package spectral: pip install deepfsi[spectral]"
+        ) from error
+    try:
+        image = envi.open(str(path))
+        mapped = image.open_memmap()  # so that no more is read than the file holds
+        if mapped is None:
+            raise ValueError("its data file holds less than the header says")
+        values = np.array(mapped)
+    except Exception as error:
+        raise InputError(f"cannot read {path} as ENVI ({error}); write it again") from error
+    centres = image.bands.centers
+    wavelengths = None if centres is None else np.array(centres, float)
+    if wavelengths is not None and str(image.bands.band_unit).lower().startswith("micro"):
+        wavelengths *= 1000
+    names = image.metadata.get("class names")
+    return _Array(values, wavelengths, tuple(names) if names else None)

@@ -1,0 +1,107 @@
+"""What a data set is: labelled scenes in a training and a test part."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.errors import InputError
+
+Reflectance: TypeAlias = npt.NDArray[np.float32]
+Labels: TypeAlias = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Labelled scenes in a training and a test part.
+
+    Attributes
+    ----------
+    name
+        What the data set is called in tables and records.
+    x_train, x_test
+        Reflectance after preprocessing, dimensionless in [0, 1], (n, N) float32.
+    y_train, y_test
+        Class of each scene, 0 .. C-1, (n,) int64.
+    image_shape
+        (H, W) for images, (B,) for spectra of B bands; its product is N.
+    classes
+        The C class names, in the order of the labels.
+    preprocessing
+        What was done to the source's values, in one sentence.
+    wavelengths
+        For spectra whose bands are known: centre of each band in nm, (N,) float64, NaN for the
+        dark bands of a padding. It describes and is not part of the hash.
+    """
+
+    name: str
+    x_train: Reflectance
+    y_train: Labels
+    x_test: Reflectance
+    y_test: Labels
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    preprocessing: str
+    wavelengths: npt.NDArray[np.float64] | None = None
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels (or bands) of a scene, N."""
+        return int(self.x_train.shape[1])
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 in hex over the arrays, their shapes and the class names."""
+        arrays = (self.x_train, self.y_train, self.x_test, self.y_test)
+        shapes = [array.shape for array in arrays]
+        digest = hashlib.sha256(json.dumps([shapes, self.image_shape, self.classes]).encode())
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
+
+    def hold_out(self, count: int | None = None) -> Dataset:
+        """Set the last training scenes aside for validation; the test scenes are left out.
+
+        Parameters
+        ----------
+        count
+            How many training scenes to set aside, at least 1; by default one sixth of them
+            (10 000 of MNIST's 60 000). To hold nothing out, use the data set itself.
+
+        Returns
+        -------
+        Dataset
+            Its training part is the rest, its test part the validation scenes. Both are views.
+
+        Raises
+        ------
+        InputError
+            If `count` leaves nothing to validate on, or some class nothing to train on.
+        """
+        n = len(self.x_train)
+        count = n // 6 if count is None else count
+        if not 0 < count < n:
+            raise InputError(
+                f"{self.name}: {count} of {n} training scenes held out for validation; "
+                f"hold out at least 1 and at most {n - 1}"
+            )
+        rest = n - count
+        left = np.bincount(self.y_train[:rest], minlength=len(self.classes))
+        if not left.all():
+            raise InputError(
+                f"{self.name}: with {count} of {n} training scenes held out, class "
+                f"'{self.classes[left.argmin()]}' has none left to train on; hold out fewer"
+            )
+        return replace(
+            self,
+            x_train=self.x_train[:rest],
+            y_train=self.y_train[:rest],
+            x_test=self.x_train[rest:],
+            y_test=self.y_train[rest:],
+        )

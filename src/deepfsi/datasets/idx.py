@@ -1,0 +1,144 @@
+"""MNIST and its like: the original gzipped idx files, checked by their hashes."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.datasets.arrays import Range, assemble, unit
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, retrieve
+from deepfsi.errors import InputError
+
+IDX_FILES = (
+    "train-images-idx3-ubyte.gz",
+    "train-labels-idx1-ubyte.gz",
+    "t10k-images-idx3-ubyte.gz",
+    "t10k-labels-idx1-ubyte.gz",
+)
+
+
+class Original(NamedTuple):
+    """A data set in MNIST's idx format, as its authors publish it."""
+
+    classes: tuple[str, ...]
+    mirrors: tuple[str, ...]
+    hashes: tuple[str, ...]  # "algorithm:hex" of each of IDX_FILES
+
+
+ORIGINALS = {
+    # Y. LeCun, L. Bottou, Y. Bengio, P. Haffner, "Gradient-based learning applied to document
+    # recognition", Proc. IEEE 86(11), 1998
+    "mnist": Original(
+        classes=tuple("0123456789"),
+        mirrors=(
+            "https://ossci-datasets.s3.amazonaws.com/mnist/",
+            "https://storage.googleapis.com/cvdf-datasets/mnist/",
+        ),
+        hashes=(
+            "sha256:440fcabf73cc546fa21475e81ea370265605f56be210a4024d2ca8f203523609",
+            "sha256:3552534a0a558bbed6aed32b30c495cca23d567ec52cac8be1a0730e8010255c",
+            "sha256:8d422c7b0a1c1c79245a5bcf07fe86e33eeafee792b84584aec276f5a2dbc4e6",
+            "sha256:f7ae60f92e00ec6debd23a6088c31dbd2371eca3ffa0defaefb259924204aec6",
+        ),
+    ),
+    # H. Xiao, K. Rasul, R. Vollgraf, "Fashion-MNIST: a novel image dataset for benchmarking
+    # machine learning algorithms", arXiv:1708.07747, 2017
+    "fashion-mnist": Original(
+        classes=(
+            "T-shirt/top",
+            "Trouser",
+            "Pullover",
+            "Dress",
+            "Coat",
+            "Sandal",
+            "Shirt",
+            "Sneaker",
+            "Bag",
+            "Ankle boot",
+        ),
+        mirrors=(
+            "http://fashion-mnist.s3-website.eu-central-1.amazonaws.com/",
+            "https://github.com/zalandoresearch/fashion-mnist/raw/master/data/fashion/",
+        ),
+        hashes=(
+            "md5:8d4fb7e6c68d591d4c3dfef9ec88bf0d",
+            "md5:25c81989df183df01b3e8a0aad5dffbe",
+            "md5:bef4ecab320f06d8554ea6380940ec79",
+            "md5:bb300cfdad3c16e7a12a480ee83cd310",
+        ),
+    ),
+}
+
+
+def load(name: str, rescale: Range) -> Dataset:
+    """Load the original in its own split and order, framed to 32x32."""
+    folder = download(name)
+    images, labels, images_test, labels_test = (
+        _read_idx(folder / file, dimensions)
+        for file, dimensions in zip(IDX_FILES, (3, 1, 3, 1), strict=True)
+    )
+    frame = ((0, 0), (2, 2), (2, 2))
+    return assemble(
+        name,
+        unit(np.pad(images, frame)),
+        labels.astype(np.int64),
+        unit(np.pad(images_test, frame)),
+        labels_test.astype(np.int64),
+        ORIGINALS[name].classes,
+        "Padded from 28x28 to 32x32 with black, divided by 255",
+        rescale,
+    )
+
+
+def _read_idx(path: Path, dimensions: int) -> npt.NDArray[np.uint8]:
+    """Read a gzipped idx file of unsigned bytes: magic, big-endian lengths, then the bytes."""
+    try:
+        content = gzip.decompress(path.read_bytes())
+    except (EOFError, OSError, zlib.error) as error:
+        raise InputError(f"cannot read {path} ({error}); replace it with the original") from error
+    start = 4 + 4 * dimensions
+    magic = bytes([0, 0, 8, dimensions])
+    lengths = [int.from_bytes(content[i : i + 4], "big") for i in range(4, start, 4)]
+    if content[:4] != magic or len(content) != start + math.prod(lengths):
+        raise InputError(
+            f"{path} is no idx file of {dimensions}-dimensional bytes, or not all of one; "
+            "replace it with the original"
+        )
+    return np.frombuffer(content, np.uint8, offset=start).reshape(lengths)
+
+
+def where(name: str) -> Path | None:
+    """Find the first folder that has all four files."""
+    for folder in candidates(name):
+        if all((folder / file).is_file() for file in IDX_FILES):
+            return folder
+    return None
+
+
+def check(name: str) -> list[FileCheck]:
+    """Compare the four files with their hashes."""
+    folder = where(name) or candidates(name)[0]
+    return [
+        check_file(folder / file, known_hash)
+        for file, known_hash in zip(IDX_FILES, ORIGINALS[name].hashes, strict=True)
+    ]
+
+
+def download(name: str) -> Path:
+    """Make sure that the four files are here and whole; give their folder."""
+    folder = where(name)
+    if folder is not None and folder != cache(name):
+        for file, ok, detail in check(name):
+            if not ok:
+                raise InputError(f"{folder / file}: {detail}; replace it with the original")
+        return folder
+    for file, known_hash in zip(IDX_FILES, ORIGINALS[name].hashes, strict=True):
+        retrieve(name, file, known_hash, ORIGINALS[name].mirrors)
+    return cache(name)

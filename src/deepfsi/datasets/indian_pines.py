@@ -1,0 +1,157 @@
+"""Indian Pines: the real scene where its files are at hand, and a simulated one that says so.
+
+M. F. Baumgardner, L. L. Biehl, D. A. Landgrebe, "220 Band AVIRIS Hyperspectral Image Data Set: June
+12, 1992 Indian Pine Test Site 3", Purdue University Research Repository, 2015,
+doi:10.4231/R7RX991C; as the ``.mat`` files of the Grupo de Inteligencia Computacional, UPV/EHU. The
+public file has 220 bands of AVIRIS's 224, the corrected one 200: it lacks those that water vapour
+takes. Both are padded with darkness to 256, as the paper pads the 224 that it counts.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.datasets.cubes import read_cube, read_labels
+from deepfsi.datasets.spectra import SpectralImage
+from deepfsi.datasets.store import FileCheck, candidates
+from deepfsi.errors import InputError
+
+FOLDER = "indian_pines"
+LABELS_FILE = "Indian_pines_gt.mat"
+BANDS_FILE = "92AV3C.spc"
+SURROGATE = "indian-pines-surrogate"
+BANDS = 256  # after padding
+SIDE = 145
+SCENE_SEED = 1992  # of the surrogate: one scene, whatever the seed of its split
+WATER = np.r_[103:108, 149:163, 219]  # bands, from 0, that the corrected file lacks
+CLASSES = (
+    "Alfalfa",
+    "Corn-notill",
+    "Corn-mintill",
+    "Corn",
+    "Grass-pasture",
+    "Grass-trees",
+    "Grass-pasture-mowed",
+    "Hay-windrowed",
+    "Oats",
+    "Soybean-notill",
+    "Soybean-mintill",
+    "Soybean-clean",
+    "Wheat",
+    "Woods",
+    "Buildings-Grass-Trees-Drives",
+    "Stone-Steel-Towers",
+)
+
+
+class Source(NamedTuple):
+    """The files that a name needs, and how many bands are in them."""
+
+    files: tuple[str, ...]
+    bands: int
+
+
+SOURCES = {
+    "indian-pines": Source(("Indian_pines.mat", LABELS_FILE), 220),
+    "indian-pines-corrected": Source(("Indian_pines_corrected.mat", LABELS_FILE), 200),
+    SURROGATE: Source((BANDS_FILE, LABELS_FILE), 220),
+}
+
+
+def load_scene(name: str) -> SpectralImage:
+    """Load the whole image, for maps and overviews: the real one, or the simulated one."""
+    folder = download(name)
+    source = SOURCES[name]
+    wavelengths = _wavelengths(folder / BANDS_FILE)
+    if name == SURROGATE:
+        from deepfsi.datasets.surrogate import simulate
+
+        labels = read_labels(folder / LABELS_FILE, "indian_pines_gt")
+        _check_labels(labels, folder)
+        assert wavelengths is not None
+        cube = simulate(labels, wavelengths, SCENE_SEED)
+        origin = "Simulated radiance on the label map of Indian Pines, not the real scene,"
+        return SpectralImage(name, cube, labels, CLASSES, wavelengths, origin)
+    if wavelengths is not None and source.bands == 200:
+        wavelengths = np.delete(wavelengths, WATER)
+    file = source.files[0]
+    scene = read_cube(
+        folder / file,
+        folder / LABELS_FILE,
+        variables=(Path(file).stem.lower(), "indian_pines_gt"),
+        name=name,
+        classes=CLASSES,
+        wavelengths=wavelengths,
+        origin="Radiance as published,",
+    )
+    _check_labels(scene.labels, folder)
+    if scene.cube.shape[2] != source.bands:
+        raise InputError(
+            f"{folder / file} has {scene.cube.shape[2]} bands, not {source.bands}; "
+            "replace it with the original"
+        )
+    return scene
+
+
+def _check_labels(labels: npt.NDArray[np.integer], folder: Path) -> None:
+    if labels.shape != (SIDE, SIDE) or set(np.unique(labels).tolist()) != set(range(17)):
+        raise InputError(
+            f"{folder / LABELS_FILE} is no map of {SIDE}x{SIDE} pixels with the labels 0 to 16; "
+            "replace it with the original"
+        )
+
+
+def _wavelengths(path: Path) -> npt.NDArray[np.float64] | None:
+    """Band centres in nm from the band table, where it is there."""
+    if not path.is_file():
+        return None
+    try:
+        table = np.loadtxt(path, skiprows=2, usecols=0)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            f"cannot read the band table {path} ({error}); replace it with the original"
+        ) from error
+    if table.shape != (220,) or not (table > 0).all():
+        raise InputError(f"{path} does not list 220 wavelengths; replace it with the original")
+    return table
+
+
+def where(name: str) -> Path | None:
+    """Find the first folder that has all files of a name."""
+    for folder in candidates(FOLDER):
+        if all((folder / file).is_file() for file in SOURCES[name].files):
+            return folder
+    return None
+
+
+def download(name: str) -> Path:
+    """Give the folder of the files; they are not to be downloaded."""
+    folder = where(name)
+    if folder is None:
+        files = " and ".join(SOURCES[name].files)
+        raise InputError(
+            f"{name} is not here, and not downloaded: put {files} into a folder {FOLDER}, and set "
+            "DEEPFSI_DATA to the folder that holds it (the .mat files are on UPV/EHU's page "
+            "'Hyperspectral Remote Sensing Scenes')"
+        )
+    return folder
+
+
+def check(name: str) -> list[FileCheck]:
+    """Say of each file whether it is there, and of the scene whether it can be loaded."""
+    folder = where(name)
+    if folder is None:
+        home = candidates(FOLDER)[0]
+        return [
+            FileCheck(file, (home / file).is_file(), f"looked for in {home}")
+            for file in SOURCES[name].files
+        ]
+    try:
+        load_scene(name)
+    except InputError as error:
+        return [FileCheck(name, False, str(error))]
+    return [FileCheck(file, True, "as expected; no hash is known") for file in SOURCES[name].files]

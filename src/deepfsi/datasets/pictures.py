@@ -1,0 +1,313 @@
+"""Folders and zip files of images become a `Dataset`.
+
+Both hold one folder for each class, or such folders within their own ``train/`` and ``test/``. A
+zip file is read in place, never unpacked. It may come from anywhere, so that its names, the sizes
+it declares and the images' own sizes are all checked before memory is spent on them.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.datasets.arrays import Range, draw_stratified, split_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
+FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
+MAX_FILE = 2**28  # bytes of one image in a zip file
+MAX_PIXELS = 2**30  # pixels of all images together: 4.3 GB as float32
+
+Shape = tuple[int, int]
+
+
+class Picture(NamedTuple):
+    """An image that is not yet read."""
+
+    label: str
+    where: str  # for messages
+    open: Callable[[], IO[bytes]]
+
+
+def load_pictures(
+    path: Path,
+    size: int | Shape | None,
+    seed: int,
+    rescale: Range | None,
+    images: int | None = None,
+) -> Dataset:
+    """Load a folder or a zip file of images.
+
+    Parameters
+    ----------
+    path
+        The folder or zip file.
+    size
+        Side or (H, W) in pixels to which images are brought by averaging over areas.
+    seed
+        Draws the test part where there is none, the order, and the `images` to keep.
+    rescale
+        (low, high) to which [0, 1] is mapped; by default no change.
+    images
+        How many training images to keep; only where there is a test part.
+
+    Raises
+    ------
+    InputError
+        If the folders are not as above, or an image cannot be read or differs in size.
+    """
+    shape = as_shape(size)
+    with open_listings(path) as listings:
+        return from_listings(
+            listings,
+            shape,
+            name=path.resolve().stem if path.is_file() else path.resolve().name,
+            seed=seed,
+            rescale=rescale,
+            images=images,
+        )
+
+
+def from_listings(
+    listings: list[list[Picture]],
+    shape: Shape | None,
+    *,
+    name: str,
+    seed: int,
+    rescale: Range | None,
+    images: int | None = None,
+    bilinear: bool = False,
+) -> Dataset:
+    """Read the images of one part, or of a training and a test part."""
+    train, *test = listings
+    if images is not None:
+        if not test:
+            raise InputError(
+                f"{name}: {images} training images were asked for; that needs images with their "
+                "own train and test folders, leave it out"
+            )
+        kept = draw_stratified([picture.label for picture in train], images, seed, name)
+        train = [train[i] for i in kept]
+    wanted = [*train, *(test[0] if test else [])]
+    pixels = _read_all(wanted, shape, bilinear)
+    labels = np.array([picture.label for picture in wanted])
+    n = len(train)
+    return split_arrays(
+        pixels[:n],
+        labels[:n],
+        pixels[n:] if test else None,
+        labels[n:] if test else None,
+        name=name,
+        seed=seed,
+        rescale=rescale,
+        values=describe(shape, bilinear, n if images is not None else None),
+    )
+
+
+def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
+    """Say what was done to the images."""
+    how = "resized bilinearly" if bilinear else "averaged"
+    resized = "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels,"
+    drawn = "" if images is None else f"{images} training images drawn by class; "
+    text = f"{drawn}grey levels{resized} divided by 255"
+    return text[0].upper() + text[1:]
+
+
+def as_shape(size: int | Shape | None) -> Shape | None:
+    """One side or (H, W) as (H, W)."""
+    if size is None:
+        return None
+    shape = size if isinstance(size, tuple) else (size, size)
+    if not (len(shape) == 2 and min(shape) >= 1):
+        raise InputError(f"size {size}: give one side or (H, W), in pixels, at least 1")
+    return shape
+
+
+# ---------------------------------------------------------------- what there is
+
+
+@contextmanager
+def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
+    """List the images of a folder or zip file: of one part, or of its training and test part."""
+    if path.is_dir():
+        yield _list_folder(path)
+        return
+    try:
+        archive = zipfile.ZipFile(path)
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise InputError(f"cannot read {path} as a zip file ({error}); pack it again") from error
+    with archive:
+        yield _list_zip(archive, path)
+
+
+def _list_folder(folder: Path) -> list[list[Picture]]:
+    parts = [folder / "train", folder / "test"]
+    if not (all(part.is_dir() for part in parts) and any(p.is_dir() for p in parts[0].iterdir())):
+        parts = [folder]
+    return [_group(_walk(part), str(part)) for part in parts]
+
+
+def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
+    for part in folder.iterdir():
+        if part.is_dir():
+            yield (part.name,), None
+            for path in part.iterdir():
+                yield (part.name, path.name), Picture(part.name, str(path), _opener(path))
+
+
+def _opener(path: Path) -> Callable[[], IO[bytes]]:
+    return lambda: path.open("rb")
+
+
+def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
+    entries: dict[tuple[str, ...], Picture | None] = {}
+    for info in archive.infolist():
+        names = _safe_names(info, path)
+        if names[0] == "__MACOSX":
+            continue
+        if names in entries and not info.is_dir():
+            raise InputError(f"{path} holds {'/'.join(names)} twice; pack it again")
+        picture = None
+        if not info.is_dir():
+            where = f"{path}/{'/'.join(names)}"
+            label = names[-2] if len(names) > 1 else ""
+            picture = Picture(label, where, partial(_open_entry, archive, info, where))
+        entries[names] = picture
+
+    found = list(entries.items())
+    while len({names[0] for names, _ in found}) == 1 and any(len(names) > 2 for names, _ in found):
+        found = [(names[1:], picture) for names, picture in found if len(names) > 1]
+    parts = {
+        part: [(names[1:], picture) for names, picture in found if names[0] == part and names[1:]]
+        for part in ("train", "test")
+    }
+    own_split = parts["test"] and any(len(n) > 1 or not picture for n, picture in parts["train"])
+    if own_split:
+        return [_group(inside, f"{path}/{part}") for part, inside in parts.items()]
+    return [_group(found, str(path))]
+
+
+def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
+    """Folders and file name of an entry, where nothing about it is a trick."""
+    name = info.filename.replace("\\", "/")
+    names = tuple(part for part in name.split("/") if part)
+    if not names or name[0] == "/" or ".." in names or ":" in names[0] or not name.isprintable():
+        raise InputError(
+            f"{path} holds the name {info.filename!a}, which no honest zip file has; pack it again"
+        )
+    return names
+
+
+def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
+    if info.flag_bits & 1:
+        raise InputError(f"{where} is encrypted; pack it again without a password")
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise InputError(f"{where} is compressed in an unusual way; pack it with deflate or none")
+    if info.file_size > MAX_FILE:
+        raise InputError(
+            f"{where} unpacks to {info.file_size / 1e6:.0f} MB; an image has {MAX_FILE / 1e6:.0f} "
+            "MB or less, remove it"
+        )
+    return io.BytesIO(archive.read(info))
+
+
+def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:
+    """Images of all class folders, in the order of their names; what else lies there is ignored.
+
+    `entries` are names from `where` on, with None for a folder.
+    """
+    classes: dict[str, list[tuple[str, Picture]]] = {}
+    for names, picture in entries:
+        if names[0].startswith(".") or (len(names) == 1 and picture):
+            continue
+        found = classes.setdefault(names[0], [])
+        if len(names) == 2 and picture and _is_image(names[1]):
+            found.append((names[1], picture))
+    if not classes:
+        raise InputError(f"{where} has no sub-folders; put the images of each class into its own")
+    for label, found in classes.items():
+        if not found:
+            raise InputError(
+                f"the class folder {where}/{label} holds no images; add some "
+                f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
+            )
+    return [picture for label in sorted(classes) for _, picture in sorted(classes[label])]
+
+
+def _is_image(name: str) -> bool:
+    return Path(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
+
+
+# ---------------------------------------------------------------- reading
+
+
+def _read_all(
+    pictures: list[Picture], shape: Shape | None, bilinear: bool
+) -> npt.NDArray[np.uint8]:
+    """Grey images, (n, H, W), all of one shape."""
+    from PIL import Image
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        first = _read_grey(pictures[0], shape, bilinear)
+        if len(pictures) * first.size > MAX_PIXELS:
+            raise InputError(
+                f"{len(pictures)} images of {first.shape[0]}x{first.shape[1]} pixels need "
+                f"{len(pictures) * first.size * 4e-9:.1f} GB; give a smaller size, or fewer images"
+            )
+        grey = np.empty((len(pictures), *first.shape), np.uint8)
+        grey[0] = first
+        for i, picture in enumerate(pictures[1:], 1):
+            image = _read_grey(picture, shape, bilinear)
+            if image.shape != first.shape:
+                raise InputError(
+                    f"images differ in size: {pictures[0].where} is "
+                    f"{first.shape[0]}x{first.shape[1]}, {picture.where} is "
+                    f"{image.shape[0]}x{image.shape[1]}; give a size to bring them to one"
+                )
+            grey[i] = image
+    return grey
+
+
+def _read_grey(picture: Picture, shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with picture.open() as stream, Image.open(stream, formats=FORMATS) as image:
+            mode = image.mode
+            grey = image.convert("L")
+    except InputError:
+        raise
+    except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
+        reason = "no image" if isinstance(error, UnidentifiedImageError) else error
+        raise InputError(
+            f"cannot read the image {picture.where} ({reason}); replace or remove it"
+        ) from error
+    if mode[0] in "IF":  # convert("L") would clip these to 255
+        raise InputError(
+            f"{picture.where} has more than 8 bits ({mode}); save it with 8, or give arrays"
+        )
+    return resized(grey, shape, bilinear)
+
+
+def resized(grey: PillowImage, shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
+    """Grey image of Pillow's, brought to (H, W) where that is given."""
+    from PIL import Image
+
+    if shape is not None:
+        how = Image.Resampling.BILINEAR if bilinear else Image.Resampling.BOX
+        grey = grey.resize(shape[::-1], how)
+    return np.asarray(grey)

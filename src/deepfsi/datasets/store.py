@@ -1,0 +1,109 @@
+"""Where the files of named data sets lie: ``$DEEPFSI_DATA``, the cache, and how they get there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+from deepfsi.errors import InputError
+
+
+class FileCheck(NamedTuple):
+    """What a check of one file found."""
+
+    file: str
+    ok: bool
+    detail: str
+
+
+def cache(name: str) -> Path:
+    """Folder of this user's cache for the files of a data set."""
+    import pooch
+
+    return Path(pooch.os_cache("deepfsi")) / name
+
+
+def data_root() -> Path | None:
+    """The folder that ``$DEEPFSI_DATA`` names, if it is set."""
+    root = os.environ.get("DEEPFSI_DATA")
+    if not root:
+        return None
+    if not Path(root).is_dir():
+        raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
+    return Path(root)
+
+
+def candidates(name: str) -> list[Path]:
+    """List the folders where the files of a data set may be, first come first."""
+    root = data_root()
+    return [cache(name)] if root is None else [root / name, cache(name)]
+
+
+def check_file(path: Path, known_hash: str) -> FileCheck:
+    """Compare a file with its hash, "algorithm:hex"."""
+    algorithm, _, expected = known_hash.partition(":")
+    try:
+        with path.open("rb") as file:
+            found = hashlib.file_digest(file, algorithm).hexdigest()
+    except OSError as error:
+        return FileCheck(path.name, False, f"cannot be read from {path.parent} ({error.strerror})")
+    if found != expected:
+        return FileCheck(path.name, False, f"{algorithm} is {found}, not {expected}")
+    return FileCheck(path.name, True, f"{algorithm} agrees")
+
+
+def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) -> None:
+    """Bring one file into the cache, unless it is there whole, from the first mirror that can."""
+    import pooch
+
+    pooch.get_logger().setLevel("WARNING")
+    failures = []
+    for mirror in mirrors:
+        progress = _Progress(file)
+        try:
+            pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=progress)
+            return
+        except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
+            reason = "wrong hash" if isinstance(error, ValueError) else type(error).__name__
+            failures.append(f"{urlsplit(mirror).netloc} ({reason})")
+        finally:
+            progress.close()
+    raise InputError(
+        f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put the "
+        f"original files into a folder {name} and set DEEPFSI_DATA to the folder that holds it"
+    )
+
+
+class _Progress:
+    """The progress bar that pooch asks for: a line on stderr, from the third second on."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.total = self.done = 0
+        self.due = time.monotonic() + 2
+        self.shown = False
+
+    def update(self, size: int) -> None:
+        self.done += size
+        if time.monotonic() >= self.due:
+            print(
+                f"\r{self.file}: {self.done / 1e6:.1f} of {self.total / 1e6:.1f} MB",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
+            self.due = time.monotonic() + 0.2
+            self.shown = True
+
+    def reset(self) -> None:
+        self.done = 0
+
+    def close(self) -> None:
+        if self.shown:
+            print(file=sys.stderr)
+            self.shown = False
