@@ -79,6 +79,10 @@ class Design:
         """N, number of pixels."""
         return self.rails.shape[2]
 
+    def seen(self, scenes: Tensor) -> Tensor:
+        """Scenes (..., N) as the masks see them: as they are."""
+        return scenes
+
     def scanner(self, noise: str = "poisson", sigma: float = 1.0) -> Scanner:
         """The optical front end, with a noise of your choice."""
         return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
@@ -292,9 +296,9 @@ class Design:
             constraints.check_light(design.light, "dual" if len(design.rails) == 2 else "single")
             constraints.check(design.rails, design.light)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-            raise _damaged(path) from error
+            raise damaged(path) from error
         if not sound:
-            raise _damaged(path)
+            raise damaged(path)
         return design.to(device)
 
 
@@ -316,7 +320,7 @@ def read_design(
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         schema = int(header["schema"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
-        raise _damaged(path) from error
+        raise damaged(path) from error
     if schema > SCHEMA:
         raise InputError(
             f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
@@ -324,7 +328,8 @@ def read_design(
     return header, tensors
 
 
-def _damaged(path: str | os.PathLike[str]) -> InputError:
+def damaged(path: str | os.PathLike[str]) -> InputError:
+    """Say that a file is no whole design."""
     return InputError(
         f"{path} is not a whole deepfsi design file: give a .safetensors file that "
         "`deepfsi design` or Design.save wrote"
