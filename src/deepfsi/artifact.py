@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -142,7 +142,7 @@ class Design:
             logits = self.logits(features.to(device), budget.to(device))
         return logits.softmax(dim=-1).cpu().numpy()
 
-    def to(self, device: str | torch.device) -> "Design":
+    def to(self, device: str | torch.device) -> Self:
         """Move to a device; returns self."""
         self.rails = self.rails.to(device)
         self.centre, self.spread = self.centre.to(device), self.spread.to(device)
@@ -246,6 +246,8 @@ class Design:
             If the file is missing, damaged, truncated, not a design, or of a newer schema.
         """
         header, tensors = read_design(path)
+        if kind_of(header) == "vit":
+            raise InputError(f"{path} is a design of image patches: load it with PatchDesign.load")
         try:
             network = header["classifier"]
             classifier = Mlp(
@@ -326,6 +328,12 @@ def read_design(
             f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
         )
     return header, tensors
+
+
+def kind_of(header: Mapping[str, Any]) -> Any:
+    """Kind of the classifier that a header tells of, "mlp" or "vit"; None where it tells none."""
+    classifier = header.get("classifier")
+    return classifier.get("kind") if isinstance(classifier, dict) else None
 
 
 def damaged(path: str | os.PathLike[str]) -> InputError:

@@ -27,7 +27,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi import coding, constraints
-from deepfsi.artifact import Design, damaged, read_design
+from deepfsi.artifact import Design, damaged, kind_of, read_design
 from deepfsi.classifiers import Vit
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
@@ -62,8 +62,11 @@ def cut(scenes: Tensor, image_shape: tuple[int, int], side: int) -> Tensor:
             "side that divides both"
         )
     blocks = scenes.unflatten(-1, (height // side, side, width // side, side))
-    return blocks.transpose(-3, -2).flatten(-2).flatten(-3, -2).reshape(
-        *scenes.shape[:-1], -1, side * side
+    return (
+        blocks.transpose(-3, -2)
+        .flatten(-2)
+        .flatten(-3, -2)
+        .reshape(*scenes.shape[:-1], -1, side * side)
     )
 
 
@@ -154,10 +157,10 @@ class PatchDesign(Design):
         """
         header, arrays = read_design(path)
         parts = {key: torch.from_numpy(value) for key, value in arrays.items()}
+        if kind_of(header) == "mlp":
+            raise InputError(f"{path} is no design of image patches: load it with Design.load")
         try:
-            size = dict(header["classifier"])
-            if size.pop("kind") != "vit":
-                raise InputError(f"{path} is no design of image patches: load it with Design.load")
+            size = {key: header["classifier"][key] for key in ("width", "depth", "heads", "hidden")}
             weights = {
                 key.removeprefix("classifier."): value
                 for key, value in parts.items()
@@ -251,8 +254,9 @@ class Patches:
         elif design == "raster":  # its scale is what defines it
             masks = constraints.Fixed(start.unsqueeze(0))
         else:
-            rails = "single" if coding.DESIGNS[design].single_rail else "dual"
-            masks = constraints.Fixed(constraints.fit(start, "column", rails))
+            single = coding.DESIGNS[design].single_rail
+            rails = constraints.fit(start, "column", "single" if single else "dual")
+            masks = constraints.Fixed(rails)
         return masks.to(self.device)
 
 
@@ -264,9 +268,7 @@ def precision(job: PatchJob, patches: Patches) -> torch.dtype:
     """
     if job.training.precision != "auto":
         return getattr(torch, job.training.precision)
-    gpu = patches.device.type == "cuda" and torch.cuda.is_bf16_supported(
-        including_emulation=False
-    )
+    gpu = patches.device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
     dim = job.photons / patches.x.shape[1] <= BFLOAT16_COUNTS
     return torch.bfloat16 if gpu and dim else torch.float32
 

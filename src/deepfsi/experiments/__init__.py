@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, closest
-from deepfsi.experiments import compression, masks, mlgauss, mnist, quantization, starts
+from deepfsi.experiments import compression, masks, mlgauss, mnist, ovit, quantization, starts
 from deepfsi.experiments.study import Experiment
 from deepfsi.files import write_atomically
 from deepfsi.report.study import write_study
@@ -16,6 +16,8 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
+    "ovit": (ovit.EXPERIMENT,),
+    "ovit-full": (ovit.FULL,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 
