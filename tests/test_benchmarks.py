@@ -156,3 +156,27 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
     estimators, grid, seeds = len(gradients.ESTIMATORS), 2, 2
     rows = table.read_text().splitlines()
     assert len(rows) == 1 + estimators * (grid + seeds) + len(gradients.CONTROLS) * seeds
+
+
+def test_frames_are_compared_on_the_same_work(capsys):
+    frames = benchmark("dmd")
+    on = frames.dmd.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors)[2]
+    for ours, plain in zip(frames.our_ordered(on), frames.plain_ordered(on), strict=True):
+        assert (ours == plain).all()
+    for way in (frames.our_random, frames.plain_random):
+        for counts, frame in zip(on, way(on), strict=True):
+            mirrors = frames.dmd.unpack(frame, frames.DEVICE)
+            assert (frames.dmd.recount(mirrors, frames.GRID) == counts).all()
+    frames.main(["--quick"])
+    printed = capsys.readouterr().out
+    for row in ("| hadamard | ordered |", "| grey | random |", "| grey |", "| 11 | 1.1 |"):
+        assert row in printed
+
+
+def test_the_comparison_of_photon_counting_runs(capsys):
+    """Counts of all ways are compared inside."""
+    benchmark("photons").main(["--records", "3e5", "--inputs", "2", "--rounds", "2"])
+    printed = capsys.readouterr().out
+    for name in ("deepfsi", "ptufile + numpy", "a record at a time"):
+        assert f"| {name} |" in printed
+    assert "peak memory, deepfsi" in printed

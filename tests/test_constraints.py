@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick
-from deepfsi import coding, constraints
+from deepfsi import coding, constraints, scanner
 from deepfsi.constraints import SLACK, Learned, check, excess, fit, frames
 from deepfsi.errors import InputError
 
@@ -112,11 +112,12 @@ def test_split_gives_positive_and_negative_parts():
 
 
 @every_optics
+@pytest.mark.parametrize("steps", [0, 1, 768])
 @pytest.mark.parametrize("rate", [0.03, 3.0])
-def test_learned_masks_obey_after_every_step(light, rails, rate):
+def test_learned_masks_obey_after_every_step(light, rails, rate, steps):
     """Two replicas chase far more light than there is, with small and absurd steps."""
     start = torch.randn(2, 6, 16, generator=generator())
-    learned = Learned(start if rails == "dual" else start.abs(), light, rails)
+    learned = Learned(start if rails == "dual" else start.abs(), light, rails, steps)
     target = 10 * torch.randn(2, 6, 16, generator=generator(1))
     optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
     for _ in range(40):
@@ -132,7 +133,8 @@ def test_learned_masks_obey_after_every_step(light, rails, rate):
 
 
 @every_optics
-def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, monkeypatch):
+@pytest.mark.parametrize("levels", [0, 2])
+def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, levels, monkeypatch):
     snapshots = []
     matrix = Learned.matrix
 
@@ -141,13 +143,112 @@ def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, mo
         return matrix(module)
 
     monkeypatch.setattr(Learned, "matrix", spy)
-    quick(digits, masks=5, light=light, rails=rails, mask_lr=0.5, epochs=2)
+    quick(digits, masks=5, light=light, rails=rails, mask_lr=0.5, epochs=2, levels=levels)
     monkeypatch.undo()
     assert len(snapshots) > 20
     for module in snapshots:
         split = constraints.separate(*module()).detach()
         assert split.min() >= 0
         assert max(limits(replica, light).max() for replica in split) <= 1 + SLACK
+        if levels:
+            assert two_valued(split)
+
+
+def two_valued(rails: Tensor) -> bool:
+    """Whether every entry (..., N) is 0 or its frame's peak, exactly."""
+    return bool(((rails == 0) | (rails == rails.amax(dim=-1, keepdim=True))).all())
+
+
+def some_rails(light: str, rails: str) -> Tensor:
+    """Three replicas of fitted rails, the last mask of them dark but on two arms."""
+    start = torch.randn(3, 5, 16, generator=generator())
+    start = start if rails == "dual" else start.abs()
+    start[:, -1] = 0
+    return torch.stack([fit(matrix, light, rails) for matrix in start])
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [1, 2, 5, 768])
+def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, rails, steps):
+    before = some_rails(light, rails)
+    shown = constraints.quantise(before, light, steps)
+    peak = before.sum(dim=1, keepdim=True) if light == "two-arm" else shown
+    peak = peak.amax(dim=-1, keepdim=True)
+    share = steps * shown / torch.where(peak > 0, peak, 1.0)
+    assert share == pytest.approx(share.round(), abs=steps * FLOAT32)
+    assert share.amax() == pytest.approx(steps)
+    for rails_before, rails_shown in zip(before, shown, strict=True):
+        assert excess(rails_shown, light) <= SLACK
+        if light != "column":  # which may have to be dimmed
+            time = (before if light == "two-arm" else rails_before).amax() * (1 + FLOAT32)
+            assert (rails_shown - rails_before).abs().max() <= time / (2 * steps)
+    if steps == 1:
+        assert two_valued(shown)
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [1, 7])
+def test_replicas_are_quantised_as_if_alone(light, rails, steps):
+    before = some_rails(light, rails)
+    before[1] *= 0.1
+    each = [constraints.quantise(one, light, steps) for one in before]
+    assert torch.equal(constraints.quantise(before, light, steps), torch.stack(each))
+    nested = constraints.quantise(before.view(3, 1, *before.shape[1:]), light, steps)
+    assert torch.equal(nested[:, 0], torch.stack(each))
+
+
+def test_column_is_mended_where_rounding_up_would_break_it():
+    """Two frames at 0.6 of their peaks, which round up to both of them: 1.2 times the light."""
+    before = torch.tensor([[[0.6, 1.0, 0.0], [0.6, 0.0, 1.0]]]) / 1.2
+    shown = constraints.quantise(before, "column", 1)
+    assert torch.equal(shown, torch.tensor([[[0.5, 0.5, 0.0], [0.5, 0.0, 0.5]]]))
+
+
+@pytest.mark.parametrize("steps", [0, -1])
+def test_a_device_needs_a_step(steps):
+    with pytest.raises(InputError, match="steps from dark to the peak are not allowed"):
+        constraints.quantise(torch.ones(1, 1, 2), "column", steps)
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [1, 4])
+def test_gradients_go_straight_through_the_rounding(light, rails, steps):
+    """They are those of the continuous masks, for what a loss asks of the quantised ones."""
+    start = torch.rand(2, 4, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
+    shown, continuous = (Learned(start, light, rails, each) for each in (steps, 0))
+    targets = torch.randn(2, 2, 4, 9, generator=generator(1))
+
+    def loss(masks: tuple[Tensor, Tensor]) -> Tensor:
+        return sum(
+            (mask - target).pow(4).sum() for mask, target in zip(masks, targets, strict=True)
+        )
+
+    quantised = shown()
+    loss(quantised).backward()
+    points = [mask.detach().requires_grad_() for mask in quantised]
+    torch.autograd.backward(continuous(), torch.autograd.grad(loss(points), points))
+    elsewhere = [parameter.grad.clone() for parameter in continuous.parameters()]
+    continuous.zero_grad()
+    loss(continuous()).backward()
+    for found, wanted, other in zip(
+        shown.parameters(), elsewhere, continuous.parameters(), strict=True
+    ):
+        assert found.grad.abs().max() > 0
+        assert torch.allclose(found.grad, wanted, rtol=1e-6)
+        assert not torch.allclose(found.grad, other.grad, rtol=1e-3)
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [0, 1, 4])
+def test_learned_masks_count_their_lit_rails(light, rails, steps):
+    start = torch.rand(2, 5, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
+    start[:, 0] = start[:, 0].abs() + 1  # dark on one arm, once it is rounded
+    learned = Learned(start, light, rails, steps)
+    masks = learned()
+    counted = learned.lit(*masks)
+    assert torch.equal(counted, scanner.lit(*masks))
+    if light == "two-arm":
+        assert (counted[:, 0] == (1 if steps == 1 else 2)).all()
 
 
 @every_optics
@@ -173,10 +274,11 @@ def test_dwells_are_learned_shares_of_the_whole_time():
 
 
 @every_optics
-def test_replicas_do_not_touch_each_other(light, rails):
+@pytest.mark.parametrize("steps", [0, 1])
+def test_replicas_do_not_touch_each_other(light, rails, steps):
     start = torch.rand(3, 4, 9, generator=generator()) + 0.1
-    together = Learned(start, light, rails)()
-    alone = Learned(start[1], light, rails)()
+    together = Learned(start, light, rails, steps)()
+    alone = Learned(start[1], light, rails, steps)()
     for whole, one in zip(together, alone, strict=True):
         assert torch.allclose(whole.expand(3, 4, 9)[1], one, atol=1e-7)
 

@@ -10,6 +10,7 @@ import torch
 
 from conftest import (
     FIXED,
+    FLOAT32,
     PHOTONS,
     RECIPE,
     every_optics,
@@ -304,6 +305,7 @@ def test_progress_rises_to_one(digits, design):
         {"scale": "none"},
         *({"start": bad} for bad in ("pcaa", "deepfsi", "control", "custom", "hadamard")),
         {"precision": "float16"},
+        *({"levels": bad} for bad in (1, -1, 2.5, 2**25)),
         {"seed": 1.5},
         {"seed": 2**70},
         {"design": "random", "seed": -1},
@@ -450,3 +452,102 @@ def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatc
     quick(digits, masks=4, batch=32, hidden=(40, 128))
     quick(digits, masks=4, batch=1000, hidden=(40, 128))
     assert seen == [1, 7, 7, 7]
+
+
+def two_valued(design: Design) -> bool:
+    """Whether every entry is 0 or its frame's peak, exactly."""
+    rails = design.rails
+    return bool(((rails == 0) | (rails == rails.amax(dim=-1, keepdim=True))).all())
+
+
+@every_optics
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian", "none"])
+def test_a_two_level_design_shows_dark_and_peak_alone(digits, light, rails, noise, precision):
+    settings = {"light": light, "rails": rails, "noise": noise, "precision": precision}
+    one = quick(digits, levels=2, **settings)
+    assert two_valued(one)
+    assert torch.allclose(one.quantised(1).rails, one.rails, rtol=FLOAT32, atol=0)
+    assert not two_valued(quick(digits, **settings))
+    constraints.check(one.rails, light)
+
+
+@pytest.mark.parametrize("design", ["control", "pca", "random", "s-matrix", "raster", "custom"])
+def test_levels_hold_for_masks_that_are_not_learned_here(digits, design):
+    assert two_valued(quick(digits, design, light="equal-dwell", levels=2))
+
+
+@every_optics
+@pytest.mark.parametrize("levels", [3, 17])
+def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, levels):
+    rails = quick(digits, light=light, rails=rails, levels=levels).rails.double()
+    peak = (rails.sum(dim=0) if light == "two-arm" else rails).amax(dim=-1, keepdim=True)
+    level = (levels - 1) * rails / torch.where(peak > 0, peak, 1.0)
+    assert level.numpy() == pytest.approx(level.round().numpy(), abs=1e-4)
+    assert 2 < len(level.round().unique()) <= levels
+
+
+@pytest.mark.parametrize("noise", ["ml_gauss", "gaussian"])
+@every_optics
+def test_statistics_of_a_two_level_design_are_of_its_own_masks(digits, noise, light, rails):
+    """Scaled features of its scanner have mean 0 and variance 1."""
+    one = quick(digits, noise=noise, sigma=4.0, light=light, rails=rails, levels=2)
+    photons = light_on(one, digits.x_train).repeat(20, 1)
+    features = one.scanner(noise, 4.0)(photons, generator())
+    scaled = (features / PHOTONS - one.centre) / one.spread
+    n = len(scaled)
+    assert scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n)
+    fourth = scaled.pow(4).mean(dim=0)
+    assert ((scaled.var(dim=0) - 1).abs() <= 5 * ((fourth - 1) / n).sqrt()).all()
+
+
+@pytest.mark.parametrize(("light", "rails"), [("column", "dual"), ("free-dwell", "single")])
+def test_two_level_designs_train_together_as_alone(digits, light, rails):
+    """But for cells so near half their frame's peak that float32 rounding decides them."""
+    jobs = [
+        Job(
+            masks=6,
+            photons=photons,
+            seed=seed,
+            light=light,
+            rails=rails,
+            training=HOW.model_copy(update={"levels": 2, "mask_lr": 0.1}),
+        )
+        for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
+    ]
+    scenes = Scenes(digits, "cpu")
+    together = train(scenes, jobs)
+    for one, job in zip(together, jobs, strict=True):
+        assert two_valued(one)
+        lit, alone = one.rails > 0, train(scenes, [job])[0].rails > 0
+        assert (lit != alone).double().mean() <= 0.01
+    assert ((together[0].rails > 0) != (together[1].rails > 0)).any()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("light", "rails"),
+    [("equal-dwell", "single"), ("free-dwell", "single"), ("two-arm", "dual"), ("column", "dual")],
+)
+def test_learning_two_levels_beats_rounding_to_them(digits, light, rails, seed):
+    """By more than five sigma of the noise draws, in which alone the two tests differ."""
+    draws = 20
+    settings = {"light": light, "rails": rails, "seed": seed, "hidden": (40, 128), "lr": 1e-2}
+    learned, continuous = (
+        quick(digits, masks=10, epochs=30, mask_lr=1e-1, scale="common", levels=levels, **settings)
+        for levels in (2, 0)
+    )
+    trained, rounded = (
+        evaluate(design, digits, PHOTONS, draws=draws)[0].accuracy
+        for design in (learned, continuous.quantised(1))
+    )
+    trials = draws * len(digits.x_test)
+    spread = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
+    assert trained - rounded > 5 * spread**0.5
+
+
+def test_levels_survive_the_design_file(digits, tmp_path):
+    one = quick(digits, light="free-dwell", levels=2)
+    again = Design.load(one.save(tmp_path / "one.safetensors"))
+    assert torch.equal(again.rails, one.rails)
+    assert again.info["job"]["training"]["levels"] == 2

@@ -150,12 +150,13 @@ class Design:
         self.classifier = self.classifier.to(device)
         return self
 
-    def quantised(self, levels: int) -> "Design":
-        """The design as shown with k / `levels` grey levels of each frame's peak (paper: 768).
+    def quantised(self, steps: int) -> "Design":
+        """The design as shown with k / `steps` of each frame's peak (paper: 768).
 
-        Classifier and statistics stay as they are.
+        Classifier and statistics stay as they are. A device of L grey levels, dark among them, has
+        L − 1 steps; `Training.levels` trains for one.
         """
-        rails = constraints.quantise(self.rails, self.light, levels)
+        rails = constraints.quantise(self.rails, self.light, steps)
         return replace(self, rails=rails)
 
     def as_shown(self, patterns: Patterns) -> "Design":

@@ -10,7 +10,7 @@ A set of masks is its *rails*: an array (..., 2, m, N) of M⁺ and M⁻ for sign
 M⁺ − M⁻ (which gives the mean of a feature) and the total M⁺ + M⁻ (which gives its photon noise).
 """
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -84,34 +84,36 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     return parts / (_peak(parts) * len(frames(parts)))
 
 
-def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
-    """Rails as a device shows them: each frame in steps of its own peak / `levels`.
+def quantise(rails: Tensor, light: Light, steps: int) -> Tensor:
+    """Rails as a device shows them: each frame in steps of its own peak / `steps`.
 
     Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two
     arms the positive rail is the pattern, and the other gets what is left of the time.
 
     Parameters
     ----------
-    rails : tensor, shape (2 or 1, m, N)
+    rails : tensor, shape (..., 2 or 1, m, N)
+        Leading axes are replicas, each by itself.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    levels : int
-        Steps from dark to the peak, at least 1.
+    steps : int
+        From dark to the peak, at least 1: one less than the grey levels, of which dark is one.
 
     Returns
     -------
     tensor
         Of the shape of `rails`.
     """
-    if levels < 1:
-        raise InputError(f"{levels} grey levels are not allowed: give at least 1")
+    if steps < 1:
+        raise InputError(f"{steps} steps from dark to the peak are not allowed: give at least 1")
     if light == "two-arm":
-        time = rails.sum(dim=0)
-        plus = (rails[0] / _or_one(time) * levels).round() / levels * time
-        return torch.stack([plus, time - plus])
-    step = _peak(rails) / levels
+        time = rails.sum(dim=-3).amax(dim=-1, keepdim=True)
+        plus = (rails[..., 0, :, :] / _or_one(time) * steps).round() / steps * time
+        return torch.stack([plus, time - plus], dim=-3)
+    step = _peak(rails) / steps
     shown = (rails / step).round() * step
-    over = excess(shown, light)
-    return shown / (1 + over) if light == "column" and over > 0 else shown
+    if light != "column":
+        return shown
+    return shown / shown.sum(dim=(-3, -2), keepdim=True).amax(dim=-1, keepdim=True).clamp(min=1)
 
 
 def excess(rails: Tensor, light: Light) -> float:
@@ -171,6 +173,8 @@ class Learned(nn.Module):
         single rail it must be non-negative.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     rails : {"dual", "single"}
+    steps : int
+        Of `quantise`, for masks as a device with grey levels shows them; 0 for continuous ones.
 
     Notes
     -----
@@ -178,14 +182,17 @@ class Learned(nn.Module):
     as its dwell (a share of the time) times a pattern in [0, 1]: dwells are equal or, for
     `free-dwell` and `two-arm`, a softmax. Weights are in units of the start's own rms, so that one
     learning rate serves any number of masks.
+
+    Quantised masks have the gradient of the continuous ones that they are rounded from: it goes
+    straight through the rounding, whose own is 0.
     """
 
     unit: Tensor
 
-    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual") -> None:
+    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual", steps: int = 0) -> None:
         super().__init__()
         check_light(light, rails)
-        self.light, self.rails = light, rails
+        self.light, self.rails, self.steps = light, rails, steps
         *replicas, masks, _ = start.shape
         if light == "column":
             fitted = start / start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
@@ -205,30 +212,35 @@ class Learned(nn.Module):
         """Difference M⁺ − M⁻ and total M⁺ + M⁻, each (..., m, N)."""
         matrix = self.matrix()
         if self.rails == "single":
+            matrix = self._shown(matrix, matrix)[0]
             return matrix, matrix
         if self.light == "two-arm":
-            return matrix, self._dwell()[..., 0, :, None].expand_as(matrix)
-        return matrix, matrix.abs()
+            return self._shown(matrix, self._dwell()[..., 0, :, None].expand_as(matrix))
+        return self._shown(matrix, matrix.abs())
 
     def rails_to_measure(self) -> Tensor:
         """What `scanner.measure` needs: M alone, or difference and total (2, ..., m, N)."""
-        alone = self.disjoint or self.rails == "single"
-        return self.matrix() if alone else torch.stack(self())
+        if self.disjoint:
+            return self.matrix()
+        difference, total = self()
+        return difference if self.rails == "single" else torch.stack([difference, total])
 
-    def lit(self, difference: Tensor) -> Tensor:
+    def lit(self, difference: Tensor, total: Tensor) -> Tensor:
         """How many rails of each mask are not dark, (..., m)."""
-        if self.light == "two-arm":
-            return torch.full_like(difference[..., 0], 2, dtype=torch.int32)
+        time = total[..., 0].detach() if self.light == "two-arm" else 0
         least, most = difference.detach().aminmax(dim=-1)
-        return (most > 0).int() + (least < 0).int()
+        return (most > -time).int() + (least < time).int()
 
     @property
     def disjoint(self) -> bool:
-        """Whether there are two rails of which each pixel is on one, so that the total is |M|."""
-        return self.rails == "dual" and self.light != "two-arm"
+        """Whether the total is |M|, and its gradient that of |M|.
+
+        So it is where there are two rails of which each pixel is on one, and no rounding.
+        """
+        return self.rails == "dual" and self.light != "two-arm" and not self.steps
 
     def matrix(self) -> Tensor:
-        """Difference M⁺ − M⁻, (..., m, N)."""
+        """Difference M⁺ − M⁻ before it is quantised, (..., m, N)."""
         if self.light == "column":
             sums = self.weight.abs().sum(dim=-2, keepdim=True)
             matrix = self.weight * (self.unit / (sums * self.unit).clamp(min=1))
@@ -242,12 +254,31 @@ class Learned(nn.Module):
             time = torch.where(pattern > 0, time, dwell[..., 1, :, None])
         return pattern * time
 
+    def _shown(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+        if not self.steps:
+            return difference, total
+        with torch.no_grad():
+            shown = combine(quantise(separate(difference, total), self.light, self.steps))
+        return _Through.apply(difference, shown[0]), _Through.apply(total, shown[1])  # type: ignore[no-untyped-call]
+
     def _dwell(self) -> Tensor:
         if self.light == "equal-dwell":
             masks = self.weight.shape[-2]
             count = 2 * masks if self.rails == "dual" else masks
             return self.weight.new_full((1, masks), 1 / count)
         return self.dwell.flatten(-2).softmax(dim=-1).view_as(self.dwell)
+
+
+class _Through(torch.autograd.Function):
+    """The second tensor, exactly, with the gradient of the first."""
+
+    @staticmethod
+    def forward(ctx: Any, continuous: Tensor, shown: Tensor) -> Tensor:
+        return shown
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        return gradient, None
 
 
 def combine(rails: Tensor) -> tuple[Tensor, Tensor]:

@@ -31,6 +31,9 @@ Progress = Callable[[float], None]
 MASK_TENSORS = 16
 """Copies of the masks alive in a step: weights, gradients, moments, their stages and products."""
 
+SHOWN_TENSORS = 10
+"""Those besides of quantised masks: two rails, their steps, what is shown, and its two sums."""
+
 STEP_TENSORS = 12
 """The same for the features."""
 
@@ -162,7 +165,8 @@ def footprint(scenes: Scenes, jobs: Sequence[Job]) -> float:
     count, replicas = len(scenes.labels), len(jobs)
     masks, batch = replicas * job.masks, batch_of(job.training, count)
     single = 4.0
-    learned = MASK_TENSORS * masks * scene if job.masks_from().code.learned else 0
+    copies = MASK_TENSORS + (SHOWN_TENSORS if job.training.steps else 0)
+    learned = copies * masks * scene if job.masks_from().code.learned else 0
     own = replicas if job.design in ("control", "random") else 1
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = STEP_TENSORS * batch * (masks + replicas * sum(job.training.hidden))
@@ -215,8 +219,8 @@ def _features(
         return learned_from_counts
 
     def learned_under_read_noise(streams: Sequence[_Stream], step: int) -> Tensor:
-        difference = masks.matrix()
-        shown = masks.lit(difference)
+        difference, total = masks()
+        shown = masks.lit(difference, total)
         parts = []
         for stream in streams:
             mean = project(x.index_select(0, stream.rows[step]), difference[stream.jobs])

@@ -6,7 +6,15 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from deepfsi import coding, constraints
 from deepfsi.constraints import Light, Rails
@@ -37,6 +45,15 @@ def _start(name: str) -> str:
 Start = Annotated[str, AfterValidator(_start)]
 
 
+def _levels(count: int) -> int:
+    if count == 1:
+        raise InputError("one grey level is dark alone: give 2 or more, or 0 for continuous masks")
+    return count
+
+
+Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
+
+
 class Training(BaseModel):
     """How a design is trained; all that do so together share one."""
 
@@ -54,6 +71,19 @@ class Training(BaseModel):
     )
     start: Start = Field("pca", description="design that learned masks start from")
     precision: Precision = "auto"
+    levels: Levels = Field(
+        0, description="grey levels of the device, dark included, that masks are made of; 0: any"
+    )
+
+    @property
+    def steps(self) -> int:
+        """Grey steps from dark to the peak; 0 for continuous masks."""
+        return max(self.levels - 1, 0)
+
+    @model_serializer(mode="wrap")
+    def _without_levels_of_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # so that records made before there were levels keep their keys
+        return {name: value for name, value in dump(self).items() if name != "levels" or value}
 
 
 TUNED: dict[str, dict[str, Any]] = {

@@ -82,7 +82,7 @@ Name = Annotated[str, AfterValidator(coding.check_design)]
 Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-Levels = Annotated[int, Field(ge=0, le=2**24)]
+Steps = Annotated[int, Field(ge=0, le=2**24)]
 Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
 
 
@@ -146,8 +146,10 @@ class Recipe(BaseModel):
     test_noise: Annotated[tuple[Noise, ...], BeforeValidator(_axis)] = Field(
         (), description="noises of the tests; that of the training unless given"
     )
-    test_levels: Annotated[tuple[Levels, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
-        (0,), description="grey levels of the masks shown in the tests; 0 for continuous"
+    test_levels: Annotated[tuple[Steps, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
+        (0,),
+        description="steps from dark to a frame's peak of the masks shown in the tests, one less "
+        "than the grey levels that `training.levels` counts; 0 for continuous",
     )
     training: Axes = Field({}, description="fields of Training, for every design")
     tuned: Annotated[dict[str, dict[str, Any]], AfterValidator(_tuned)] = Field(

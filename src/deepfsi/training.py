@@ -49,7 +49,7 @@ def learn(
     **settings
         Further fields of `Job` (`design`, `noise`, `sigma`, `light`, `rails`, `seed`) and of
         `Training` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`, `decay`,
-        `start`, `precision`).
+        `start`, `precision`, `levels`).
 
     Returns
     -------
@@ -158,7 +158,7 @@ def _masks(
             own_rails = own.unsqueeze(0)
         else:
             own_rails = constraints.arms(own) if light == "two-arm" else constraints.split(own)
-        return constraints.Fixed(constraints.check(own_rails, light).unsqueeze(0))
+        return _fixed(constraints.check(own_rails, light).unsqueeze(0), job)
     signed = []
     for seed in [each.seed for each in jobs] if name == "random" else [job.seed]:
         if rails == "dual" or job.code.single_rail:
@@ -167,12 +167,17 @@ def _masks(
             signed.append(_frames(scenes, name, job.masks, seed))
     if job.code.learned:
         start = torch.stack(signed)[..., scenes.pixels(light).cpu()]
-        return constraints.Learned(start.expand(len(jobs), -1, -1).clone(), light, rails)
+        start = start.expand(len(jobs), -1, -1).clone()
+        return constraints.Learned(start, light, rails, job.training.steps)
     if job.design == "raster":
-        return constraints.Fixed(signed[0][None, None])
-    return constraints.Fixed(
-        torch.stack([constraints.fit(matrix, light, rails) for matrix in signed])
-    )
+        return _fixed(signed[0][None, None], job)
+    return _fixed(torch.stack([constraints.fit(matrix, light, rails) for matrix in signed]), job)
+
+
+def _fixed(rails: Tensor, job: Job) -> constraints.Fixed:
+    """Rails (R or 1, 2 or 1, m, N) with the grey levels of a job."""
+    light, steps = job.optics[0], job.training.steps
+    return constraints.Fixed(constraints.quantise(rails, light, steps) if steps else rails)
 
 
 def _whole(masks: constraints.Learned, pixels: Tensor) -> constraints.Fixed:

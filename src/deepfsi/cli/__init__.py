@@ -5,7 +5,7 @@ from typing import NoReturn
 
 import typer
 
-from deepfsi.cli import data
+from deepfsi.cli import camera, data
 from deepfsi.cli.designs import design, evaluate, show
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
@@ -22,6 +22,8 @@ app = typer.Typer(
 )
 for _command in (compare, sweep, reproduce, report, design, evaluate, show):
     app.command()(_command)
+app.add_typer(camera.dmd, name="dmd")
+app.add_typer(camera.camera, name="camera")
 app.add_typer(data.app, name="data")
 
 _STOPPED = 130

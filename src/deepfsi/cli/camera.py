@@ -132,11 +132,11 @@ def camera_simulate(
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
-    from deepfsi.datasets import read_images
+    from deepfsi.datasets import read_display
     from deepfsi.hardware.camera import record
 
     model = _camera(settings)
-    images = read_images(scene)
+    images = read_display(scene)
     check_writable(out.parent)
     with progress("photons", quiet=as_json) as tell:
         made = record(
@@ -176,8 +176,6 @@ def camera_count(
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
-    from dataclasses import asdict
-
     from deepfsi.hardware.acquisition import count
 
     with progress("counting", quiet=as_json) as tell:
@@ -192,20 +190,21 @@ def camera_count(
         print_json(
             {
                 **_summary(counts),
-                "faults": [asdict(fault) for fault in counts.faults],
+                "faults": [fault.model_dump() for fault in counts.faults],
                 "counts": counts.counts.tolist(),
                 "valid": counts.valid.tolist(),
             }
         )
         return
     for fault in counts.faults:
-        print(f"{fault.kind} marker: scene {fault.scene}, frame {fault.frame}: {fault.detail}")
+        print(f"marker {fault}")
     summary = _summary(counts)
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
         f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
-        f"{counts.photons:.4g} photons an exposure, dark {summary['dark_rate']:.4g} counts/s\n"
+        f"{counts.photons:.4g} photons an exposure, dark "
+        f"{', '.join(f'{rate:.4g}' for rate in sorted(set(summary['dark_rate'])))} counts/s\n"
         f"counts: {folder / 'counts.npz'}"
     )
 
@@ -233,7 +232,7 @@ def camera_classify(
     probabilities = made.classify(
         signal if len(made.rails) == 2 else signal[..., 0, :], photons or counts.photons
     )
-    scenes = []
+    scenes: list[dict[str, Any]] = []
     for scene, chances, whole in zip(acquisition.scenes, probabilities, counts.valid, strict=True):
         guesses = [made.classes[k] for k in chances[whole].argmax(axis=-1)]
         mean = chances[whole].mean(axis=0) if whole.any() else None
@@ -303,22 +302,19 @@ def camera_inspect(
 
     Example: deepfsi camera inspect photons.ptu
     """
-    from dataclasses import asdict
+    from deepfsi.hardware.ptu import inspect
 
-    from deepfsi.hardware.ptu import inspect, read_header
-
-    header = read_header(file)
     with progress("records", quiet=as_json) as tell:
         contents = inspect(file, lambda share: tell(share, ""))
     if as_json:
-        print_json({"kind": header.kind.name, **asdict(contents)})
+        print_json(contents.model_dump())
         return
     rows = [
-        ("record type", header.kind.name),
-        ("time unit", f"{header.tick_s:g} s"),
+        ("record type", contents.kind),
+        ("time unit", f"{contents.tick_s:g} s"),
         ("records", str(contents.records)),
         *((f"photons on input {k + 1}", str(n)) for k, n in contents.photons.items()),
-        *((f"markers on line {k}", str(n)) for k, n in contents.markers.items()),
+        *((f"markers with bit {k}", str(n)) for k, n in contents.markers.items()),
         ("overflow records", str(contents.overflows)),
         ("sync records", str(contents.syncs)),
         ("span", f"{contents.span_s:.6f} s"),
@@ -376,7 +372,7 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
         f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
         f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s less the settling"
     )
-    if manifest.dimmed < 1:
+    if manifest.dimmed < 0.999:
         print(
             f"cost: one device shows a {manifest.light} design with {manifest.dimmed:.3g} of its "
             "light; learn it with --light free-dwell or equal-dwell instead"
@@ -392,7 +388,7 @@ def _summary(counts: "Counts") -> dict[str, Any]:
         "exposure_s": counts.exposure_s,
         "photons_counted": int(counts.counts.sum()),
         "photons": float(counts.photons),
-        "dark_rate": float(counts.off_rate.mean()),
+        "dark_rate": counts.dark_rate.tolist(),
     }
 
 

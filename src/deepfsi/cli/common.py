@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
 
 DataOption = Annotated[
-    str, typer.Option("--data", help="digits, mnist, fashion-mnist, a folder of images or an .npz")
+    str,
+    typer.Option(
+        "--data", help="name (deepfsi data list), folder or .zip of images, cube, or .npz"
+    ),
 ]
 SizeOption = Annotated[
-    str | None, typer.Option(help="resize folder images to HEIGHTxWIDTH, or one number for both")
+    str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
 ]
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
 WorkersOption = Annotated[

@@ -1,13 +1,11 @@
 """Commands of data sets by name."""
 
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from deepfsi.cli.common import JsonOption, print_json, print_table
-
-if TYPE_CHECKING:
-    pass
+from deepfsi.cli.common import JsonOption, SizeOption, load, print_json, print_table, size_of
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -63,3 +61,25 @@ def data_check(
         print_table(name, ("file", "state", "detail"), rows)
     if not all(entry.ok for entry in files):
         raise typer.Exit(1)
+
+
+@app.command("export")
+def data_export(
+    name: Annotated[str, typer.Argument(help="name, folder of images or .npz file")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
+    per_class: Annotated[int, typer.Option(min=1, help="test scenes of each class")] = 1,
+    seed: Annotated[int, typer.Option(help="draws them")] = 0,
+    size: SizeOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write test scenes as pictures, to be shown to a camera, with a folder for each class.
+
+    Example: deepfsi data export mnist --per-class 2 -o images
+    """
+    from deepfsi.datasets import write_display
+
+    written = write_display(load(name, size_of(size)), out, per_class, seed)
+    if as_json:
+        print_json([str(path) for path in written])
+    else:
+        print(f"{len(written)} pictures: {out}")

@@ -156,7 +156,10 @@ def sweep(
 
 
 def reproduce(
-    name: Annotated[str, typer.Argument(help="mnist, compression, mlgauss, quantization, or list")],
+    name: Annotated[
+        str,
+        typer.Argument(help="mnist, compression, mlgauss, quantization, hardware, ovit, or list"),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/paper"),
     quick: Annotated[
         bool, typer.Option("--quick", help="a coarse grid: minutes instead of hours")

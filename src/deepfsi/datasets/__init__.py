@@ -10,6 +10,7 @@ from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.catalog import DatasetInfo, check, download, list_datasets
 from deepfsi.datasets.cubes import read_cube
 from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.display import Display, read_display, write_display
 from deepfsi.datasets.load import load_dataset, load_spectra
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.datasets.store import FileCheck
@@ -17,6 +18,7 @@ from deepfsi.datasets.store import FileCheck
 __all__ = [
     "Dataset",
     "DatasetInfo",
+    "Display",
     "FileCheck",
     "SpectralImage",
     "check",
@@ -26,4 +28,6 @@ __all__ = [
     "load_dataset",
     "load_spectra",
     "read_cube",
+    "read_display",
+    "write_display",
 ]

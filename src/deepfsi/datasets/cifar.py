@@ -21,6 +21,7 @@ from deepfsi.datasets.pictures import (
     Picture,
     Shape,
     as_shape,
+    check_total,
     describe,
     from_listings,
     open_listings,
@@ -73,6 +74,8 @@ def load(
 ) -> Dataset:
     """Load `cifar10` or `cifar10-jpeg`, grey, in its own split; the training part is shuffled."""
     shape = as_shape(size)
+    if shape is not None:
+        check_total(6 * BATCH, shape)
     if name == "cifar10-jpeg":
         return _load_jpeg(shape, seed, rescale, images)
     pixels, labels = _read(download(name))

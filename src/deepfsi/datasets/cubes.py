@@ -168,10 +168,9 @@ def _read_envi(path: Path) -> _Array:
         ) from error
     try:
         image = envi.open(str(path))
-        mapped = image.open_memmap()  # so that no more is read than the file holds
-        if mapped is None:
+        if not image.using_memmap:
             raise ValueError("its data file holds less than the header says")
-        values = np.array(mapped)
+        values = np.array(image.open_memmap())
     except Exception as error:
         raise InputError(f"cannot read {path} as ENVI ({error}); write it again") from error
     centres = image.bands.centers

@@ -9,6 +9,7 @@ takes. Both are padded with darkness to 256, as the paper pads the 224 that it c
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,18 +67,16 @@ def load_scene(name: str) -> SpectralImage:
     """Load the whole image, for maps and overviews: the real one, or the simulated one."""
     folder = download(name)
     source = SOURCES[name]
-    wavelengths = _wavelengths(folder / BANDS_FILE)
+    bands_file = folder / BANDS_FILE
     if name == SURROGATE:
         from deepfsi.datasets.surrogate import simulate
 
         labels = read_labels(folder / LABELS_FILE, "indian_pines_gt")
         _check_labels(labels, folder)
-        assert wavelengths is not None
+        wavelengths = _wavelengths(bands_file)
         cube = simulate(labels, wavelengths, SCENE_SEED)
         origin = "Simulated radiance on the label map of Indian Pines, not the real scene,"
         return SpectralImage(name, cube, labels, CLASSES, wavelengths, origin)
-    if wavelengths is not None and source.bands == 200:
-        wavelengths = np.delete(wavelengths, WATER)
     file = source.files[0]
     scene = read_cube(
         folder / file,
@@ -85,7 +84,6 @@ def load_scene(name: str) -> SpectralImage:
         variables=(Path(file).stem.lower(), "indian_pines_gt"),
         name=name,
         classes=CLASSES,
-        wavelengths=wavelengths,
         origin="Radiance as published,",
     )
     _check_labels(scene.labels, folder)
@@ -94,7 +92,11 @@ def load_scene(name: str) -> SpectralImage:
             f"{folder / file} has {scene.cube.shape[2]} bands, not {source.bands}; "
             "replace it with the original"
         )
-    return scene
+    if not bands_file.is_file():
+        return scene
+    wavelengths = _wavelengths(bands_file)
+    kept = np.delete(wavelengths, WATER) if source.bands == 200 else wavelengths
+    return replace(scene, wavelengths=kept)
 
 
 def _check_labels(labels: npt.NDArray[np.integer], folder: Path) -> None:
@@ -105,13 +107,12 @@ def _check_labels(labels: npt.NDArray[np.integer], folder: Path) -> None:
         )
 
 
-def _wavelengths(path: Path) -> npt.NDArray[np.float64] | None:
-    """Band centres in nm from the band table, where it is there."""
-    if not path.is_file():
-        return None
+def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
+    """Band centres in nm from the band table, in the order of the bands: not quite rising."""
     try:
-        table = np.loadtxt(path, skiprows=2, usecols=0)
-    except (OSError, ValueError, IndexError) as error:
+        rows = [line.split() for line in path.read_text().splitlines()[2:] if line.strip()]
+        table = np.array([float(row[0]) for row in rows])
+    except (OSError, ValueError) as error:
         raise InputError(
             f"cannot read the band table {path} ({error}); replace it with the original"
         ) from error

@@ -85,7 +85,9 @@ def load_dataset(
     """
     name = "arrays" if isinstance(source, tuple) else os.fspath(source)
     path = None if isinstance(source, tuple) or name in NAMES else _existing(name)
-    pictures = name in CIFAR or (path is not None and (path.is_dir() or path.suffix == ".zip"))
+    pictures = name in CIFAR or (
+        path is not None and (path.is_dir() or path.suffix.lower() == ".zip")
+    )
     spectra = name in indian_pines.SOURCES or (path is not None and path.suffix in SUFFIXES)
     if not pictures:
         _refuse(size, "a size", name, "images of a folder, a zip file or CIFAR-10 take")
@@ -144,7 +146,8 @@ def _existing(name: str) -> Path:
         return path
     if path.suffix or len(path.parts) > 1:
         raise InputError(
-            f"there is no folder and no .npz, .zip, {', '.join(SUFFIXES)} file at '{name}'"
+            f"there is no folder and no file at '{name}': give a folder or .zip of images, a cube "
+            f"({', '.join(SUFFIXES)}) or an .npz file"
         )
     raise InputError(
         f"unknown data set '{name}': {closest(name, NAMES)}; "

@@ -102,7 +102,7 @@ def from_listings(
         kept = draw_stratified([picture.label for picture in train], images, seed, name)
         train = [train[i] for i in kept]
     wanted = [*train, *(test[0] if test else [])]
-    pixels = _read_all(wanted, shape, bilinear)
+    pixels = read_all(wanted, shape, bilinear)
     labels = np.array([picture.label for picture in wanted])
     n = len(train)
     return split_arrays(
@@ -136,6 +136,16 @@ def as_shape(size: int | Shape | None) -> Shape | None:
     return shape
 
 
+def check_total(images: int, shape: tuple[int, ...]) -> None:
+    """Refuse more pixels than memory is likely to hold."""
+    height, width = shape
+    if images * height * width > MAX_PIXELS:
+        raise InputError(
+            f"{images} images of {height}x{width} pixels need "
+            f"{images * height * width * 4e-9:.1f} GB; give a smaller size, or fewer images"
+        )
+
+
 # ---------------------------------------------------------------- what there is
 
 
@@ -143,7 +153,7 @@ def as_shape(size: int | Shape | None) -> Shape | None:
 def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
     """List the images of a folder or zip file: of one part, or of its training and test part."""
     if path.is_dir():
-        yield _list_folder(path)
+        yield list_folder(path)
         return
     try:
         archive = zipfile.ZipFile(path)
@@ -153,7 +163,8 @@ def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
         yield _list_zip(archive, path)
 
 
-def _list_folder(folder: Path) -> list[list[Picture]]:
+def list_folder(folder: Path) -> list[list[Picture]]:
+    """Images of a folder: of one part, or of its training and test part."""
     parts = [folder / "train", folder / "test"]
     if not (all(part.is_dir() for part in parts) and any(p.is_dir() for p in parts[0].iterdir())):
         parts = [folder]
@@ -165,10 +176,11 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
         if part.is_dir():
             yield (part.name,), None
             for path in part.iterdir():
-                yield (part.name, path.name), Picture(part.name, str(path), _opener(path))
+                yield (part.name, path.name), Picture(part.name, str(path), opener(path))
 
 
-def _opener(path: Path) -> Callable[[], IO[bytes]]:
+def opener(path: Path) -> Callable[[], IO[bytes]]:
+    """What opens a file."""
     return lambda: path.open("rb")
 
 
@@ -176,7 +188,7 @@ def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
     entries: dict[tuple[str, ...], Picture | None] = {}
     for info in archive.infolist():
         names = _safe_names(info, path)
-        if names[0] == "__MACOSX":
+        if names[0] == "__MACOSX" or any(name.startswith(".") for name in names):
             continue
         if names in entries and not info.is_dir():
             raise InputError(f"{path} holds {'/'.join(names)} twice; pack it again")
@@ -204,7 +216,8 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
     """Folders and file name of an entry, where nothing about it is a trick."""
     name = info.filename.replace("\\", "/")
     names = tuple(part for part in name.split("/") if part)
-    if not names or name[0] == "/" or ".." in names or ":" in names[0] or not name.isprintable():
+    absolute = name.startswith("/") or (names and names[0][1:2] == ":")
+    if not names or absolute or ".." in names or not name.isprintable():
         raise InputError(
             f"{path} holds the name {info.filename!a}, which no honest zip file has; pack it again"
         )
@@ -234,7 +247,7 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
         if names[0].startswith(".") or (len(names) == 1 and picture):
             continue
         found = classes.setdefault(names[0], [])
-        if len(names) == 2 and picture and _is_image(names[1]):
+        if len(names) == 2 and picture and is_image(names[1]):
             found.append((names[1], picture))
     if not classes:
         raise InputError(f"{where} has no sub-folders; put the images of each class into its own")
@@ -247,27 +260,24 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
     return [picture for label in sorted(classes) for _, picture in sorted(classes[label])]
 
 
-def _is_image(name: str) -> bool:
-    return Path(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
+def is_image(name: str) -> bool:
+    """Whether a file's name is that of an image."""
+    return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
 # ---------------------------------------------------------------- reading
 
 
-def _read_all(
-    pictures: list[Picture], shape: Shape | None, bilinear: bool
-) -> npt.NDArray[np.uint8]:
+def read_all(pictures: list[Picture], shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
     """Grey images, (n, H, W), all of one shape."""
     from PIL import Image
 
+    if shape is not None:
+        check_total(len(pictures), shape)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         first = _read_grey(pictures[0], shape, bilinear)
-        if len(pictures) * first.size > MAX_PIXELS:
-            raise InputError(
-                f"{len(pictures)} images of {first.shape[0]}x{first.shape[1]} pixels need "
-                f"{len(pictures) * first.size * 4e-9:.1f} GB; give a smaller size, or fewer images"
-            )
+        check_total(len(pictures), first.shape)
         grey = np.empty((len(pictures), *first.shape), np.uint8)
         grey[0] = first
         for i, picture in enumerate(pictures[1:], 1):

@@ -201,8 +201,8 @@ class SpectralImage:
                 trained = np.bincount(kinds[train[rows, columns]], minlength=kinds.max() + 1)
                 if not trained.all():
                     continue
-                both = np.count_nonzero((tested > 0) & (tested <= trained))
-                distance = np.abs(tested / (tested + trained) - 1 / TEST_SHARE).mean()
+                both = int(np.count_nonzero((tested > 0) & (tested <= trained)))
+                distance = float(np.abs(tested / (tested + trained) - 1 / TEST_SHARE).mean())
                 if (both, -distance) > merit:
                     best, merit = (train, test), (both, -distance)
         if best is None:

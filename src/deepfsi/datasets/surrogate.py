@@ -43,11 +43,11 @@ CLASSES: dict[str, tuple[float, ...]] = {
     "Stone-Steel-Towers": (0.08, 0.10, 0.20, 0.36, 0.20, 0.05, 0.80, 0.70),
 }
 
-FIELD = 0.22  # standard deviation of the logarithm of a share between fields of one class
-WITHIN = 0.26  # the same for the smooth variation within a field
-SCATTER = 0.14  # the same from pixel to pixel
+FIELD = 0.35  # standard deviation of the logarithm of a share between fields of one class
+WITHIN = 0.33  # the same for the smooth variation within a field
+SCATTER = 0.17  # the same from pixel to pixel
 LEAF = 0.5  # leaf chemistry varies by this share of the three above
-SMOOTH = 2.5  # pixels: standard deviation of the kernel of the smooth variation
+SMOOTH = 5.0  # pixels: standard deviation of the kernel of the smooth variation
 SOIL_PATCH = 12.0  # pixels: the same of soil brightness, which knows no fields
 OPTICS = 0.5  # pixels: standard deviation of the point spread
 

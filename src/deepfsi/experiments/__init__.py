@@ -4,7 +4,16 @@ import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, closest
-from deepfsi.experiments import compression, masks, mlgauss, mnist, ovit, quantization, starts
+from deepfsi.experiments import (
+    compression,
+    hardware,
+    masks,
+    mlgauss,
+    mnist,
+    ovit,
+    quantization,
+    starts,
+)
 from deepfsi.experiments.study import Experiment
 from deepfsi.files import write_atomically
 from deepfsi.report.study import write_study
@@ -18,6 +27,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "quantization": (quantization.EXPERIMENT,),
     "ovit": (ovit.EXPERIMENT,),
     "ovit-full": (ovit.FULL,),
+    "hardware": (hardware.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

@@ -15,17 +15,16 @@ a picture of each (`acquisition.picture`) and give them to `calibrate`.
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from scipy import ndimage, optimize, sparse
-from skimage.measure import ransac
-from skimage.transform import ProjectiveTransform, estimate_transform
+from skimage import measure, transform
 
-import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
@@ -52,12 +51,14 @@ __all__ = [
 
 SCHEMA: Literal[1] = 1
 FILE = "calibration.json"
-POINTS = 24  # of a cell's average, along each axis
+POINTS = 24, 32  # of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells
 WINDOW = 1.5  # cells, standard deviation of the window in which a spot is centred
 FAINT = 6.0  # a spot is seen where its peak is this many standard deviations of the noise
 OUTLIER = 0.5  # cells
-SEEN = 0.5  # of the brightest cell: where the flat field is measured and not continued
-WIDEST = 3.0  # cells, largest blur that is looked for
+SEEN = 0.5  # of a cell that the display fills: where the flat field is fitted, not continued
+DEGREE = 4  # of its polynomial
+CELLS_PER_TERM = 4
+WIDEST = 2.0  # cells, largest blur that is looked for
 BLOCK = 4096  # scenes at a time
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -91,7 +92,7 @@ class Calibration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = SCHEMA
-    deepfsi: str = deepfsi.__version__
+    deepfsi: str = version("deepfsi")
     homography: tuple[Row, Row, Row]
     residual: Rate
     spots: int = Field(ge=4)
@@ -112,12 +113,21 @@ class Calibration(BaseModel):
         return self
 
 
-class Homography(BaseModel):
-    """Display → device in unit squares, as fitted: `Calibration` says what the fields are."""
+@dataclass(frozen=True)
+class Homography:
+    """What `find_homography` found.
 
-    model_config = ConfigDict(frozen=True)
+    Attributes
+    ----------
+    matrix : array, shape (3, 3)
+        Display → device in unit squares.
+    residual : float
+        Root mean square distance of the spots from it, cells.
+    spots : int
+        Spots that it rests on.
+    """
 
-    matrix: tuple[Row, Row, Row]
+    matrix: np.ndarray
     residual: float
     spots: int
 
@@ -146,7 +156,8 @@ def spot_scenes(
     InputError
         If fewer than 2 x 2 spots are asked for, or they do not fit side by side.
     """
-    if min(count) < 2 or side < 1 or any(n * side > s for n, s in zip(count, image_shape)):
+    room = np.array(image_shape) - np.array(count) * side
+    if min(count) < 2 or side < 1 or room.min() < 0:
         raise InputError(
             f"{count[0]} x {count[1]} spots of {side} pixels do not fit a display of "
             f"{image_shape[0]} x {image_shape[1]}: give 2 x 2 or more that fit side by side"
@@ -215,7 +226,7 @@ def calibrate(
     blur = find_blur(scenes, pictures, fit.matrix, grid)
     flat = None if white is None else find_flat(white - floor, scenes.shape[1:], fit.matrix, blur)
     return Calibration(
-        homography=fit.matrix,
+        homography=fit.matrix.tolist(),
         residual=fit.residual,
         spots=fit.spots,
         shown=len(scenes),
@@ -296,24 +307,25 @@ def find_homography(
     )
     if seen.sum() < 4:
         raise InputError(trouble)
-    _, inliers = ransac(
+    _, inliers = measure.ransac(
         (source, target),
-        ProjectiveTransform,
+        transform.ProjectiveTransform,
         min_samples=4,
         residual_threshold=OUTLIER,
         max_trials=500,
+        stop_probability=0.9999,
         rng=seed,
     )
     if inliers is None or inliers.sum() < 4:
         raise InputError(trouble)
-    model = estimate_transform("projective", source[inliers], target[inliers])
+    model = transform.estimate_transform("projective", source[inliers], target[inliers])
     if not model or not np.isfinite(model.params).all():
         raise InputError(trouble)
     distance = model.residuals(source[inliers], target[inliers])
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
     matrix /= matrix[2, 2]
     return Homography(
-        matrix=matrix.tolist(),
+        matrix=matrix,
         residual=float(np.sqrt((distance**2).mean())),
         spots=int(inliers.sum()),
     )
@@ -355,7 +367,7 @@ def find_blur(
         return float((measured**2).sum() - explained.sum())
 
     found = optimize.minimize_scalar(
-        misfit, bounds=(0, WIDEST), method="bounded", options={"xatol": 1e-3}
+        misfit, bounds=(0, WIDEST), method="bounded", options={"xatol": 5e-3}
     )
     return spread(0.0) if misfit(0.0) <= found.fun else spread(float(found.x))
 
@@ -368,7 +380,9 @@ def find_flat(
 ) -> np.ndarray:
     """Flat field of a picture of a uniform white scene.
 
-    Cells that the display fills less than half have the value of the nearest cell that it fills.
+    A polynomial of the place, of degree 4 at most, so that the noise of the picture's cells does
+    not become part of the view; it follows what a lens does, but no dust. Cells that the display
+    fills less than half have the value of the nearest cell that it fills.
 
     Parameters
     ----------
@@ -381,7 +395,7 @@ def find_flat(
     Returns
     -------
     array, shape (down, across)
-        Relative to the brightest cell.
+        Relative to its largest value.
 
     Raises
     ------
@@ -391,12 +405,18 @@ def find_flat(
     white = np.asarray(white, dtype=float)
     filled = _matrix(image_shape, white.shape, homography, blur).sum(axis=1).reshape(white.shape)
     seen = filled > SEEN
-    if not (seen.any() and white[seen].max() > 0):
+    if not (seen.any() and white[seen].mean() > 0):
         raise InputError(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
-    flat = np.divide(white, filled, out=np.zeros_like(white), where=seen).clip(0)
+    terms = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)]
+    terms = terms[: max(1, int(seen.sum()) // CELLS_PER_TERM)]
+    down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
+    basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
+    scaled = (basis * filled)[:, seen].T
+    weights, *_ = np.linalg.lstsq(scaled, white[seen], rcond=None)
+    flat = np.tensordot(weights, basis, 1).clip(0)
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
     flat = flat[tuple(nearest)]
     return np.asarray(flat / flat.max())
@@ -529,7 +549,9 @@ def view_dataset(
     content = calibration.model_dump_json().encode()
     shape = cells_shape or data.image_shape
     if len(shape) != 2:
-        raise InputError(f"{data.name}: scenes of shape {shape} are no images: give a data set of some")
+        raise InputError(
+            f"{data.name}: scenes of shape {shape} are no images: give a data set of some"
+        )
     return replace(
         data,
         x_train=camera_view(data.x_train, data.image_shape, calibration, shape),
@@ -656,8 +678,8 @@ def _matrix(
     pixels one axis after the other.
     """
     (h, w), (down, across) = image_shape, cells_shape
-    average_down, tops = _axis_average(down, blur[0])
-    average_across, lefts = _axis_average(across, blur[1])
+    average_down, tops = _axis_average(down, blur[0], POINTS[0])
+    average_across, lefts = _axis_average(across, blur[1], POINTS[1])
     x, y = np.meshgrid(lefts, tops)
     back = np.linalg.inv(np.asarray(homography, dtype=float))
     u, v, scale = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
@@ -682,20 +704,20 @@ def _matrix(
     )
 
 
-def _axis_average(cells: int, blur: float) -> tuple[sparse.csr_array, np.ndarray]:
+def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array, np.ndarray]:
     """Average of blurred light over each cell of an axis, (cells, points), and the points.
 
     Points lie beyond the cells as far as the blur reaches.
     """
-    step = 1 / (cells * POINTS)
+    step = 1 / (cells * each)
     beyond = int(np.ceil(4 * blur / step))
-    places = (np.arange(-beyond, cells * POINTS + beyond) + 0.5) * step
+    places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step
     kernel = np.ones(1)
     if beyond:
         kernel = np.exp(-((np.arange(-beyond, beyond + 1) * step / blur) ** 2) / 2)
-    weights = np.convolve(kernel / kernel.sum(), np.full(POINTS, 1 / POINTS))
+    weights = np.convolve(kernel / kernel.sum(), np.full(each, 1 / each))
     cell = np.repeat(np.arange(cells), len(weights))
-    point = cell * POINTS + np.tile(np.arange(len(weights)), cells)
+    point = cell * each + np.tile(np.arange(len(weights)), cells)
     values = np.tile(weights, cells)
     return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
 
@@ -709,5 +731,7 @@ def _at_cells(values: np.ndarray, cells_shape: tuple[int, int]) -> np.ndarray:
         for n, size in zip(cells_shape, values.shape, strict=True)
     ]
     return np.asarray(
-        ndimage.map_coordinates(values, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest")
+        ndimage.map_coordinates(
+            values, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"
+        )
     )

@@ -15,19 +15,19 @@ mask's frame), the design if it was given, and the frames of all masks and senti
 """
 
 import hashlib
+import io
 import json
 import math
 import os
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 from PIL import Image, PngImagePlugin
@@ -51,6 +51,15 @@ Format = Literal["npy", "png", "raw"]
 
 LIGHTS = ("column", "equal-dwell", "free-dwell", "two-arm")
 SIDES: tuple[Rail, Rail] = ("plus", "minus")
+STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
+FORMATS = (*STREAMS, "png")
+
+SLACK = 1e-4
+"""Share of the exposure by which two arms' times may differ between pixels."""
+
+TINY = float(np.finfo(np.float64).tiny)
+"""A rail whose peak is fewer of these than a cell has mirrors is dark."""
+
 MOST_TILE_BYTES = 2**24
 """Largest table of every grey level of a cell, packed; larger ones are not worth their memory."""
 
@@ -193,7 +202,8 @@ def count_mirrors(
         uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K.
     """
     shown: list[tuple[int, Rail]] = []
-    peaks, on = [], []
+    peaks = []
+    on = np.empty((rails.shape[0] * rails.shape[1], rails.shape[2]), dtype=np.uint32)
     for mask in range(rails.shape[1]):
         parts = rails[:, mask].astype(np.float64)
         sides: list[tuple[Rail, float, np.ndarray]] = []
@@ -202,14 +212,14 @@ def count_mirrors(
             sides.append(("both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors))
         else:
             for rail, part in zip(SIDES, parts, strict=False):
-                step = max(part.max() / mirrors, _TINY)
+                step = max(part.max() / mirrors, TINY)
                 sides.append((rail, part.max(), part / step))
         for rail, peak, level in sides:
-            if peak > mirrors * _TINY:
+            if peak > mirrors * TINY:
+                on[len(shown)] = np.rint(level)
                 shown.append((mask, rail))
                 peaks.append(peak)
-                on.append(np.rint(level).astype(np.uint32))
-    return shown, np.array(peaks), np.array(on, dtype=np.uint32).reshape(len(on), rails.shape[2])
+    return shown, np.array(peaks), on[: len(shown)]
 
 
 def make_frames(
@@ -281,7 +291,7 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
         )
     shape = (len(manifest.shown), math.prod(manifest.image_shape))
     counts = Path(folder) / "mirrors.npy"
-    with _array(counts, "<u4", shape) as file:
+    with _array(counts, "<u4", shape, first=int(manifest.shown[0])) as file:
         on = np.frombuffer(file.read(4 * math.prod(shape)), "<u4").reshape(shape)
     if on.max(initial=0) > manifest.grid.mirrors:
         raise InputError(
@@ -442,11 +452,9 @@ def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
         place = np.arange(len(axis)) - np.searchsorted(axis, axis)
         places.append(np.where(axis % 2, most - 1 - place, place))
     most = tuple(int(place.max()) + 1 for place in places)
-    return (
-        np.zeros(len(down) * len(across))
-        if most == (1, 1)
-        else (order_mirrors(*most)[np.ix_(*places)].ravel())
-    )
+    if most == (1, 1):
+        return np.zeros(len(down) * len(across), dtype=np.uint32)
+    return order_mirrors(*most)[np.ix_(*places)].ravel()
 
 
 def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
@@ -564,18 +572,17 @@ def _write_frames(
     shape = (total, device.rows, -(-device.columns // 8))
     if format == "png":
         (folder / "frames").mkdir()
-    with (folder / _STREAMS.get(format, os.devnull)).open("wb") as file:
-        if format == "npy":
-            np.lib.format.write_array_header_1_0(
-                file, {"descr": "|u1", "fortran_order": False, "shape": shape}
-            )
+    stream = None if format == "png" else (folder / STREAMS[format]).open("wb")
+    with stream or nullcontext():
+        if format == "npy" and stream:
+            _write_header(stream, np.dtype("u1"), shape)
         for place, frame in enumerate(frames):
             hashes.append(hashlib.sha256(frame.data).hexdigest())
-            if format == "png":
+            if stream:
+                stream.write(frame.data)
+            else:
                 picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
                 picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
-            else:
-                file.write(frame.data)
             if progress is not None:
                 progress((place + 1) / total)
     return hashes
@@ -589,7 +596,7 @@ def _frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
             yield _read_png(folder / _png(place, total), device).reshape(shape)
         return
     header = "|u1" if manifest.format == "npy" else None
-    with _array(folder / _STREAMS[manifest.format], header, (total, *shape)) as file:
+    with _array(folder / STREAMS[manifest.format], header, (total, *shape)) as file:
         for _ in range(total):
             yield np.frombuffer(file.read(device.frame_bytes), dtype=np.uint8).reshape(shape)
 
@@ -614,33 +621,41 @@ def _read_png(path: Path, device: Device) -> np.ndarray:
         ) from None
 
 
+def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Header of an array's .npy file, as `numpy.save` writes it."""
+    content = {"descr": dtype.str, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, content)
+
+
 @contextmanager
-def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
+def _array(
+    path: Path, kind: str | None, shape: tuple[int, ...], first: int = 0
+) -> Iterator[IO[bytes]]:
     """Open a file at the start of an array's data, certain that all of it is there.
 
-    With a `kind` the file has a header of numpy's, which must say that type and `shape`.
+    With a `kind` the file has a header of numpy's, which must say that type and `shape`. The
+    array's first row is of frame `first`.
     """
     again = "export the patterns again"
     try:
         with path.open("rb") as file:
+            dtype = np.dtype(kind or "u1")
             if kind is not None:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("error")
-                    np.lib.format.read_magic(file)
-                    found, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-                if (found, fortran, dtype) != (shape, False, np.dtype(kind)):
+                header = io.BytesIO()
+                _write_header(header, dtype, shape)
+                if file.read(len(header.getvalue())) != header.getvalue():
                     raise InputError(
-                        f"{path} holds {dtype} of shape {found}, and manifest.json says "
-                        f"{np.dtype(kind)} of {shape}: {again}"
+                        f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
+                        f"manifest.json says: {again}"
                     )
-            size = 1 if kind is None else np.dtype(kind).itemsize
+            size = dtype.itemsize
             wanted = size * math.prod(shape)
             here = path.stat().st_size - file.tell()
             if here != wanted:
                 per = size * math.prod(shape[1:])
                 raise InputError(
                     f"{path} has {here} bytes of data, and manifest.json says {wanted}: it breaks "
-                    f"off in frame {here // per}; {again}"
+                    f"off in frame {first + here // per}; {again}"
                     if here < wanted
                     else f"{path} has {here - wanted} bytes too many: {again}"
                 )
@@ -649,7 +664,7 @@ def _array(path: Path, kind: str | None, shape: tuple[int, ...]) -> Iterator[IO[
         raise InputError(f"{path} is missing: {again}") from None
     except InputError:
         raise
-    except (OSError, ValueError, UserWarning) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read ({error}): {again}") from None
 
 
@@ -697,7 +712,7 @@ def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) ->
         raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
     if not np.isfinite(rails).all() or rails.min() < 0:
         raise InputError("rails must be finite and 0 or more: give shares of each pixel's photons")
-    if light == "two-arm" and np.ptp(rails.sum(axis=0), axis=-1).max() * rails.shape[1] > _SLACK:
+    if light == "two-arm" and np.ptp(rails.sum(axis=0), axis=-1).max() * rails.shape[1] > SLACK:
         raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
     return rails
 
@@ -717,8 +732,8 @@ def _check_settings(
         )
     if seed < 0:
         raise InputError(f"seed {seed} is not allowed: give 0 or more")
-    if format not in _FORMATS:
-        raise InputError(f"unknown format {format!r}: {closest(format, _FORMATS)}")
+    if format not in FORMATS:
+        raise InputError(f"unknown format {format!r}: {closest(format, FORMATS)}")
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
 
@@ -764,9 +779,3 @@ def _new_folder(target: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-
-
-_FORMATS = ("npy", "png", "raw")
-_STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
-_SLACK = 1e-4
-_TINY = float(np.finfo(np.float64).tiny)

@@ -199,7 +199,7 @@ class Manifest(BaseModel):
     deepfsi: str
     device: Device
     image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
-    masks: int = Field(ge=1)
+    masks: int = Field(ge=1, le=MOST_FRAMES)
     rails: Literal[1, 2]
     light: str
     dimmed: float = Field(gt=0, le=1)
@@ -261,6 +261,7 @@ class Manifest(BaseModel):
 
 
 _RAILS = ("plus", "minus", "both")
+_SHORTEST_S = 1e-15
 
 
 @dataclass(frozen=True)
@@ -349,10 +350,15 @@ def find_gates(
     if not (math.isfinite(settle) and settle >= 0):
         raise InputError(f"settle time {settle!r} is not allowed: give seconds, 0 or more")
     length = manifest.shares * exposure_s
-    window = manifest.picture_s[manifest.shown] - settle
-    fit = int(np.floor((window / length).min() * (1 + 1e-9)))
+    if not (len(length) and length.min() > _SHORTEST_S):
+        raise InputError(
+            f"an exposure of {exposure_s:g} s leaves a frame less than {_SHORTEST_S:g} s: give a "
+            "longer one"
+        )
+    room = float(((manifest.picture_s[manifest.shown] - settle) / length).min())
+    fit = int(np.floor(room * (1 + 1e-9)))
     if fit < 1:
-        longest = exposure_s * float((window / length).min())
+        longest = exposure_s * room
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit frames with {settle:g} s to settle: "
             f"give at most {max(longest, 0):.3g} s, or export with a longer --dwell"

@@ -1,13 +1,17 @@
 """Figures of the camera: its view, its masks made of mirrors, and how well it classifies."""
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
@@ -18,15 +22,17 @@ from deepfsi.report.figures import (
     COLOURS,
     GRID,
     INK,
+    LINES,
     MUTED,
     PAPER,
     Point,
     accuracy_axes,
-    photons_text,
     styled,
 )
 from deepfsi.report.studies import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, readable_ink
 
+MARGIN = 1.5  # inches beside the scenes, for words and scale
+MOST_PICTURES = 48
 FRAME_PIXELS = 512  # a whole frame is averaged to at most this many across
 BESIDE = 0.028  # of the axis, published values to the right of ours
 
@@ -62,16 +68,17 @@ def views_figure(
         If the two differ in number.
     """
     if len(raw) != len(seen) or len(raw) == 0:
-        raise InputError(f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each")
+        raise InputError(
+            f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each"
+        )
     shape = seen.shape[1] * cell[0] / (seen.shape[2] * cell[1])
-    tile = (PAGE_WIDTH - 0.9) / max(len(raw), 4)
+    tile = (PAGE_WIDTH - MARGIN) / max(len(raw), 4)
     heights = [tile * raw.shape[1] / raw.shape[2], tile * shape]
     figure = Figure(
-        figsize=(tile * len(raw) + 0.9, sum(heights) + (0.35 if names else 0.12)),
-        layout="constrained",
+        figsize=(tile * len(raw) + MARGIN, sum(heights) + (0.4 if names else 0.16)),
+        layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04, wspace=0.02, hspace=0.02),
     )
     axes = figure.subplots(2, len(raw), squeeze=False, height_ratios=heights)
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
     norm = Normalize(0, 1)
     for column, images in enumerate(zip(raw, seen, strict=True)):
         for ax, image, ratio in zip(axes[:, column], images, (1.0, cell[0] / cell[1]), strict=True):
@@ -80,10 +87,10 @@ def views_figure(
             ax.spines[:].set(visible=True, color=GRID)
         if names:
             axes[0, column].set_title(names[column], loc="center")
-    axes[0, 0].set_ylabel("displayed")
-    axes[1, 0].set_ylabel("camera's view")
+    for ax, words in zip(axes[:, 0], ("displayed", "as the\ncamera\nsees it"), strict=True):
+        ax.set_ylabel(words, rotation=0, horizontalalignment="right", verticalalignment="center")
     bar = figure.colorbar(ScalarMappable(norm, GREYS), ax=axes, aspect=16, pad=0.015)
-    bar.set_label("reflectance, relative light", fontsize=8)
+    bar.set_label("reflectance,\nrelative light", fontsize=8)
     bar.set_ticks([0, 0.5, 1])
     plain_bar(bar)
     return figure
@@ -169,7 +176,7 @@ def mirrors_figure(
             )
         )
     whole.set_title(f"one frame, {columns} × {rows} mirrors")
-    near.set_title(f"close by, {grid.width} × {grid.height} mirrors a cell")
+    near.set_title("close by")
     whole.set(xlabel="mirror across", ylabel="mirror down")
     whole.set_xticks(_quarters(columns))
     whole.set_yticks(_quarters(rows))
@@ -177,8 +184,13 @@ def mirrors_figure(
     near.set_xticks(middles, [str(first[1] + i + 1) for i in range(extent[1])])
     middles = top + (np.arange(extent[0]) + 0.5) * grid.height
     near.set_yticks(middles, [str(first[0] + i + 1) for i in range(extent[0])])
-    near.set(xlabel="cell across", ylabel="cell down")
+    near.set(
+        xlabel=f"cell across, {grid.width} mirrors each",
+        ylabel=f"cell down, {grid.height} mirrors each",
+    )
     near.tick_params(length=0)
+    near.yaxis.tick_right()
+    near.yaxis.set_label_position("right")
     for ax in (whole, near):
         ax.spines[:].set(visible=True)
     return figure
@@ -210,7 +222,7 @@ def exposure_figure(
     Figure
         Bars are intervals. Circles are feature-specific designs, squares others.
     """
-    rows = [{**point, "best": True} for point in points]
+    rows: list[Point] = [{**point, "best": True} for point in points]
     others = list(published)
     exposures = sorted({row["exposure_s"] for row in [*rows, *others]})
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
@@ -222,13 +234,12 @@ def exposure_figure(
     ax.xaxis.set_major_locator(FixedLocator(exposures))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     if flux is not None:
-        top = ax.secondary_xaxis(
-            "top", functions=(lambda exposure: exposure * flux, lambda photons: photons / flux)
-        )
+        to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
+        top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
         top.set_xlabel("photons on the device Φ")
         top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
         top.xaxis.set_minor_locator(NullLocator())
-        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
     if others:
         looks: dict[str, Any] = {"color": INK, "marker": "o"}
         keys = [
@@ -236,9 +247,7 @@ def exposure_figure(
             Line2D([], [], **looks, markerfacecolor=PAPER, linestyle="none"),
         ]
         words = ["here, with interval", "published, with interval"]
-        figure.legend(
-            keys, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8
-        )
+        figure.legend(keys, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure
 
 
@@ -321,13 +330,130 @@ def digits_figure(
     bar = figure.colorbar(
         ScalarMappable(norm, GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
     )
-    bar.ax.set_in_layout(True)
+    plain_bar(bar)
+    return figure
+
+
+@styled
+def effects_figure(
+    points: Iterable[Point], axes: Mapping[str, str], *, flux: float | None = None
+) -> Figure:
+    """Accuracy against what the laboratory varies: a column for each effect.
+
+    Parameters
+    ----------
+    points : iterable of mapping
+        `effect`, `value` (0 or more), `design`, `label`, `specific`, `exposure_s` (seconds),
+        `accuracy`, `low`, `high`.
+    axes : mapping of str to str
+        Effect → label of its axis, with unit. Where this is "(s)" and all values are below a
+        millisecond, the axis is in nanoseconds.
+    flux : float, optional
+        Photons/s on the device. A line then marks as much ambient light as the scene's, and the
+        budget that was assumed rightly.
+
+    Returns
+    -------
+    Figure
+        A row for each exposure, the longest on top. Values are on a logarithmic axis, and 0 stands
+        at its left end.
+    """
+    rows = list(points)
+    exposures = sorted({row["exposure_s"] for row in rows}, reverse=True)
+    effects = [effect for effect in axes if any(row["effect"] == effect for row in rows)]
+    figure = Figure(
+        figsize=(0.6 + 1.65 * len(effects), 0.9 + 1.9 * len(exposures)), layout="constrained"
+    )
+    grid = figure.subplots(len(exposures), len(effects), squeeze=False, sharey=True, sharex="col")
+    keys: dict[str, Any] = {}
+    for (row, column), ax in np.ndenumerate(grid):
+        effect, exposure = effects[column], exposures[row]
+        members = [p for p in rows if (p["effect"], p["exposure_s"]) == (effect, exposure)]
+        values = [p["value"] for p in rows if p["effect"] == effect]
+        unit, label = _unit(values, axes[effect])
+        keys |= _effect_lines(ax, members, [value * unit for value in values], unit)
+        mark = {"ambient": flux, "assumed": (flux or 0) * exposure}.get(effect)
+        if flux and mark:
+            ax.axvline(mark, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
+        ax.set_ylim(0, 1)
+        ax.grid(axis="y")
+        if row == len(exposures) - 1:
+            ax.set_xlabel(textwrap.fill(label, 24), fontsize=8)
+        if column == 0:
+            ax.set_ylabel("accuracy")
+            ax.set_title(f"{exposure:g} s")
+    figure.legend(
+        list(keys.values()),
+        list(keys),
+        loc="outside lower center",
+        ncols=len(keys),
+        frameon=False,
+        fontsize=8,
+        handlelength=2.6,
+    )
+    return figure
+
+
+@styled
+def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
+    """Least-squares pictures from the counts of an acquisition, on one scale.
+
+    Parameters
+    ----------
+    pictures : array, shape (S, down, across) or (S, bands)
+        NaN where a scene was lost.
+    names : sequence of str
+        Of the scenes.
+
+    Returns
+    -------
+    Figure
+        At most the first 48 scenes. The scale ends at the brightest cell, and begins at 0 or at
+        the darkest cell below it.
+
+    Raises
+    ------
+    InputError
+        If the two differ in number.
+    """
+    if len(pictures) != len(names) or len(pictures) == 0:
+        raise InputError(f"{len(pictures)} pictures and {len(names)} names: give one name of each")
+    shown = np.asarray(pictures, dtype=float)[:MOST_PICTURES]
+    if shown.ndim == 2:
+        shown = shown[:, None, :]
+    known = shown[np.isfinite(shown)]
+    low, high = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
+    norm = Normalize(low, high if high > low else low + 1)
+    columns = min(6, len(shown))
+    rows = -(-len(shown) // columns)
+    tile = (PAGE_WIDTH - 0.8) / max(columns, 3)
+    shape = max(shown.shape[1] / shown.shape[2], 0.2)
+    figure = Figure(
+        figsize=(tile * columns + 0.8, rows * (tile * shape + 0.24) + 0.2), layout="constrained"
+    )
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax, picture, name in zip(axes.flat, shown, names, strict=False):
+        ax.imshow(
+            np.ma.masked_invalid(picture),
+            cmap=GREYS,
+            norm=norm,
+            aspect="auto" if shown.shape[1] == 1 else "equal",
+            interpolation="none",
+        )
+        ax.set(xticks=[], yticks=[])
+        ax.spines[:].set(visible=True, color=GRID)
+        ax.set_title(textwrap.shorten(name, 14, placeholder="…"), fontsize=SMALL)
+    for ax in list(axes.flat)[len(shown) :]:
+        ax.remove()
+    bar = figure.colorbar(
+        ScalarMappable(norm, GREYS), ax=list(figure.axes), aspect=24, pad=0.015, label="light"
+    )
     plain_bar(bar)
     return figure
 
 
 def _averaged(mirrors: np.ndarray, factor: int) -> np.ndarray:
-    """Mirrors averaged over squares of `factor`; those of an incomplete last square are left out."""
+    """Mirrors averaged over squares of `factor`, without an incomplete last square."""
     rows, columns = (size // factor * factor for size in mirrors.shape)
     tiles = mirrors[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
     return np.asarray(tiles.mean(axis=(1, 3)))
@@ -359,3 +485,56 @@ def _published(
             elinewidth=0.7,
             zorder=2.5,
         )
+
+
+def _unit(values: Iterable[float], label: str) -> tuple[float, str]:
+    """Factor to the unit in which an axis is drawn, and its label."""
+    if label.endswith("(s)") and max(values) < 1e-3:
+        return 1e9, label.removesuffix("(s)") + "(ns)"
+    return 1.0, label
+
+
+def _effect_lines(
+    ax: Axes, members: Sequence[Point], values: Iterable[float], unit: float
+) -> dict[str, ErrorbarContainer]:
+    """Draw a line for each design over `value`; returns them by label."""
+    ticks = sorted(set(values))
+    lit = [tick for tick in ticks if tick > 0] or [1.0]
+    ground = lit[0] / (lit[-1] / lit[0]) ** 0.25 if len(lit) > 1 else lit[0] / 2
+    lines = {}
+    for design in dict.fromkeys(p["design"] for p in members):
+        own = sorted((p for p in members if p["design"] == design), key=lambda p: p["value"])
+        y = np.array([p["accuracy"] for p in own])
+        reach = [[p["accuracy"] - p["low"] for p in own], [p["high"] - p["accuracy"] for p in own]]
+        lines[own[0]["label"]] = ax.errorbar(
+            [p["value"] * unit or ground for p in own],
+            y,
+            yerr=np.clip(reach, 0, None),
+            color=COLOURS.get(design, INK),
+            linestyle=LINES.get(design, "-"),
+            marker="o" if own[0]["specific"] else "s",
+            markersize=3.5,
+            elinewidth=0.8,
+        )
+    ax.set_xscale("log")
+    ends = ticks[0] or ground, ticks[-1] or ground
+    margin = 10 ** (0.06 * max(np.log10(ends[1] / ends[0]), 0.5))
+    ax.set_xlim(ends[0] / margin, ends[1] * margin)
+    at = [*([ground] if ticks[0] == 0 else []), *_apart(lit)]
+    ax.xaxis.set_major_locator(FixedLocator(at))
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.xaxis.set_major_formatter(
+        FuncFormatter(lambda value, _: "0" if ticks[0] == 0 and value == ground else _short(value))
+    )
+    ax.tick_params(labelsize=SMALL)
+    return lines
+
+
+def _apart(values: Sequence[float]) -> list[float]:
+    """Powers of ten among rising values if there are two or more, otherwise all values."""
+    powers = [value for value in values if np.isclose(np.log10(value) % 1, [0, 1]).any()]
+    return list(powers if len(powers) > 1 else values)
+
+
+def _short(value: float) -> str:
+    return power_text(value) if value >= 1e3 else f"{value:g}"

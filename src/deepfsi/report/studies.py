@@ -751,6 +751,7 @@ def _value_shares(ax: Axes, row: Point, floor: float) -> None:
 
 
 def plain_bar(bar: Colorbar) -> None:
+    """Give a colour bar a faint outline and small numbers."""
     bar.outline.set_edgecolor(MUTED)
     bar.ax.tick_params(labelsize=SMALL)
 

@@ -2,15 +2,17 @@
 
 Both are context managers that let go of their device on every way out, Ctrl-C included. A lab
 whose counter has its own software needs a `PatternProjector` only: its PTU file and the pattern
-folder are all that `hardware.acquisition` reads.
+folder are all that `hardware.acquisition` reads. `scan` records scene after scene with both.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-__all__ = ["PatternProjector", "PhotonCounter"]
+import numpy as np
+
+__all__ = ["PatternProjector", "PhotonCounter", "scan"]
 
 Progress = Callable[[float], None]
 
@@ -61,3 +63,33 @@ class PhotonCounter(Protocol):
 
     def stop(self) -> None:
         """End the recording; its file is then whole."""
+
+
+def scan(
+    projector: PatternProjector,
+    counter: PhotonCounter,
+    scenes: Iterable[np.ndarray],
+    show: Callable[[np.ndarray], None],
+    path: Path,
+) -> None:
+    """Record one pass over the loaded patterns for each scene, into one file.
+
+    Parameters
+    ----------
+    projector : PatternProjector
+        Open, with patterns loaded.
+    counter : PhotonCounter
+        Open.
+    scenes : iterable of array
+        Reflectance (h, w).
+    show : callable
+        Displays a scene; returns when the display has settled.
+    path : path
+        The PTU file.
+    """
+    counter.start(path)
+    for scene in scenes:
+        show(scene)
+        projector.run()
+        projector.wait()
+    counter.stop()

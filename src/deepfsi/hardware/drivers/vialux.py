@@ -137,7 +137,8 @@ class VialuxProjector:
             with _refusals("load frames"):
                 self._send(manifest, read_frames(folder), progress)
         except BaseException:
-            self._unload()
+            with contextlib.suppress(InputError):
+                self._unload()
             raise
         self._pass_s = manifest.pass_s
 

@@ -1,0 +1,112 @@
+"""Scenes as pictures for a display: a data set's test scenes written, pictures read back.
+
+A picture is what the display shows: grey levels 0 to 255 are reflectance 0 to 1.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from deepfsi.datasets.arrays import Reflectance
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.pictures import Picture, is_image, list_folder, opener, read_all
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+
+
+class Display(NamedTuple):
+    """Pictures to be shown one after another.
+
+    Attributes
+    ----------
+    names
+        Of their files.
+    labels
+        Class of each, if there is a folder for each class.
+    x
+        Reflectance in [0, 1], (S, H, W) float32.
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...] | None
+    x: Reflectance
+
+
+def read_display(path: str | os.PathLike[str]) -> Display:
+    """Read one picture, a folder of them, or a folder with one sub-folder for each class.
+
+    Parameters
+    ----------
+    path
+        Pictures have 8 bits and one size; colours are turned to grey.
+
+    Raises
+    ------
+    InputError
+        If there is none, one cannot be read, or they differ in size.
+    """
+    source = Path(path)
+    labels: tuple[str, ...] | None = None
+    if source.is_file():
+        pictures = [Picture("", str(source), opener(source))]
+    elif not source.is_dir():
+        raise InputError(f"no picture at {source}: give an image file, or a folder of some")
+    elif found := sorted(file for file in source.iterdir() if is_image(file.name)):
+        pictures = [Picture("", str(file), opener(file)) for file in found]
+    else:
+        pictures = [picture for part in list_folder(source) for picture in part]
+        labels = tuple(picture.label for picture in pictures)
+    folder = source.parent if source.is_file() else source
+    names = tuple(Path(picture.where).relative_to(folder).as_posix() for picture in pictures)
+    return Display(names, labels, (read_all(pictures, None, False) / 255).astype(np.float32))
+
+
+def write_display(
+    data: Dataset, folder: str | os.PathLike[str], per_class: int, seed: int = 0
+) -> list[Path]:
+    """Write test scenes as pictures, a sub-folder for each class.
+
+    Parameters
+    ----------
+    data
+        Images.
+    folder
+        New or empty.
+    per_class
+        Scenes of each class, drawn without repetition.
+    seed
+        Of the draw.
+
+    Raises
+    ------
+    InputError
+        If the scenes are no images, a class has too few, or the folder holds something.
+    """
+    from PIL import Image
+
+    target = Path(folder)
+    if len(data.image_shape) != 2:
+        raise InputError(f"{data.name}: scenes of shape {data.image_shape} are no images")
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} holds something already: name a new folder")
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for number, label in enumerate(data.classes):
+        places = np.flatnonzero(data.y_test == number)
+        if not 1 <= per_class <= len(places):
+            raise InputError(
+                f"{per_class} test scenes of class {label} are not there: give 1 to {len(places)}"
+            )
+        drawn += [(label, place) for place in sorted(rng.choice(places, per_class, replace=False))]
+    written = []
+    for label, place in drawn:
+        image = np.rint(data.x_test[place].reshape(data.image_shape) * 255).astype(np.uint8)
+        content = io.BytesIO()
+        Image.fromarray(image).save(content, format="PNG")
+        written.append(write_atomically(target / label / f"{place:06d}.png", content.getvalue()))
+    return written

@@ -1,0 +1,355 @@
+"""A photon counter: what it registers of the light that reaches it, event by event or in sum.
+
+    light -> efficiency, dark counts -> arrivals -> dead time -> counts -> afterpulses, jitter
+
+Arrivals are a Poisson process. After an arrival the counter is blind for the dead time τ, and an
+arrival in that time is lost. A *paralysable* counter (a PMT: pulses that overlap stay one) is blind
+again from each arrival, lost ones too; a non-paralysable one (a SPAD: no avalanche while it is
+quenched) only from those it registered. At a steady arrival rate n they register
+
+    m = n exp(-nτ)   paralysable        m = n / (1 + nτ)   non-paralysable
+
+Each registered count is followed by an afterpulse with a probability of its own, an exponential
+delay after its dead time. Afterpulses blind nothing and are not followed by others.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+TICK_S = 1e-12
+"""Unit of event times, seconds."""
+
+CHUNK = 2**19
+"""Events that are drawn at once, on average."""
+
+_FAR = 8.0
+"""Jitter beyond this many standard deviations is brought to it, so that events can be sorted."""
+
+FEW = 20.0
+"""Variance of paralysable counts below which they are simulated one by one."""
+
+_BLOCK = 2**18
+
+
+class Detector(BaseModel):
+    """A photon counter; the default is ideal.
+
+    Attributes
+    ----------
+    efficiency : float
+        Share of photons that give an arrival.
+    dark : float
+        Arrivals without light, counts/s.
+    dead_time_s : float
+        Time for which it is blind, seconds.
+    paralysable : bool
+        Whether a lost arrival makes it blind again.
+    afterpulse_probability : float
+        Of an afterpulse after each registered count.
+    afterpulse_s : float
+        Mean delay of an afterpulse after the end of the dead time, seconds.
+    jitter_s : float
+        Standard deviation of a time stamp, seconds.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    efficiency: float = Field(1.0, gt=0, le=1)
+    dark: float = Field(0.0, ge=0, le=1e12)
+    dead_time_s: float = Field(0.0, ge=0, le=1e-3)
+    paralysable: bool = False
+    afterpulse_probability: float = Field(0.0, ge=0, lt=1)
+    afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
+    jitter_s: float = Field(0.0, ge=0, le=1e-6)
+
+    def registered(self, rate: np.ndarray) -> np.ndarray:
+        """Counts/s without afterpulses at steady arrival rates, shape of `rate`."""
+        if self.paralysable:
+            return rate * np.exp(-rate * self.dead_time_s)
+        return rate / (1 + rate * self.dead_time_s)
+
+
+def draw(
+    detector: Detector, rate: np.ndarray, length_s: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw the counts of gates in which the rate has long been steady.
+
+    Parameters
+    ----------
+    detector : Detector
+        Its efficiency and dark counts are in `rate`.
+    rate : array
+        Arrivals/s.
+    length_s : array, broadcastable with `rate`
+        Length of each gate, seconds.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array
+        int64 counts.
+
+    Notes
+    -----
+    Without dead time counts are Poisson. With a non-paralysable one they are drawn from their exact
+    distribution: k counts fit a gate if k gamma-distributed waits and k - 1 dead times do. With a
+    paralysable one gates are simulated arrival by arrival where the counts' variance is below 20;
+    above, they are drawn with their exact first three moments (Cornish and Fisher), at a distance
+    in total variation from the exact distribution of at most 0.0011, for nτ from 0.01 to 2.
+    Afterpulses, of the gate's own counts and of those before it, have the exact mean, and without
+    dead time the exact distribution. Gates that follow each other are drawn independently: what
+    little one passes on to the next (a count that blinds it, an afterpulse) is in the moments of
+    each and not in what they share.
+    """
+    shape = np.broadcast_shapes(np.shape(rate), np.shape(length_s))
+    rates = np.broadcast_to(np.asarray(rate, dtype=np.float64), shape).ravel()
+    lengths = np.broadcast_to(np.asarray(length_s, dtype=np.float64), shape).ravel()
+    counts = np.empty(len(rates), dtype=np.int64)
+    for first in range(0, len(rates), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        counts[block] = _draw(detector, rates[block], lengths[block], rng)
+    return counts.reshape(shape)
+
+
+def _draw(
+    detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    if detector.dead_time_s == 0:
+        counts = rng.poisson(rate * length)
+    elif detector.paralysable:
+        counts = _draw_paralysable(detector, rate, length, rng)
+    else:
+        counts = _draw_non_paralysable(detector, rate, length, rng)
+    if detector.afterpulse_probability == 0:
+        return counts
+    inside = _share_inside(detector, length)
+    late = detector.registered(rate) * length * (1 - inside)
+    probability = detector.afterpulse_probability
+    return counts + rng.binomial(counts, probability * inside) + rng.poisson(probability * late)
+
+
+def _draw_paralysable(
+    detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Few counts one by one, many from their first three cumulants.
+
+    Two counts are never closer than τ and otherwise independent, so k of them, in order, can be
+    anywhere in a gate T in m^k (T - (k-1)τ)^k ways: the factorial moments.
+    """
+    tau, registered = detector.dead_time_s, detector.registered(rate)
+    first, second, third = (
+        (registered * np.maximum(length - k * tau, 0)) ** (k + 1) for k in range(3)
+    )
+    variance = second - first**2 + first
+    skew = third - 3 * second * first + 2 * first**3 + 3 * (second - first**2) + first
+    many = variance >= FEW
+    counts = np.empty(len(rate), dtype=np.int64)
+    width = np.sqrt(variance[many] - 1 / 12)
+    bend = skew[many] / width**3 / 6
+    normal = rng.standard_normal(int(many.sum()))
+    bent = (normal + bend * (normal**2 - 1)) / np.sqrt(1 + 2 * bend**2)
+    counts[many] = np.maximum(np.rint(first[many] + width * bent), 0)
+    if not many.all():
+        counts[~many] = _simulate(detector, rate[~many], length[~many], rng)
+    return counts
+
+
+def _simulate(
+    detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Count what a paralysable detector registers in gates, each after a lead of one dead time."""
+    tau = detector.dead_time_s
+    stream = Stream(Detector(dead_time_s=tau, paralysable=True), rng)
+    inside = np.rint(length / TICK_S).astype(np.int64)
+    durations = inside + round(tau / TICK_S)
+    ends = np.cumsum(durations)
+    counts = np.zeros(len(rate), dtype=np.int64)
+    start = 0
+    for pieces, rates in divide(durations, rate[:, None]):
+        times = stream.events(start, pieces, rates[:, 0])
+        gate = np.searchsorted(ends, times, side="right")
+        counts += np.bincount(gate[times >= (ends - inside)[gate]], minlength=len(counts))
+        start += int(pieces.sum())
+    return counts
+
+
+def _draw_non_paralysable(
+    detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Invert the exact distribution, from a normal guess by single steps."""
+    from scipy.special import gammainc, ndtri
+
+    tau = detector.dead_time_s
+    registered = detector.registered(rate)
+    blind = rng.random(len(rate)) < registered * tau
+    left = length - np.where(blind, rng.uniform(0, tau, len(rate)), 0)
+    level = rng.random(len(rate))
+
+    def reach(counts: np.ndarray, which: np.ndarray) -> np.ndarray:
+        live = np.maximum(left[which] - (counts - 1) * tau, 0)
+        return np.where(counts > 0, gammainc(np.maximum(counts, 1), rate[which] * live), 1.0)
+
+    mean = registered * left
+    spread = np.sqrt(np.maximum(mean, 0)) / (1 + rate * tau)
+    guess = mean - spread * ndtri(np.maximum(level, 1e-300))
+    counts = np.maximum(np.rint(guess), 0).astype(np.int64)
+    which = np.arange(len(rate))
+    while which.size:
+        which = which[reach(counts[which] + 1, which) > level[which]]
+        counts[which] += 1
+    which = np.arange(len(rate))
+    while which.size:
+        which = which[reach(counts[which], which) <= level[which]]
+        counts[which] -= 1
+    return counts
+
+
+def _share_inside(detector: Detector, length: np.ndarray) -> np.ndarray:
+    """Probability that an afterpulse falls in the gate in which its count fell."""
+    delay = detector.afterpulse_s
+    after = np.maximum(length - detector.dead_time_s, 0)
+    return (after + delay * np.expm1(-after / delay)) / length
+
+
+def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Cut a course of steady rates into chunks of about `CHUNK` events.
+
+    Parameters
+    ----------
+    durations : int64 array, shape (F,)
+        Ticks.
+    rates : array, shape (F, A)
+        Arrivals/s at each detector.
+
+    Yields
+    ------
+    durations, rates : arrays, shapes (p,), (p, A)
+        A chunk's pieces; what takes long is cut into several.
+    """
+    expected = rates.sum(axis=1) * (durations * TICK_S)
+    parts = np.maximum(np.ceil(expected / CHUNK), 1).astype(np.int64)
+    source = np.repeat(np.arange(len(parts)), parts)
+    part = np.arange(len(source)) - np.repeat(np.cumsum(parts) - parts, parts)
+    short, rest = np.divmod(durations, parts)
+    pieces = short[source] + (part < rest[source])
+    load = np.cumsum((expected / parts)[source]) // CHUNK
+    edges = np.flatnonzero(np.diff(load)) + 1
+    for first, last in zip(np.r_[0, edges], np.r_[edges, len(source)], strict=True):
+        yield pieces[first:last], rates[source[first:last]]
+
+
+class Stream:
+    """The events of one detector in order of time, from one chunk to the next.
+
+    Parameters
+    ----------
+    detector : Detector
+    rng : numpy.random.Generator
+    """
+
+    def __init__(self, detector: Detector, rng: np.random.Generator) -> None:
+        self.detector, self.rng = detector, rng
+        self._dead = round(detector.dead_time_s / TICK_S)
+        self._last = -self._dead - 1
+
+    @property
+    def reach(self) -> int:
+        """How far an event may lie before the chunk that gives it, ticks."""
+        return int(np.ceil(_FAR * self.detector.jitter_s / TICK_S))
+
+    def events(self, start: int, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Events that follow from the arrivals of a chunk.
+
+        Parameters
+        ----------
+        start : int
+            Ticks.
+        durations, rates : arrays, shape (p,)
+            Ticks; arrivals/s. The dead time of the chunk before is carried on.
+
+        Returns
+        -------
+        int64 array, shape (n,)
+            Ticks, not sorted where there is jitter or an afterpulse, and then perhaps after the
+            end of the chunk.
+        """
+        times = self._register(start + arrivals(durations, rates, self.rng))
+        detector, rng = self.detector, self.rng
+        if detector.afterpulse_probability:
+            parents = times[rng.random(len(times)) < detector.afterpulse_probability]
+            delay = rng.exponential(detector.afterpulse_s / TICK_S, len(parents))
+            times = np.concatenate([times, parents + self._dead + delay.astype(np.int64)])
+        if detector.jitter_s:
+            shift = np.clip(rng.standard_normal(len(times)), -_FAR, _FAR)
+            times = times + np.rint(shift * (detector.jitter_s / TICK_S)).astype(np.int64)
+        return times
+
+    def _register(self, times: np.ndarray) -> np.ndarray:
+        if self._dead == 0 or not len(times):
+            return times
+        if self.detector.paralysable:
+            kept = times[np.diff(times, prepend=self._last) >= self._dead]
+            self._last = int(times[-1])
+        else:
+            kept = thin(times[np.searchsorted(times, self._last + self._dead) :], self._dead)
+            self._last = int(kept[-1]) if len(kept) else self._last
+        return kept
+
+
+def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Poisson arrivals at rates that are steady in pieces.
+
+    Parameters
+    ----------
+    durations, rates : arrays, shape (p,)
+        Ticks; arrivals/s.
+
+    Returns
+    -------
+    int64 array, shape (n,)
+        Ticks after the start, rising. Exact: n is Poisson, and exponential gaps, scaled to end
+        where the expected number does, are laid along it and read off in time.
+    """
+    ends = np.cumsum(durations, dtype=np.float64)
+    expected = np.cumsum(rates * (durations * TICK_S))
+    count = rng.poisson(expected[-1])
+    waits = np.cumsum(rng.standard_exponential(count + 1))
+    reached = waits[:-1] * (expected[-1] / waits[-1])
+    times = np.interp(reached, np.r_[0, expected], np.r_[0, ends]).astype(np.int64)
+    return np.minimum(times, int(ends[-1]) - 1)
+
+
+def thin(times: np.ndarray, dead: int) -> np.ndarray:
+    """What a non-paralysable counter registers, exactly, if it is not blind at the first arrival.
+
+    Parameters
+    ----------
+    times : int64 array, shape (n,)
+        Arrivals, rising.
+    dead : int
+        Dead time.
+
+    Returns
+    -------
+    int64 array
+        The first, and each that comes at least `dead` after the last one kept.
+
+    Notes
+    -----
+    An arrival at least `dead` after the one before it is always kept and starts a cluster; all
+    clusters are followed at once, from one kept arrival to the next.
+    """
+    heads = np.flatnonzero(np.diff(times, prepend=times[:1] - dead) >= dead)
+    ends = np.r_[heads[1:], len(times)]
+    keep = np.zeros(len(times), dtype=bool)
+    keep[heads] = True
+    many = ends - heads > 1
+    at, ends = heads[many], ends[many]
+    while at.size:
+        at = np.searchsorted(times, times[at] + dead)
+        inside = at < ends
+        at, ends = at[inside], ends[inside]
+        keep[at] = True
+    return times[keep]
