@@ -84,9 +84,9 @@ def dmd_export(
             mean,
             out,
             mean_light=made.mean_light,
-            selection=selection,
+            selection=selection,  # type: ignore[arg-type]
             seed=seed,
-            format=kind,
+            format=kind,  # type: ignore[arg-type]
             design=file.read_bytes(),
             progress=lambda share: tell(share, ""),
         )

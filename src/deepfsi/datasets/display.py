@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.datasets.arrays import Reflectance
-from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.pictures import Picture, is_image, list_folder, opener, read_all
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
