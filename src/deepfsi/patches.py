@@ -322,6 +322,8 @@ def train(
     )
     photons = job.photons / patches.light
     kind = precision(job, patches)
+    tell = progress or (lambda share: None)
+    tell(0.0)
     for epoch in range(how.epochs):
         order = torch.randperm(count, generator=generator, device=device)
         for rows in order[: steps * batch].view(steps, batch):
@@ -333,8 +335,7 @@ def train(
             optimiser.step()
             optimiser.zero_grad(set_to_none=True)
             schedule.step()
-        if progress:
-            progress((epoch + 1) / how.epochs)
+        tell((epoch + 1) / how.epochs)
     with torch.no_grad():
         rails = constraints.separate(*masks())
         centre, spread, shares = statistics(patches, masks, photons, how.scale)
