@@ -335,5 +335,8 @@ def test_experiments_are_listed(call):
         "compression",
         "mlgauss",
         "quantization",
+        "hardware",
+        "ovit",
+        "ovit-full",
     }
     assert "compression" in call("reproduce", "list")[1]
