@@ -12,8 +12,10 @@ from conftest import synthetic
 from deepfsi import experiments
 from deepfsi.errors import InputError
 from deepfsi.experiments import ovit
+from deepfsi.experiments.contrast import of_trials
 from deepfsi.experiments.ovit import EXPERIMENT, OvitRecipe, plan
 from deepfsi.patches import PatchDesign
+from deepfsi.report.figures import accuracy_figure
 
 TINY = OvitRecipe(
     data="synthetic",
@@ -193,3 +195,46 @@ def test_the_claim_follows_from_the_differences(gap, holds):
     assert claim.holds is holds
     assert "100" in claim.measured
     assert ("not clearly above" in claim.why) is not holds
+
+
+@pytest.mark.parametrize(
+    ("dim", "bright", "holds"),
+    [
+        ([0.5, 0.51, 0.52], [0.9, 0.91, 0.92], True),
+        ([0.9, 0.901, 0.899], [0.9, 0.9001, 0.8999], False),  # equal, and that is known
+        ([0.8, 0.9, 1.0], [0.95, 0.9, 0.85], None),
+    ],
+)
+def test_light_is_spared_only_where_the_difference_can_be_noticed(dim, bright, holds):
+    rows = [{"photons": photons, "light": each} for photons, each in ((1e2, dim), (1e6, bright))]
+    each = of_trials(np.subtract(bright, dim).tolist())
+    claim = ovit._grows("frugal", "light", *rows, each, ovit.NOTICED, "why not")
+    assert claim.holds is holds
+    assert (claim.why == "why not") is (holds is False)
+
+
+def test_names_keep_their_distance_on_a_short_axis():
+    points = [
+        {
+            "design": design,
+            "label": design,
+            "specific": False,
+            "noise": "poisson",
+            "light": "column",
+            "rails": "dual",
+            "photons": photons,
+            "masks": 64,
+            "accuracy": 0.48,
+            "low": 0.47,
+            "high": 0.489,
+            "best": True,
+        }
+        for design in TINY.designs
+        for photons in (1e4, 1e6)
+    ]
+    results = {"points": points, "data": {"classes": ["a", "b"]}, "chosen_on": "validation"}
+    (ax,) = accuracy_figure(results, top=0.5).axes
+    assert ax.get_ylim() == (0, 0.5)
+    heights = sorted(text.get_position()[1] for text in ax.texts if text.get_text())
+    assert heights[-1] < 0.52
+    assert np.diff(heights).min() >= 0.029
