@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -208,6 +208,7 @@ def run_trials(
     """
     records = Records(folder)
     count = workers or workers_for(find_device(bench.device))
+    finished = 0
 
     def missing() -> list[OvitTrial]:
         return [trial for trial in trials if records.read(trial) is None]
@@ -220,15 +221,13 @@ def run_trials(
                 else:
                     records.release([trial])
 
+    def inside(share: float, now: str) -> None:
+        report((finished + share) / len(trials), now)
+
     try:
         while todo := missing():
-            before = len(trials) - len(todo)
-            finished = 0
-
-            def inside(share: float, now: str) -> None:
-                report((before + finished + share) / len(trials), now)  # noqa: B023
-
-            report(before / len(trials), f"{len(todo)} trainings")
+            before = finished = len(trials) - len(todo)
+            inside(0.0, f"{len(todo)} trainings")
             if count > 1 and len(todo) > 1:
                 done = processes(work, bench, claimed(todo), min(count, len(todo)))
             else:
@@ -238,7 +237,7 @@ def run_trials(
                     records.write(trial, record, design)
                     finished += 1
                     inside(0.0, title(trial))
-            if not finished:
+            if finished == before:
                 time.sleep(1)  # another process has them
     finally:
         records.release_all()
@@ -249,7 +248,7 @@ def run_trials(
 class PatchExperiment(Experiment):
     """An experiment on patches, with a transformer as classifier."""
 
-    settings: type[BaseModel] = field(default=OvitRecipe)
+    settings: type[BaseModel] = OvitRecipe
 
     def run(
         self,
@@ -267,8 +266,7 @@ class PatchExperiment(Experiment):
         if ray is not None:
             raise InputError(f"{self.name} takes no Ray cluster: use --workers")
         began = time.perf_counter()
-        recipe = self.recipe(quick, trials)
-        assert isinstance(recipe, OvitRecipe)
+        recipe: OvitRecipe = self.recipe(quick, trials)
         tell = report or (lambda share, now: None)
         tell(0.0, "reading images")
         data = recipe.load()
@@ -488,7 +486,7 @@ def _grows(
 ) -> Claim:
     """Claim that a measure of the masks grows with the light, by more than a limit."""
     said = " and ".join(
-        f"{float(np.mean(row[name])):.3g} at {photons_text(row['photons'])}"
+        f"{float(np.mean(row[name])):#.3g} at {photons_text(row['photons'])}"
         for row in (dim, bright)
     )
     holds = above([each], limit)

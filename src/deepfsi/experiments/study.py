@@ -65,7 +65,6 @@ class Experiment:
     measure: Callable[[Results, Dataset, Path, Report], dict[str, Any]] | None = field(default=None)
     prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
     also: tuple[str, ...] = ()
-
     settings: type[BaseModel] = Recipe
 
     def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Any:
