@@ -4,7 +4,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
@@ -22,8 +22,10 @@ from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.hardware.sequence import Patterns
 from deepfsi.scanner import Scanner, subtract
+from deepfsi.told import Told
 
-SCHEMA = 1
+SCHEMA = 2
+"""Of the newest file that can be read; 2 has what a classifier is told, 1 has not."""
 
 
 @dataclass
@@ -48,6 +50,10 @@ class Design:
         Light constraint that the rails obey.
     image_shape : tuple of int
     classes : tuple of str
+    told : Told, optional
+        What the classifier is told besides features, if it is.
+    used : float
+        Share of the whole sequence's light that masks would take within it, for its first ones.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     """
@@ -62,6 +68,8 @@ class Design:
     light: Light
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
+    told: Told | None = None
+    used: float = 1.0
     info: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -90,6 +98,9 @@ class Design:
     def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`."""
         scaled = (features / photons - self.centre) / self.spread
+        if self.told:
+            ratio = torch.as_tensor(photons).to(scaled) / (self.used * self.told.photons)
+            scaled = self.told.inputs(scaled, ratio, ratio.new_tensor(self.masks))
         return self.classifier(scaled)
 
     def classify(self, counts: Any, photons: Any) -> np.ndarray:
@@ -159,6 +170,35 @@ class Design:
         rails = constraints.quantise(self.rails, self.light, steps)
         return replace(self, rails=rails)
 
+    def first(self, masks: int) -> "Design":
+        """The first masks alone, with the light that the constraint gives to so many.
+
+        On one device their frames share the whole exposure. An exposure of all masks that stops
+        after these has taken `used` of its budget, and is one of this design at that budget.
+
+        Raises
+        ------
+        InputError
+            If the design was not trained for so few.
+        """
+        fewest = self.info.get("job", {}).get("training", {}).get("nested", 0) or self.masks
+        if not fewest <= masks <= self.masks:
+            raise InputError(
+                f"the first {masks} masks of this design do not do by themselves: give "
+                f"{fewest} to {self.masks}"
+                + ("" if fewest < self.masks else ", or learn nested ones with --nested")
+            )
+        used = constraints.used(self.rails, self.light)
+        share = float(used[masks - 1] / used[-1])
+        return replace(
+            self,
+            rails=self.rails[:, :masks] / share,
+            centre=self.centre[:masks] / share,
+            spread=self.spread[:masks] / share,
+            shares=self.shares[:masks] / share,
+            used=self.used * share,
+        )
+
     def as_shown(self, patterns: Patterns) -> "Design":
         """The design as patterns on a device realise it.
 
@@ -186,6 +226,7 @@ class Design:
             centre=self.centre * manifest.dimmed,
             spread=self.spread * manifest.dimmed,
             shares=self.shares * manifest.dimmed,
+            used=self.used / manifest.dimmed,
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -220,7 +261,7 @@ class Design:
         for key, value in self.classifier.state_dict().items():
             tensors[f"classifier.{key}"] = value
         header = {
-            "schema": SCHEMA,
+            "schema": SCHEMA if self.told else 1,
             "deepfsi": version("deepfsi"),
             "name": self.name,
             "light": self.light,
@@ -234,6 +275,8 @@ class Design:
             },
             "info": self.info,
         }
+        if self.told:
+            header |= {"told": asdict(self.told), "used": self.used}
         whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
         return to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
 
@@ -251,8 +294,9 @@ class Design:
             raise InputError(f"{path} is a design of image patches: load it with PatchDesign.load")
         try:
             network = header["classifier"]
+            told = Told(**header["told"]) if "told" in header else None
             classifier = Mlp(
-                inputs=tensors["rails"].shape[1],
+                inputs=told.masks + 2 if told else tensors["rails"].shape[1],
                 classes=len(header["classes"]),
                 hidden=network["hidden"],
                 dropout=network["dropout"],
@@ -277,6 +321,8 @@ class Design:
                 light=header["light"],
                 image_shape=tuple(header["image_shape"]),
                 classes=tuple(header["classes"]),
+                told=told,
+                used=header.get("used", 1.0),
                 info=header["info"],
             )
             sound = (
@@ -295,6 +341,8 @@ class Design:
                 and design.mean_light > 0
                 and math.isfinite(design.mean_light)
                 and bool((design.spread > 0).all())
+                and (told is None or (design.masks <= told.masks and 0 < told.photons < math.inf))
+                and (told is None or (1 <= told.span < math.inf and 0 < design.used < math.inf))
             )
             constraints.check_light(design.light, "dual" if len(design.rails) == 2 else "single")
             constraints.check(design.rails, design.light)

@@ -131,6 +131,33 @@ def excess(rails: Tensor, light: Light) -> float:
     )
 
 
+def used(rails: Tensor, light: Light) -> Tensor:
+    """How much of a constraint the first masks use: by the first k of them, for every k.
+
+    Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
+    beginning of all, on one device, they have taken this share of its time.
+
+    Parameters
+    ----------
+    rails : tensor, shape (..., 2 or 1, m, N)
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+
+    Returns
+    -------
+    tensor, shape (..., m)
+        Rising, at most 1; 0 while masks are dark.
+    """
+    if light == "column":
+        return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)
+    peaks = rails.amax(dim=-1)
+    if light == "free-dwell":
+        return peaks.sum(dim=-2).cumsum(dim=-1)
+    if light == "two-arm":
+        return rails.sum(dim=-3).amax(dim=-1).cumsum(dim=-1)
+    shown = (peaks > 0).sum(dim=-2).cumsum(dim=-1)
+    return shown / shown[..., -1:].clamp(min=1)
+
+
 def check(rails: Tensor, light: Light) -> Tensor:
     """Return rails, or raise `InputError` if not finite, negative or beyond their constraint."""
     if not bool(torch.isfinite(rails).all()):

@@ -9,6 +9,7 @@ seed take the same draws, so that a difference between two budgets is not blurre
 to rounding a design does not depend on which others it was trained with.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
@@ -18,12 +19,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi import constraints
 from deepfsi.classifiers import Mlp, Replicas
 from deepfsi.constraints import Fixed, Learned
 from deepfsi.jobs import Job, Training, products
 from deepfsi.noise import follow, poisson, root, variance
 from deepfsi.scanner import lit, measure, project, project_pair
 from deepfsi.scenes import Scenes
+from deepfsi.told import Told, chances, first
 
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, 0 to 1."""
@@ -66,7 +69,7 @@ def optimise(
     job, how, device = jobs[0], jobs[0].training, scenes.device
     classifiers = [
         Mlp(
-            job.masks,
+            job.masks + (2 if how.told else 0),
             len(scenes.data.classes),
             how.hidden,
             how.dropout,
@@ -144,12 +147,36 @@ def statistics(
         rows = slice(place * CHUNK, place * CHUNK + len(x))
         mean = project(x, difference) if means is None else means[rows]
         power += (mean - centre).square().sum(dim=0)
-    power = power / len(scenes.full)
-    power = power + _Noise(scenes, jobs).variance(light, lit(difference, total))
+    noise = _Noise(scenes, jobs).variance(light, lit(difference, total))
+    often = torch.ones_like(power[0])
+    if jobs[0].training.told:
+        factor, often = _exposures(jobs[0], constraints.separate(difference, total))
+        noise = noise * factor
+    power = power / len(scenes.full) + noise
     if jobs[0].training.scale == "common":
-        power = power.mean(dim=-1, keepdim=True).expand_as(power)
+        power = (power * often).sum(dim=-1, keepdim=True) / often.sum()
+        power = power.expand_as(noise)
     spread = torch.where(power > 0, power, 1.0).sqrt()
     return centre.expand_as(spread), spread, light.expand_as(spread)
+
+
+def _exposures(job: Job, rails: Tensor) -> tuple[Tensor, Tensor]:
+    """What budgets and numbers of masks do to the noise of each mask in the mean of training.
+
+    Returns
+    -------
+    factor : tensor, shape (R or 1, m)
+        Noise variance over that of the lowest budget and all masks, in the mean over exposures that
+        show the mask.
+    often : tensor, shape (m,)
+        In how many exposures it is shown.
+    """
+    used = constraints.used(rails, job.optics[0])
+    span, likely = job.training.span, chances(job.masks, job.training.nested).to(used)
+    dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
+    later = (likely * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
+    often = likely.flip(-1).cumsum(-1).flip(-1)
+    return dim * later / often, often
 
 
 def footprint(scenes: Scenes, jobs: Sequence[Job]) -> float:
@@ -178,6 +205,8 @@ def _features(
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
     """How a step gets its standardised features (B, R, m)."""
     job = jobs[0]
+    if job.training.told:
+        return _told(scenes, jobs, masks)
     if isinstance(masks, Fixed):
         return _measured(scenes, jobs, masks)
     x = scenes.centred(job.light, products(job, scenes.device))
@@ -229,6 +258,44 @@ def _features(
         return _standardise(_beside(parts), scale)
 
     return learned_under_read_noise
+
+
+def _told(
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned
+) -> Callable[[Sequence["_Stream"], int], Tensor]:
+    """Features of scenes that each have a budget and a number of masks of their own."""
+    job, how = jobs[0], jobs[0].training
+    light, _ = job.optics
+    seen_by = light if isinstance(masks, Learned) else "two-arm"  # fixed masks see every pixel
+    x = scenes.centred(seen_by, products(job, scenes.device))
+    told = Told(job.photons, how.span, job.masks)
+    likely = chances(job.masks, how.nested).to(scenes.device)
+
+    def features(streams: Sequence[_Stream], step: int) -> Tensor:
+        difference, total = masks()
+        rails = difference if difference is total else torch.stack([difference, total])
+        with torch.no_grad():
+            used = constraints.used(constraints.separate(difference, total), light)
+            used = used / used[..., -1:]
+        parts, ratios, counts = [], [], []
+        for stream in streams:
+            budget, shown = stream.expose(how.span, likely)
+            ratio = budget / stream.part(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
+            parts.append(
+                measure(
+                    x.index_select(0, stream.with_mean[step]),
+                    rails[..., stream.jobs, :, :] if len(difference) > 1 else rails,
+                    stream.normal(job.masks) * stream.noise.unit / ratio.sqrt(),
+                    False,
+                )
+            )
+            ratios.append(ratio)
+            counts.append(shown.expand_as(ratio))
+        seen, shown = _beside(parts), _beside(counts)
+        scaled = _standardise(seen, how.scale, first(job.masks, shown))
+        return told.inputs(scaled, _beside(ratios), shown)
+
+    return features
 
 
 def _measured(
@@ -306,6 +373,13 @@ class _Stream:
             self.batch, 1, masks, generator=self.generator, device=self.scenes.device
         )
 
+    def expose(self, span: float, likely: Tensor) -> tuple[Tensor, Tensor]:
+        """Draw budgets, over the lowest, and numbers of masks, each (B, 1, 1)."""
+        how = {"generator": self.generator, "device": self.scenes.device}
+        budget = span ** torch.rand(self.batch, 1, 1, **how)  # type: ignore[call-overload]
+        shown = 1 + torch.multinomial(likely, self.batch, True, generator=self.generator)
+        return budget, shown.view(-1, 1, 1)
+
     def part(self, every: Tensor) -> Tensor:
         """What of all jobs, (R or 1, m), is of these."""
         return every[self.jobs] if len(every) > 1 else every
@@ -356,8 +430,12 @@ def _beside(parts: list[Tensor]) -> Tensor:
     return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
 
 
-def _standardise(features: Tensor, scale: str) -> Tensor:
-    """Scale centred features (B, R, m) with the spread of their batch."""
+def _standardise(features: Tensor, scale: str, shown: Tensor | None = None) -> Tensor:
+    """Scale centred features (B, R, m) with the spread of their batch, of those that are shown."""
+    if shown is not None:
+        over = (0,) if scale == "each" else (0, 2)
+        power = (features.square() * shown).sum(dim=over, keepdim=True)
+        return features / (power / shown.sum(dim=over, keepdim=True).clamp(min=1)).sqrt()
     if scale == "each":
         columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
         return columns.view_as(features)

@@ -75,15 +75,34 @@ class Training(BaseModel):
         0, description="grey levels of the device, dark included, that masks are made of; 0: any"
     )
 
+    span: float = Field(
+        1.0,
+        ge=1,
+        le=1e12,
+        description="budgets of the training range log-uniformly from `photons` to span times that",
+    )
+    nested: int = Field(
+        0, ge=0, description="fewest masks, first ones, that must do for a class; 0: all are needed"
+    )
+
+    @property
+    def told(self) -> bool:
+        """Whether the classifier is told the budget and how many masks were shown."""
+        return self.span > 1 or self.nested > 0
+
     @property
     def steps(self) -> int:
         """Grey steps from dark to the peak; 0 for continuous masks."""
         return max(self.levels - 1, 0)
 
     @model_serializer(mode="wrap")
-    def _without_levels_of_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # so that records made before there were levels keep their keys
-        return {name: value for name, value in dump(self).items() if name != "levels" or value}
+    def _without_what_has_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # so that records made before there were these fields keep their keys
+        return {name: value for name, value in dump(self).items() if value != LATER.get(name)}
+
+
+LATER = {"levels": 0, "span": 1.0, "nested": 0}
+"""Fields of `Training` that came after the first records, with the value of no effect."""
 
 
 TUNED: dict[str, dict[str, Any]] = {
@@ -167,7 +186,7 @@ def products(job: Job, device: torch.device) -> torch.dtype:
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
     readouts = job.masks * (2 if job.rails == "dual" else 1)
-    counts = job.photons / readouts
+    counts = job.photons * job.training.span / readouts
     limit = {
         "ml_gauss": BFLOAT16_COUNTS,
         "poisson": BFLOAT16_COUNTS,
@@ -180,6 +199,16 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     """Raise `InputError` for whatever a job asks that cannot be had on this data."""
     coding.check_design(job.design)
     constraints.check_light(*job.optics)
+    if job.training.told and job.noise != "ml_gauss":
+        raise InputError(
+            "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
+            "--train-noise out"
+        )
+    if job.training.nested > job.masks:
+        raise InputError(
+            f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
+            f"{job.masks}"
+        )
     if job.design == "hadamard" and job.rails == "single":
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):

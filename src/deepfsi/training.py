@@ -16,6 +16,7 @@ from deepfsi.descent import Progress, optimise, statistics
 from deepfsi.errors import InputError
 from deepfsi.jobs import Job, Training, check_job, reworded, training_for
 from deepfsi.scenes import Scenes
+from deepfsi.told import Told
 
 
 class Diverged(InputError):
@@ -49,7 +50,7 @@ def learn(
     **settings
         Further fields of `Job` (`design`, `noise`, `sigma`, `light`, `rails`, `seed`) and of
         `Training` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`, `decay`,
-        `start`, `precision`, `levels`).
+        `start`, `precision`, `levels`, `span`, `nested`).
 
     Returns
     -------
@@ -132,6 +133,7 @@ def train(
             light=constraint,
             image_shape=scenes.data.image_shape,
             classes=scenes.data.classes,
+            told=Told(job.photons, job.training.span, job.masks) if job.training.told else None,
             info={
                 "job": job.model_dump(mode="json"),
                 "data": {"name": scenes.data.name, "hash": scenes.data.hash},

@@ -84,11 +84,13 @@ def processes(
 def _settle(shared: Any, threads: int) -> None:
     """Prepare a process: Ctrl-C is its parent's to handle, and it dies with its parent."""
     import torch
+    from threadpoolctl import threadpool_limits
 
     global _shared
     _shared = shared
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(threads)
+    threadpool_limits(threads)
     threading.Thread(target=_die_with_parent, daemon=True).start()
 
 

@@ -10,7 +10,7 @@ import base64
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -35,10 +35,12 @@ from deepfsi.report.hardware import (
 from deepfsi.report.study import Claim, Picture, Table
 from deepfsi.significance import cluster_bootstrap, studentised_bootstrap, wilcoxon_signed_rank
 from deepfsi.sweep import Report
+from deepfsi.workers import cores, processes
 
 FLUX = 1e7
 EXPOSURES = (1e-1, 1e-2, 1e-3, 1e-4)
 ASSUMED = 1e4
+SWEPT = (1e-2, 1e-3)
 DRAWS, REPEATS = 20, 10
 DEVICE = find_device("dlp7000")
 FREE = "deepfsi-free-dwell"
@@ -185,9 +187,6 @@ class Shown:
 
     Attributes
     ----------
-    name, label : str
-    assumed : float
-        Budget of its training.
     design : Design
         As the patterns realise it.
     patterns : Patterns
@@ -197,9 +196,6 @@ class Shown:
         The same for one photon/s of ambient light.
     """
 
-    name: str
-    label: str
-    assumed: float
     design: Design
     patterns: Patterns
     light: np.ndarray
@@ -218,9 +214,8 @@ def draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def show_design(file: Path, name: str, label: str, assumed: float, scenes: np.ndarray) -> Shown:
+def show_design(design: Design, scenes: np.ndarray) -> Shown:
     """Export a design and let the optics of the laboratory look at scenes (S, h, w) through it."""
-    design = Design.load(file)
     rails = design.rails.numpy()
     longest = REPEATS * max(EXPOSURES) * float(rails.max())
     optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
@@ -240,7 +235,7 @@ def show_design(file: Path, name: str, label: str, assumed: float, scenes: np.nd
         light = rates(there, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
         glow = rates(there, np.zeros_like(scenes[:1]), one, 0.0)
-    return Shown(name, label, assumed, design.as_shown(patterns), patterns, light, glow)
+    return Shown(design.as_shown(patterns), patterns, light, glow)
 
 
 def classify(
@@ -263,49 +258,38 @@ def classify(
     return chances.argmax(axis=-1)
 
 
-def measure(results: Results, data: Dataset, designs: Path, report: Report) -> dict[str, Any]:
-    """Test every design in the laboratory."""
+def measure(
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+) -> dict[str, Any]:
+    """Test every design in the laboratory, several at a time."""
     raw = load_dataset(results["recipe"]["data"])
     places = draw_digits(raw.y_test, DRAWS, seed=0)
-    images = raw.x_test[places.ravel()].reshape(-1, *raw.image_shape)
-    truth = raw.y_test[places]
-    chosen = [point for point in results["points"] if point["best"]]
-    tests: list[dict[str, Any]] = []
-    times: list[dict[str, Any]] = []
-    frame = ""
-    for done, point in enumerate(chosen):
-        free = point["light"] != "equal-dwell"
-        name, label = (FREE, "DeepFSI, free dwell") if free else (point["design"], point["label"])
-        file = designs / f"{point['keys'][0]}.safetensors"
-        report(done / len(chosen), f"laboratory: {label}")
-        shown = show_design(file, name, label, point["photons"], images)
-        for effect, value, camera in _settings(point["photons"]):
-            rng = np.random.default_rng([0, len(tests)])
-            for exposure in EXPOSURES:
-                right = classify(shown, camera, exposure, rng).reshape(*truth.shape, REPEATS)
-                tests.append(
-                    {
-                        "design": name,
-                        "label": label,
-                        "specific": point["specific"],
-                        "masks": point["masks"],
-                        "assumed": point["photons"],
-                        "effect": effect,
-                        "value": value,
-                        "exposure_s": exposure,
-                        "rates": (right == truth[..., None]).mean(axis=-1).tolist(),
-                    }
-                )
-        if point["photons"] == ASSUMED:
-            times.append({"design": name, "label": label, **run_time(file, images[:1], data)})
-        if (name, point["photons"]) == ("deepfsi", ASSUMED):
-            frame = base64.b64encode(_first_frame(shown.patterns).tobytes()).decode()
+    laboratory = Laboratory(
+        designs, raw.x_test[places.ravel()].reshape(-1, *raw.image_shape), raw.y_test[places]
+    )
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for point in results["points"]:
+        if point["best"]:
+            name = point["design"] if point["light"] == "equal-dwell" else FREE
+            groups.setdefault(name, []).append(point)
+    costly_first = sorted(groups.items(), key=lambda group: -group[1][0]["masks"])
+    tests, times, frame = [], [], ""
+    report(0.0, "laboratory")
+    done = processes(in_laboratory, laboratory, costly_first, min(workers or cores(), len(groups)))
+    for number, result in enumerate(done, start=1):
+        report(number / len(groups), "laboratory")
+        tests += result["tests"]
+        times.append(result["time"])
+        frame = frame or result["frame"]
+    order = list(groups)
+    tests.sort(key=lambda test: order.index(test["design"]))
+    times.sort(key=lambda each: order.index(each["design"]))
     seen = data.x_test[places[0]].reshape(-1, *data.image_shape)
     return {
         "calibration": calibrate().model_dump(mode="json", exclude={"flat"}),
         "camera": LAB.model_dump(mode="json"),
         "views": {
-            "raw": images[: len(seen)].round(3).tolist(),
+            "raw": laboratory.images[: len(seen)].round(3).tolist(),
             "seen": seen.round(3).tolist(),
             "names": list(data.classes),
         },
@@ -315,18 +299,79 @@ def measure(results: Results, data: Dataset, designs: Path, report: Report) -> d
     }
 
 
-def _settings(assumed: float) -> Iterable[tuple[str, float, Camera]]:
-    """What is varied, its value, and the camera; effects at the study's own budget only."""
-    yield "none", 0.0, LAB
+@dataclass(frozen=True)
+class Laboratory:
+    """What every design is tested on.
+
+    Attributes
+    ----------
+    designs : Path
+        Folder of their files.
+    images : array, shape (S, h, w)
+        Reflectance on the display.
+    truth : array, shape (draws, classes)
+        Labels; S is their number.
+    """
+
+    designs: Path
+    images: np.ndarray
+    truth: np.ndarray
+
+
+def in_laboratory(
+    laboratory: Laboratory, group: tuple[str, list[dict[str, Any]]]
+) -> dict[str, Any]:
+    """Test one design, trained for several budgets."""
+    name, points = group
+    label = "DeepFSI, free dwell" if name == FREE else points[0]["label"]
+    result: dict[str, Any] = {"tests": [], "frame": ""}
+    looks: dict[bytes, Shown] = {}
+    for point in points:
+        file = laboratory.designs / f"{point['keys'][0]}.safetensors"
+        design = Design.load(file)
+        rails = design.rails.numpy().tobytes()  # the same for every budget where masks are fixed
+        if rails not in looks:
+            looks[rails] = show_design(design, laboratory.images)
+        shown = replace(looks[rails], design=design.as_shown(looks[rails].patterns))
+        for effect, value, camera, exposures in _settings(point["photons"]):
+            for exposure in exposures:
+                rng = np.random.default_rng([0, len(result["tests"])])
+                classes = classify(shown, camera, exposure, rng)
+                right = classes.reshape(*laboratory.truth.shape, REPEATS)
+                right = right == laboratory.truth[..., None]
+                result["tests"].append(
+                    {
+                        "design": name,
+                        "label": label,
+                        "specific": point["specific"],
+                        "masks": point["masks"],
+                        "assumed": point["photons"],
+                        "effect": effect,
+                        "value": value,
+                        "exposure_s": exposure,
+                        "rates": right.mean(axis=-1).tolist(),
+                    }
+                )
+        if point["photons"] == ASSUMED:
+            result["time"] = {
+                "design": name, "label": label, **run_time(design, laboratory.images[:1])
+            }  # fmt: skip
+            if name == "deepfsi":
+                result["frame"] = base64.b64encode(_first_frame(shown.patterns).tobytes()).decode()
+    return result
+
+
+def _settings(assumed: float) -> Iterable[tuple[str, float, Camera, Sequence[float]]]:
+    """What is varied, its value, the camera and the exposures; effects at our own budget only."""
+    yield "none", 0.0, LAB, EXPOSURES
     if assumed == ASSUMED:
         for effect, values in EFFECTS.items():
             for value in values:
-                yield effect, value, LAB.model_copy(update={effect: value})
+                yield effect, value, LAB.model_copy(update={effect: value}), SWEPT
 
 
-def run_time(file: Path, scene: np.ndarray, data: Dataset) -> dict[str, Any]:
+def run_time(design: Design, scene: np.ndarray) -> dict[str, Any]:
     """Seconds from a photon file to its classes, for one exposure of the longest time."""
-    design = Design.load(file)
     rails = design.rails.numpy()
     exposure = max(EXPOSURES)
     frames = int((rails.max(axis=-1) > 0).sum())
@@ -492,7 +537,7 @@ def _swept(tests: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Points of the sweeps at the two exposures that are drawn."""
     swept = []
     for test in tests:
-        if test["exposure_s"] not in (1e-2, 1e-3):
+        if test["exposure_s"] not in SWEPT:
             continue
         point = _point(test)
         if test["effect"] == "none":

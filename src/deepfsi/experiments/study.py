@@ -22,6 +22,7 @@ from deepfsi.report.study import Claim, Picture, Section, Table
 from deepfsi.sweep import Report, compare
 
 Results = Mapping[str, Any]
+Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ class Experiment:
     show : callable
         Results → Finding.
     measure : callable, optional
-        (results, data, folder of the designs, report) → further numbers, kept in the results as
-        `extra`.
+        (results, data, folder of the designs, workers, report) → further numbers, kept in the
+        results as `extra`.
     prepare : callable, optional
         What is done to the data before anything is trained on it.
     also : tuple of str
@@ -62,7 +63,9 @@ class Experiment:
     title: str
     paper: str
     show: Callable[[Results], Finding]
-    measure: Callable[[Results, Dataset, Path, Report], dict[str, Any]] | None = field(default=None)
+    measure: Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]] | None = field(
+        default=None
+    )
     prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
     also: tuple[str, ...] = ()
     settings: type[BaseModel] = Recipe
@@ -112,7 +115,7 @@ class Experiment:
             results = {**part, **results, "points": [*results.get("points", []), *part["points"]]}
         if self.measure:
             tell = report or (lambda share, now: None)
-            results["extra"] = self.measure(results, data, folder / "designs", tell)
+            results["extra"] = self.measure(results, data, folder / "designs", workers, tell)
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
 

@@ -472,8 +472,8 @@ def _count_windows(
     known = np.isfinite(opens).ravel()
     starts = _ticks(opens.ravel()[known], tick_s)
     stops = _ticks((opens + length).ravel()[known], tick_s)
+    starts = np.minimum.accumulate(starts[::-1])[::-1]
     stops[:-1] = np.minimum(stops[:-1], starts[1:])
-    stops = np.maximum(stops, starts)
     found = np.zeros((opens.size, len(inputs)), np.int64)
     seconds = np.zeros(opens.size)
     found[known] = count_gates(path, starts, stops, inputs, progress)
@@ -488,7 +488,8 @@ def _shows_ends(photons: np.ndarray, seconds: np.ndarray) -> bool:
     """
     if not (seconds[[0, -2]].any() and seconds[[1, -1]].any()):
         return False
-    return bool(find_steps(photons, seconds, np.array([0, len(photons) - 2]))[0].all())
+    fits, _ = find_steps(photons, seconds)
+    return bool(fits[0] and fits[-1])
 
 
 def _assemble(
@@ -501,7 +502,7 @@ def _assemble(
     exposure_s: float,
     faults: tuple[Fault, ...],
 ) -> Counts:
-    """Bring windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs) in order."""
+    """Order windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
     scenes, rails, masks = len(whole), manifest.rails, manifest.masks
     counts = np.zeros((scenes, gates.repeats, rails, masks), np.int64)
     lengths = np.zeros((rails, masks))
@@ -707,7 +708,7 @@ def picture(folder: str | os.PathLike[str]) -> np.ndarray:
     budget = counts.photons if acquisition.flux is None else acquisition.flux * counts.exposure_s
     if not budget > 0:
         raise InputError(f"{path} has no light: its all-ON frames are not brighter than the dark")
-    valid = counts.valid.any(axis=1)
+    valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
     mean = np.einsum("sr,srkm->skm", weights, counts.signal())[valid]
     read = counts.lengths_s > 0

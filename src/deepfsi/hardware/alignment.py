@@ -44,10 +44,13 @@ BLOCK = 32
 """Frames that are sought at once."""
 
 SIGMAS = 6.0
-"""Standard errors of what counts as seen in the photons."""
+"""Standard errors beyond which something is certain."""
+
+LIKELY = 3.0
+"""Standard errors within which it is likely."""
 
 STEEP = 0.8
-"""Least of the largest step from one frame to the next that the step from ON to OFF may be."""
+"""Least that the step from ON to OFF may be, of the largest from any frame to the next."""
 
 Counter = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Photons in windows from some times to others, seconds."""
@@ -125,7 +128,7 @@ def align(
     ------
     InputError
         If markers do not follow the schedule, or are of more or fewer passes than there are scenes.
-        Fewer are allowed if the recording ends within a pass.
+        Fewer are allowed if the recording ends within a pass; they are of the first scenes.
     """
     schedule = _Schedule.of(manifest, tolerance_s)
     times = np.sort(np.asarray(times_s, dtype=np.float64))
@@ -146,26 +149,28 @@ def align(
         if shift:
             start = passes[place].expected[0] + shift * schedule.step
             passes[place] = _walk(times, start, schedule)
+    if shifts and _overlapping(passes, schedule) >= {len(passes) - 1}:
+        passes.pop()  # made of markers that a shifted pass has now
     return _finish(passes, doubtful - set(shifts), times, schedule, scenes)
 
 
 def find_steps(
-    counts: np.ndarray, seconds: np.ndarray, places: np.ndarray
+    counts: np.ndarray, seconds: np.ndarray, sigmas: float = SIGMAS
 ) -> tuple[np.ndarray, bool]:
-    """Whether places show all ON and then all OFF, as far as photons tell.
+    """Which frames may be all ON, and the next all OFF, as far as photons tell.
 
     Parameters
     ----------
     counts, seconds : arrays, shape (n,)
         Photons in frames that follow each other, and for how long each was counted (0: not at all).
-    places : integer array, shape (p,)
-        Of the frames that may be ON, each followed by one that may be OFF.
+    sigmas : float
+        Standard errors beyond which something is certain.
 
     Returns
     -------
-    fits : bool array, shape (p,)
-        False where the step from the frame to the next is certainly less than `STEEP` of the
-        largest of all, or certainly none.
+    fits : bool array, shape (n - 1,)
+        False where the step from a frame to the next is certainly less than `STEEP` of the largest
+        of all, or certainly none.
     clear : bool
         Whether the largest is certain.
     """
@@ -176,12 +181,12 @@ def find_steps(
     usable = known[:-1] & known[1:]
     steepest = int(np.argmax(np.where(usable, steps, -np.inf)))
     if not usable[steepest]:
-        return np.ones(len(places), bool), False
+        return np.ones(len(steps), bool), False
     clear = bool(steps[steepest] > SIGMAS * np.sqrt(spread[steepest]))
-    lacking = STEEP * steps[steepest] - steps[places]
-    least = SIGMAS * np.sqrt(STEEP**2 * spread[steepest] + spread[places])
-    falls = -steps[places] > SIGMAS * np.sqrt(spread[places])
-    return ~usable[places] | ~((lacking > least) & clear | falls), clear
+    lacking = STEEP * steps[steepest] - steps
+    less = lacking > sigmas * np.sqrt(STEEP**2 * spread[steepest] + spread)
+    falls = -steps > sigmas * np.sqrt(spread)
+    return ~usable | ~(less & clear | falls), clear
 
 
 # Passes ------------------------------------------------------------------------------------------
@@ -363,9 +368,9 @@ def _nearest(times: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndar
 def _find_doubts(passes: list[_Pass], times: np.ndarray, schedule: _Schedule) -> set[int]:
     """Passes that may be shifted by whole frames, as far as times tell.
 
-    These are passes with a fault at their first or last frame or a marker beside that could be of
-    one of their frames, and all passes that follow or precede them without a pause that is long
-    enough to tell.
+    These are passes that lack half of their markers, or the first or last, or have a marker beside
+    them that could be of one of their frames, and all passes that follow or precede them without a
+    pause that is long enough to tell.
     """
     used = np.zeros(len(times), bool)
     for each in passes:
@@ -379,7 +384,7 @@ def _find_doubts(passes: list[_Pass], times: np.ndarray, schedule: _Schedule) ->
     for place, each in enumerate(passes):
         slots = np.concatenate([begins[place] - beyond, ends[place] + beyond - schedule.step])
         beside = np.abs(spare[:, None] - slots) < 4 * schedule.tolerance
-        whole = each.places[0] >= 0 and each.places[-1] >= 0
+        whole = each.places[0] >= 0 and each.places[-1] >= 0 and each.matched > schedule.frames / 2
         fits = schedule.locks and each.matched >= 0.75 * schedule.frames
         if not fits and (beside.any() or not whole):
             doubts.add(place)
@@ -398,8 +403,12 @@ def _find_doubts(passes: list[_Pass], times: np.ndarray, schedule: _Schedule) ->
 def _judge(
     passes: list[_Pass], doubtful: set[int], schedule: _Schedule, counter: Counter | None
 ) -> dict[int, int]:
-    """By how many frames each doubtful pass is shifted, of those of which photons tell."""
-    if counter is None or not doubtful:
+    """By how many frames each doubtful pass is shifted, of those of which photons tell.
+
+    Those that lack half of their markers are left.
+    """
+    order = sorted(place for place in doubtful if passes[place].matched > schedule.frames / 2)
+    if counter is None or not order:
         return {}
     beyond = np.arange(1, MOST_SHIFT + 1) * schedule.step
     # What a clock that runs slow may take from a frame, and what markers may be off.
@@ -407,7 +416,6 @@ def _judge(
     length = np.pad(
         np.maximum(schedule.pictures - schedule.settle - lost, 0), MOST_SHIFT, mode="median"
     )
-    order = sorted(doubtful)
     begins = []
     for place in order:
         expected = passes[place].expected
@@ -416,13 +424,18 @@ def _judge(
     starts = np.concatenate(begins) + schedule.settle + schedule.tolerance
     counts = counter(starts, starts + np.tile(length, len(order)))
     shifts = {}
-    candidates = np.arange(2 * MOST_SHIFT + 1)
     for place, photons in zip(order, counts.reshape(len(order), -1), strict=True):
-        front, clear = find_steps(photons, length, candidates)
-        back, _ = find_steps(photons, length, candidates + schedule.frames - 2)
-        possible = np.flatnonzero(front & back)
+        maybe, clear = find_steps(photons, length)
+        likely, _ = find_steps(photons, length, LIKELY)
+        possible = [
+            first
+            for first in range(2 * MOST_SHIFT + 1)
+            if maybe[first] and maybe[first + schedule.frames - 2]
+        ]
         if clear and len(possible) == 1:
-            shifts[place] = int(possible[0]) - MOST_SHIFT
+            within = likely[possible[0] : possible[0] + schedule.frames - 1]
+            if within[0] and within[-1] and not within[1:-1].any():
+                shifts[place] = possible[0] - MOST_SHIFT
     return shifts
 
 
@@ -440,18 +453,27 @@ def _finish(
     starts = np.full((scenes, schedule.frames), np.nan)
     faults: list[Fault] = []
     end = times[-1] + schedule.tolerance
-    if len(passes) < scenes and not passes[-1].expected[-1] > end:
-        raise InputError(
-            f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
-            "that were recorded"
-        )
     unknown = unknown | _overlapping(passes, schedule)
     used = np.zeros(len(times), bool)
     for each in passes:
         used[each.places[each.places >= 0]] = True
     spare = np.flatnonzero(~used)
-    if len(spare) > MOST_FAULTS:
-        raise InputError(f"{len(spare)} of {len(times)} markers start no frame: record again")
+    if len(spare) > min(MOST_FAULTS, len(times) / 2):
+        raise InputError(
+            f"{len(spare)} of {len(times)} markers do not follow the schedule: give the patterns "
+            "that were shown, and one marker at the start of each frame"
+        )
+    lacking = np.count_nonzero(passes[-1].expected > end)
+    if len(passes) < scenes and lacking <= MOST_RESTORED:  # of a cut, or just missing
+        raise InputError(
+            f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
+            "that were recorded"
+        )
+    if lacking > MOST_RESTORED and _has_strays(passes, times, schedule):
+        raise InputError(
+            "the last pass is cut, and markers outside of all passes follow no schedule: which "
+            "pass is of which scene is not certain; record again"
+        )
     late = _find_late(passes, times[spare], schedule)
     explained = {marker for marker, _ in late.values()}
     for scene in range(scenes):
@@ -545,6 +567,15 @@ def _find_late(
                 taken.add(marker)
                 late[scene, frame] = (marker, float(spare[marker] - each.expected[frame]))
     return late
+
+
+def _has_strays(passes: list[_Pass], times: np.ndarray, schedule: _Schedule) -> bool:
+    """Whether markers came outside of all passes, perhaps of one that was not found."""
+    outside = np.ones(len(times), bool)
+    for each in passes:
+        until = each.expected[-1] + schedule.pictures[-1]
+        outside &= (times < each.expected[0] - schedule.tolerance) | (times >= until)
+    return bool(outside.any())
 
 
 def _overlapping(passes: list[_Pass], schedule: _Schedule) -> set[int]:

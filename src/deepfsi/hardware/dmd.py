@@ -347,7 +347,7 @@ def check_patterns(
         if known.role == "mask":
             same = np.array_equal(recount(mirrors, grid), next(rows))
         else:
-            same = bool((mirrors == (known.role == "on")).all())
+            same = np.array_equal(mirrors, _sentinel(manifest.device, grid, known.role == "on"))
         if not same:
             raise InputError(
                 f"{name} does not show what manifest.json and mirrors.npy say: export the "
@@ -552,11 +552,17 @@ def _sequence(
     on: np.ndarray, device: Device, grid: Grid, selection: Selection, seed: int
 ) -> Iterator[np.ndarray]:
     """All frames: sentinels, masks, sentinels."""
-    dark = np.zeros((device.rows, -(-device.columns // 8)), dtype=np.uint8)
-    bright = np.packbits(np.ones((device.rows, device.columns), dtype=np.bool_), axis=1)
+    bright, dark = (np.packbits(_sentinel(device, grid, lit), axis=1) for lit in (True, False))
     yield from (bright, dark)
     yield from make_frames(on, device, grid, selection, seed)
     yield from (bright, dark)
+
+
+def _sentinel(device: Device, grid: Grid, lit: bool) -> np.ndarray:
+    """Mirrors of a frame in which every mirror of every cell is ON, or none is."""
+    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
+    mirrors[_window(grid)] = lit
+    return mirrors
 
 
 def _write_frames(

@@ -11,7 +11,8 @@ device can realise is shown in the same way, at full contrast, and the realised 
 share · k / K. The shares sum to at most 1: the budget Φ of an exposure is the flux on the device
 times the exposure, whatever time mirrors take to settle.
 
-Each pass over the masks begins and ends with two *sentinel* frames, all mirrors ON and all OFF.
+Each pass over the masks begins and ends with two *sentinel* frames, all mirrors of the cells ON and
+all OFF.
 """
 
 import math
@@ -262,6 +263,7 @@ class Manifest(BaseModel):
 
 _RAILS = ("plus", "minus", "both")
 _SHORTEST_S = 1e-15
+_LONGEST_S = 1e4
 
 
 @dataclass(frozen=True)
@@ -347,8 +349,8 @@ def find_gates(
     settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
-    if not (math.isfinite(settle) and settle >= 0):
-        raise InputError(f"settle time {settle!r} is not allowed: give seconds, 0 or more")
+    if not 0 <= settle <= _LONGEST_S:
+        raise InputError(f"settle time {settle!r} is not allowed: give 0 to {_LONGEST_S:g} seconds")
     length = manifest.shares * exposure_s
     if not (len(length) and length.min() > _SHORTEST_S):
         raise InputError(
