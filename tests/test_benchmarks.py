@@ -180,3 +180,26 @@ def test_the_comparison_of_photon_counting_runs(capsys):
     for name in ("deepfsi", "ptufile + numpy", "a record at a time"):
         assert f"| {name} |" in printed
     assert "peak memory, deepfsi" in printed
+
+
+def test_both_trainings_of_ovit_do_the_same_work(capsys):
+    """They start from one set of masks, and see the same patches in the same light."""
+    from deepfsi.datasets import from_arrays
+    from deepfsi.patches import Patches, PatchTraining
+
+    ovit = benchmark("ovit")
+    ovit.main(["--images", "100", "--size", "16", "--rounds", "1", "--epochs", "1"])
+    printed = capsys.readouterr().out
+    assert "ratio" in printed
+    assert printed.count("images/s") == 2
+
+    x = torch.rand(60, 16, 16, generator=generator()).numpy()
+    data = from_arrays(x, torch.arange(60).numpy() % 10)
+    patches = Patches(data, 4, "cpu")
+    plain = ovit.Plain(patches, PatchTraining(width=8, depth=1, heads=2, hidden=8))
+    matrix = plain.masks.detach() * plain.unit
+    assert torch.allclose(matrix, patches.masks("pca")()[0], atol=1e-6)
+    rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / patches.light)
+    seen = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
+    assert torch.allclose(seen, patches.x * (ovit.BUDGET / patches.light))
+    assert plain(torch.from_numpy(data.x_train)).shape == (len(data.x_train), 10)

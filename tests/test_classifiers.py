@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
-from deepfsi.classifiers import Mlp, Replicas
+from deepfsi.classifiers import Mlp, Replicas, Vit
+from deepfsi.errors import InputError
 
 
 def probe(units: int, dropout: float, seed: int = 0) -> Mlp:
@@ -128,3 +129,62 @@ def test_stacked_networks_are_as_those_alone(dropout):
     assert not torch.equal(
         alone[0].layers[0].weight, Mlp(4, 2, (6, 5), 0, generator()).layers[0].weight
     )
+
+
+def vit(generator_: torch.Generator | None = None, **size: int) -> Vit:
+    given = {"width": 8, "depth": 2, "heads": 2, "hidden": 12, **size}
+    return Vit(5, 6, 3, **given, generator=generator_ or generator())
+
+
+def by_hand(net: Vit, features: Tensor) -> Tensor:
+    """The same logits from attention written out."""
+    h = features @ net.embedding.weight.T + net.embedding.bias + net.position
+    for layer in net.encoder.layers:
+        attention, heads = layer.self_attn, layer.self_attn.num_heads
+        normed = nn.functional.layer_norm(h, h.shape[-1:], layer.norm1.weight, layer.norm1.bias)
+        parts = normed @ attention.in_proj_weight.T + attention.in_proj_bias
+        query, key, value = parts.unflatten(-1, (3, heads, -1)).permute(2, 0, 3, 1, 4)
+        likeness = (query @ key.transpose(-1, -2) / query.shape[-1] ** 0.5).softmax(dim=-1)
+        h = h + attention.out_proj((likeness @ value).transpose(1, 2).flatten(-2))
+        normed = nn.functional.layer_norm(h, h.shape[-1:], layer.norm2.weight, layer.norm2.bias)
+        h = h + layer.linear2(nn.functional.gelu(layer.linear1(normed)))
+    last = net.encoder.norm
+    return net.head(nn.functional.layer_norm(h, h.shape[-1:], last.weight, last.bias).mean(dim=1))
+
+
+@pytest.mark.parametrize("training", [False, True])
+def test_the_transformer_attends_over_patches(training):
+    net = vit().train(training)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter += 0.1 * torch.randn(parameter.shape, generator=generator(1))
+        features = torch.randn(4, 6, 5, generator=generator(2))
+        assert torch.allclose(net(features), by_hand(net, features), atol=1e-5)
+
+
+def test_a_transformer_follows_its_generator_alone():
+    before = torch.get_rng_state()
+    first, again, other = vit(generator(3)), vit(generator(3)), vit(generator(4))
+    assert torch.equal(before, torch.get_rng_state())
+    pairs = zip(first.parameters(), again.parameters(), strict=True)
+    assert all(torch.equal(one, two) for one, two in pairs)
+    assert not torch.equal(first.head.weight, other.head.weight)
+    assert not torch.equal(
+        first.encoder.layers[0].linear1.weight, first.encoder.layers[1].linear1.weight
+    )
+
+
+def test_a_new_transformer_keeps_the_scale_of_its_features():
+    net = vit(width=64, heads=4, hidden=128)
+    features = torch.randn(32, 6, 5, generator=generator(1))
+    logits = net(features).detach()
+    assert torch.isfinite(logits).all()
+    assert 0.02 < float(logits.std()) < 2
+    for layer in net.encoder.layers:
+        assert (layer.norm1.weight == 1).all()
+        assert (layer.norm1.bias == 0).all()
+
+
+def test_heads_that_cannot_share_the_width_are_refused():
+    with pytest.raises(InputError, match="give a multiple"):
+        vit(width=8, heads=3)

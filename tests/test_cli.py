@@ -358,5 +358,8 @@ def test_experiments_are_listed(call):
         "quantization",
         "indian-pines",
         "hardware",
+        "forgiving",
+        "ovit",
+        "ovit-full",
     }
     assert "compression" in call("reproduce", "list")[1]

@@ -12,11 +12,13 @@ from scipy import stats
 
 from deepfsi import experiments
 from deepfsi.errors import InputError
-from deepfsi.experiments import contrast, hardware, indian_pines, mnist, study
+from deepfsi.experiments import contrast, forgiving, hardware, indian_pines, mnist, study
 from deepfsi.experiments.contrast import Difference, above, difference, of_trials
+from deepfsi.recipes import Recipe
 
 ALL = [each for members in experiments.STUDIES.values() for each in members]
-EVERY = [each for each in ALL if each is not indian_pines.EXPERIMENT]  # which needs spectra
+APART = (indian_pines.EXPERIMENT, forgiving.EXPERIMENT)  # they need data of their own
+EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
 TINY = {
     "data": "digits",
     "ratios": (0.05, 0.1),

@@ -170,6 +170,7 @@ FIGURES = {
         accuracies(1), accuracies(2), BUDGETS, RATIOS, ("full precision", "1/768 of the peak")
     ),
     "masks": lambda: studies.masks_table_figure(mask_rows()),
+    "patch-masks": lambda: studies.patch_masks_figure(patch_rows()),
     "measures": lambda: studies.measures_figure(measure_rows()),
     "starts": lambda: studies.starts_figure(starts_of()),
     "both starts": lambda: studies.starts_figure(starts_of(("gaussian", "poisson"))),
@@ -498,6 +499,38 @@ def test_six_masks_of_each_noise_and_budget_on_their_own_scale():
             assert tile.height / tile.width == pytest.approx(6 / 4)
     grey = images[0].to_rgba(np.zeros((1, 1)))[0, 0, :3]
     np.testing.assert_allclose(grey, 0.5, atol=0.01)
+
+
+def patch_rows(budgets=(1e2, 1e4, 1e6), masks=9, side=3):
+    rng = np.random.default_rng(1)
+    return [
+        {"photons": photons, "side": side, "matrix": rng.normal(size=(masks, side**2)) / 20}
+        for photons in budgets
+    ]
+
+
+@pytest.mark.parametrize("budgets", [(1e2,), (1e2, 1e4, 1e6)])
+def test_all_masks_of_a_patch_brightest_first(budgets):
+    rows = patch_rows(budgets)
+    figure = studies.patch_masks_figure(rows)
+    for ax, row in zip(figure.axes, rows, strict=True):
+        (image,) = ax.images
+        end = np.abs(row["matrix"]).max()
+        assert image.get_clim() == (-end, end)
+        assert f"peak {end:.2g}" == ax.get_xlabel()
+        sheet = np.ma.filled(image.get_array(), np.nan)
+        finer = len(sheet) // (3 * 4 - 1)
+        sheet = sheet[::finer, ::finer]
+        tiles = [sheet[i : i + 3, j : j + 3] for i in (0, 4, 8) for j in (0, 4, 8)]
+        light = [np.abs(tile).sum() for tile in tiles]
+        assert light == sorted(light, reverse=True)
+        assert sorted(light) == pytest.approx(sorted(np.abs(row["matrix"]).sum(axis=1)))
+        assert np.isnan(sheet[3]).all()
+
+
+def test_masks_that_do_not_fill_their_square():
+    figure = studies.patch_masks_figure(patch_rows(masks=7))
+    assert len(figure.axes) == 3
 
 
 def test_distributions_hold_every_value_of_both_noises():

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -87,6 +87,10 @@ class Design:
         """N, number of pixels."""
         return self.rails.shape[2]
 
+    def seen(self, scenes: Tensor) -> Tensor:
+        """Scenes (..., N) as the masks see them: as they are."""
+        return scenes
+
     def scanner(self, noise: str = "poisson", sigma: float = 1.0) -> Scanner:
         """The optical front end, with a noise of your choice."""
         return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
@@ -149,7 +153,7 @@ class Design:
             logits = self.logits(features.to(device), budget.to(device))
         return logits.softmax(dim=-1).cpu().numpy()
 
-    def to(self, device: str | torch.device) -> "Design":
+    def to(self, device: str | torch.device) -> Self:
         """Move to a device; returns self."""
         self.rails = self.rails.to(device)
         self.centre, self.spread = self.centre.to(device), self.spread.to(device)
@@ -286,6 +290,8 @@ class Design:
             If the file is missing, damaged, truncated, not a design, or of a newer schema.
         """
         header, tensors = read_design(path)
+        if kind_of(header) == "vit":
+            raise InputError(f"{path} is a design of image patches: load it with PatchDesign.load")
         try:
             network = header["classifier"]
             told = Told(**header["told"]) if "told" in header else None
@@ -341,9 +347,9 @@ class Design:
             constraints.check_light(design.light, "dual" if len(design.rails) == 2 else "single")
             constraints.check(design.rails, design.light)
         except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-            raise _damaged(path) from error
+            raise damaged(path) from error
         if not sound:
-            raise _damaged(path)
+            raise damaged(path)
         return design.to(device)
 
 
@@ -365,7 +371,7 @@ def read_design(
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         schema = int(header["schema"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
-        raise _damaged(path) from error
+        raise damaged(path) from error
     if schema > SCHEMA:
         raise InputError(
             f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
@@ -373,7 +379,14 @@ def read_design(
     return header, tensors
 
 
-def _damaged(path: str | os.PathLike[str]) -> InputError:
+def kind_of(header: Mapping[str, Any]) -> Any:
+    """Kind of the classifier that a header tells of, "mlp" or "vit"; None where it tells none."""
+    classifier = header.get("classifier")
+    return classifier.get("kind") if isinstance(classifier, dict) else None
+
+
+def damaged(path: str | os.PathLike[str]) -> InputError:
+    """Say that a file is no whole design."""
     return InputError(
         f"{path} is not a whole deepfsi design file: give a .safetensors file that "
         "`deepfsi design` or Design.save wrote"

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from deepfsi.errors import InputError
+
 
 class Mlp(nn.Module):
     """The paper's classifier: fully connected hidden layers, each with dropout, then ReLU.
@@ -66,6 +68,78 @@ class Mlp(nn.Module):
         drawn = words.view(torch.int16)[: h.numel()].view(h.shape)
         kept = drawn >= round(self.dropout * 2**16) - 2**15
         return kept * (1 / (1 - self.dropout))
+
+
+class Vit(nn.Module):
+    """A vision transformer on the features of image patches: torch's own encoder, before a mean.
+
+    Each patch's features are embedded by one linear layer and get a learned position; `depth`
+    layers of attention over the patches follow (normalised first, as deep ones train best), then
+    the mean over patches and a linear layer. There is no dropout.
+
+    Parameters
+    ----------
+    inputs : int
+        m, features of each patch.
+    patches : int
+        P.
+    classes : int
+        C.
+    width : int
+        Of the embedding; a multiple of `heads`.
+    depth : int
+        Number of layers, at least 1.
+    heads : int
+        Of each layer's attention.
+    hidden : int
+        Width of each layer's two-layer network.
+    generator : torch.Generator, optional
+        For the initial weights; torch's global one unless given.
+
+    Raises
+    ------
+    InputError
+        If the heads cannot share the width.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        patches: int,
+        classes: int,
+        width: int = 64,
+        depth: int = 2,
+        heads: int = 4,
+        hidden: int = 128,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__()
+        if width % heads:
+            raise InputError(f"{heads} heads cannot share a width of {width}: give a multiple")
+        self.size = {"width": width, "depth": depth, "heads": heads, "hidden": hidden}
+        with torch.device("meta"):  # torch would draw weights from its global generator
+            layer = nn.TransformerEncoderLayer(
+                width, heads, hidden, 0.0, "gelu", batch_first=True, norm_first=True
+            )
+            self.embedding = nn.Linear(inputs, width)
+            self.position = nn.Parameter(torch.empty(patches, width))
+            self.encoder = nn.TransformerEncoder(
+                layer, depth, nn.LayerNorm(width), enable_nested_tensor=False
+            )
+            self.head = nn.Linear(width, classes)
+        self.to_empty(device="cpu" if generator is None else generator.device)
+        for name, parameter in self.named_parameters():
+            if name == "position":
+                nn.init.normal_(parameter, std=0.02, generator=generator)
+            elif parameter.ndim == 2:
+                nn.init.xavier_uniform_(parameter, generator=generator)
+            else:
+                nn.init.constant_(parameter, float("norm" in name and "weight" in name))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (B, C) of standardised features (B, P, m)."""
+        tokens = self.encoder(self.embedding(features) + self.position)
+        return self.head(tokens.mean(dim=1))
 
 
 class Replicas(nn.Module):

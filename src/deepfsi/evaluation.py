@@ -116,7 +116,7 @@ def evaluate(
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             scenes, truth = torch.from_numpy(data.x_test[rows]), data.y_test[rows]
-            shares = scanner.rates(scenes.to(device) / design.mean_light)
+            shares = scanner.rates(design.seen(scenes.to(device)) / design.mean_light)
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
                 for _ in range(draws):
                     counts = scanner.read(shares * budget, generator)

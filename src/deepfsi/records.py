@@ -12,14 +12,25 @@ whoever finds it. Files are written whole or not at all, the record after its de
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
 
 from deepfsi.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.recipes import Trial
+
+
+class Trial(Protocol):
+    """What is recorded: any training and its tests that have names."""
+
+    @property
+    def key(self) -> str:
+        """Content hash that names the record."""
+
+    @property
+    def design_key(self) -> str:
+        """Content hash that names the design: of what the training depends on."""
 
 
 class Records:

@@ -380,39 +380,22 @@ def summarise(
             trained = (*(job[axis] for axis in TRAINED), record["trial"]["variant"])
             key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
             groups[key].append((record, index))
-    points = [_point(key, members, data.pixels) for key, members in groups.items()]
+    points = [
+        point(dict(zip(AXES, key, strict=True)), members, data.pixels)
+        for key, members in groups.items()
+    ]
     chosen = defaultdict(list)
-    for point in points:
-        chosen[tuple(point[axis] for axis in AXES if axis != "masks")].append(point)
+    for each in points:
+        chosen[tuple(each[axis] for axis in AXES if axis != "masks")].append(each)
     for rivals in chosen.values():
-        for point in rivals:
-            point["best"] = not held_out or point is max(rivals, key=lambda p: p["validation"])
+        for each in rivals:
+            each["best"] = not held_out or each is max(rivals, key=lambda p: p["validation"])
     return {
         "schema": SCHEMA,
         "title": f"{data.name} under {' and '.join(recipe.noise)} noise",
         "command": command,
         "recipe": recipe.model_dump(mode="json"),
-        "data": {
-            "name": data.name,
-            "hash": data.hash,
-            "image_shape": list(data.image_shape),
-            "classes": list(data.classes),
-            "train": len(data.x_train) - held_out,
-            "validation": held_out,
-            "test": len(data.x_test),
-            "preprocessing": data.preprocessing,
-            "mean_reflectance": float(
-                data.x_train[: len(data.x_train) - held_out].mean(dtype=np.float64)
-            ),
-        },
-        "provenance": {
-            **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
-            "python": platform.python_version(),
-            "device": device,
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            "seconds": round(seconds, 1),
-            "training_seconds": round(sum(record["info"]["seconds"] for record in records), 1),
-        },
+        **origin(data, held_out, records, device, seconds),
         "chosen_on": "validation" if held_out else "nothing",
         "points": points,
     }
@@ -455,12 +438,54 @@ def compare(
     return results, records
 
 
-def _point(
-    key: tuple[Any, ...], members: Sequence[tuple[Mapping[str, Any], int]], pixels: int
+def origin(
+    data: Dataset,
+    held_out: int,
+    records: Sequence[Mapping[str, Any]],
+    device: str,
+    seconds: float,
 ) -> dict[str, Any]:
+    """What a `results.json` says of its data, and of what made it."""
+    train = len(data.x_train) - held_out
+    return {
+        "data": {
+            "name": data.name,
+            "hash": data.hash,
+            "image_shape": list(data.image_shape),
+            "classes": list(data.classes),
+            "train": train,
+            "validation": held_out,
+            "test": len(data.x_test),
+            "preprocessing": data.preprocessing,
+            "mean_reflectance": float(data.x_train[:train].mean(dtype=np.float64)),
+        },
+        "provenance": {
+            **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
+            "python": platform.python_version(),
+            "device": device,
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            "seconds": round(seconds, 1),
+            "training_seconds": round(sum(record["info"]["seconds"] for record in records), 1),
+        },
+    }
+
+
+def point(
+    axes: Mapping[str, Any], members: Sequence[tuple[Mapping[str, Any], int]], pixels: int
+) -> dict[str, Any]:
+    """One point of a summary: trials averaged.
+
+    Parameters
+    ----------
+    axes : mapping
+        What tells the point apart; `design` and `masks` at least.
+    members : sequence of tuple
+        Records, each with the place of the test in it that belongs here.
+    pixels : int
+        N, of one mask.
+    """
     from scipy import stats
 
-    axes = dict(zip(AXES, key, strict=True))
     tests = [record["test"][index] for record, index in members]
     accuracy = np.array([test["accuracy"] for test in tests])
     if len(tests) > 1:

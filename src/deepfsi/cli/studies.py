@@ -159,7 +159,8 @@ def reproduce(
     name: Annotated[
         str,
         typer.Argument(
-            help="mnist, compression, mlgauss, quantization, indian-pines, hardware, or list"
+            help="mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
+            "forgiving, or list"
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/paper"),

@@ -12,6 +12,7 @@ from deepfsi.experiments import (
     masks,
     mlgauss,
     mnist,
+    ovit,
     quantization,
     starts,
 )
@@ -27,6 +28,8 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
     "indian-pines": (indian_pines.EXPERIMENT,),
+    "ovit": (ovit.EXPERIMENT,),
+    "ovit-full": (ovit.FULL,),
     "hardware": (hardware.EXPERIMENT,),
     "forgiving": (forgiving.EXPERIMENT,),
 }

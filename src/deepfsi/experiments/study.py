@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import polars
+from pydantic import BaseModel
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.jobs import reworded
 from deepfsi.recipes import Recipe
-from deepfsi.records import write_table
+from deepfsi.records import rows
 from deepfsi.report.study import Claim, Picture, Section, Table
 from deepfsi.sweep import Report, compare
 
@@ -57,6 +58,8 @@ class Experiment:
         Names of further recipes whose points join the first's; each says its `recipe`.
     adapt : callable, optional
         What becomes of a recipe here, such as other data where those that it names are missing.
+    settings : type of BaseModel
+        What a recipe is made of.
     """
 
     name: str
@@ -68,15 +71,16 @@ class Experiment:
     )
     prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
     also: tuple[str, ...] = ()
-    adapt: Callable[[Recipe], Recipe] = field(default=lambda recipe: recipe)
+    adapt: Callable[[Any], Any] = field(default=lambda recipe: recipe)
+    settings: type[BaseModel] = Recipe
 
-    def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Recipe:
+    def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Any:
         """The experiment's recipe, or its coarse one, with another number of trials if given."""
         file = f"{name or self.name}-quick.toml" if quick else f"{name or self.name}.toml"
         text = (files("deepfsi.experiments") / "recipes" / file).read_text(encoding="utf-8")
         given = {} if trials is None else {"trials": trials}
         with reworded():
-            return self.adapt(Recipe.model_validate({**tomllib.loads(text), **given}))
+            return self.adapt(self.settings.model_validate({**tomllib.loads(text), **given}))
 
     def run(
         self,
@@ -125,16 +129,23 @@ class Experiment:
             tell = report or (lambda share, now: None)
             first = next(iter(parts.values()))
             results["extra"] = self.measure(results, first, folder / "designs", workers, tell)
-        write_table(records, folder / f"{self.name}-trials.csv")
-        rows = [
+        self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
+        return results
+
+    def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
+        """Write the results, a row for each point, and one for each test of a trial."""
+        averaged = [
             {name: value for name, value in point.items() if not isinstance(value, list)}
             for point in results["points"]
         ]
-        text = io.BytesIO()
-        polars.DataFrame(rows, infer_schema_length=None).write_csv(text)
-        write_atomically(folder / f"{self.name}.csv", text.getvalue())
+        for table, name in (
+            (polars.DataFrame(averaged, infer_schema_length=None), self.name),
+            (trials, f"{self.name}-trials"),
+        ):
+            text = io.BytesIO()
+            table.write_csv(text)
+            write_atomically(folder / f"{name}.csv", text.getvalue())
         write_atomically(folder / f"{self.name}.json", json.dumps(results, indent=1).encode())
-        return results
 
     def section(self, folder: Path) -> Section | None:
         """The experiment's part of the page, or None where it was not run."""

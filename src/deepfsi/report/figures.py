@@ -29,7 +29,7 @@ P = ParamSpec("P")
 INK, MUTED, GRID, PAPER = "#1b1f24", "#5d6670", "#dfe3e8", "#ffffff"
 DIVERGING = "RdBu_r"
 PANEL_HEIGHT = 3.5  # inches
-LINE_HEIGHT = 0.06  # of a name at the right edge, in accuracy
+LINE_HEIGHT = 0.06  # of a name at the right edge, in parts of the axis
 BAR_LABEL = "share of a pixel's photons, Mᵢⱼ"
 
 # Okabe and Ito's palette, yellow left out; every design also has a line of its own.
@@ -189,13 +189,15 @@ def noises(results: Results) -> list[str]:
 
 
 @styled
-def accuracy_figure(results: Results) -> Figure:
+def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     """Accuracy against photons, each design at its chosen mask count; one panel a noise.
 
     Parameters
     ----------
     results : mapping
         Content of a `results.json`.
+    top : float
+        End of the axis of accuracy, above the highest point.
 
     Returns
     -------
@@ -207,7 +209,7 @@ def accuracy_figure(results: Results) -> Figure:
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
         points = [p for p in results["points"] if p["noise"] == noise and p["best"]]
-        accuracy_axes(ax, results, points, series_axes(results), "photons")
+        accuracy_axes(ax, results, points, series_axes(results), "photons", top=top)
         ax.set_xlabel("photon budget Φ")
         budgets = sorted({p["photons"] for p in points})
         short = all(len(photons_text(budget)) <= 4 for budget in budgets)
@@ -260,6 +262,7 @@ def accuracy_axes(
     *,
     values: Iterable[float] = (),
     falling: bool = False,
+    top: float = 1.0,
 ) -> None:
     """Draw one line per series over the field `across`, named at the right edge.
 
@@ -310,7 +313,7 @@ def accuracy_axes(
     edges = values[0] / 10 ** (0.06 * decades), values[-1] * 10 ** (0.06 * decades)
     ax.set_xlim(edges[::-1] if falling else edges)
     ax.axhline(chance, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
-    ax.set_ylim(0, 1)
+    ax.set_ylim(0, top)
     ax.set_ylabel("accuracy")
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
@@ -321,11 +324,13 @@ def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:
     """Write names at the right edge, beside the last points, moved apart where they would touch."""
     ordered = sorted(ends, key=lambda end: end[3])
     heights = np.array([end[3] for end in ordered])
+    top = ax.get_ylim()[1]
+    line = LINE_HEIGHT * top
     for i in range(1, len(heights)):
-        heights[i] = max(heights[i], heights[i - 1] + LINE_HEIGHT)
-    heights[-1] = min(heights[-1], 1 + LINE_HEIGHT / 3)
+        heights[i] = max(heights[i], heights[i - 1] + line)
+    heights[-1] = min(heights[-1], top + line / 3)
     for i in range(len(heights) - 2, -1, -1):
-        heights[i] = min(heights[i], heights[i + 1] - LINE_HEIGHT)
+        heights[i] = min(heights[i], heights[i + 1] - line)
     for (name, colour, x, y), height in zip(ordered, heights, strict=True):
         ax.annotate(
             "",

@@ -1,0 +1,149 @@
+"""Time the training of OViT against a plain PyTorch script, in turn on the same work.
+
+    python benchmarks/ovit.py                                       # the transformer of ovit.toml
+    python benchmarks/ovit.py --recipe ovit-full --images 45000 --rounds 2    # on a GPU
+
+Plain is what a user would write: a DataLoader over whole images, which the model cuts in patches
+in every step, two rails as two products and two noise draws, and the loss read in each step. Both
+train the same masks and the same transformer, from the same start, on random images, with the same
+batch, optimiser and schedule. Theirs is float32; ours has the package's own rule (bfloat16 for the
+transformer on a GPU, where it stays under the photon noise). Ratios are of medians over epochs.
+"""
+
+import argparse
+import itertools
+import statistics
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.utils.data import DataLoader, TensorDataset
+
+from deepfsi.classifiers import Vit
+from deepfsi.datasets import from_arrays
+from deepfsi.experiments import find
+from deepfsi.patches import Patches, PatchJob, PatchTraining, precision, train
+
+BUDGET, CLASSES = 1e4, 10
+
+
+class Plain(nn.Module):
+    """Masks and transformer as a user would write them."""
+
+    def __init__(self, patches: Patches, how: PatchTraining) -> None:
+        super().__init__()
+        start = patches.matrix("pca")
+        start = start / np.abs(start).sum(axis=0).max()
+        self.unit = float(np.sqrt(np.mean(start**2)))
+        self.masks = nn.Parameter(torch.tensor(start / self.unit, dtype=torch.float32))
+        self.side, self.shape = patches.side, patches.data.image_shape
+        self.light = patches.light
+        tokens, pixels = patches.x.shape[1:]
+        self.norm = nn.BatchNorm1d(1, affine=False)
+        self.vit = Vit(pixels, tokens, CLASSES, how.width, how.depth, how.heads, how.hidden)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Logits of images (B, H · W)."""
+        matrix = self.masks * self.unit
+        matrix = matrix / matrix.abs().sum(dim=0).clamp(min=1)
+        images = (x * (BUDGET / self.light)).view(-1, 1, *self.shape)
+        photons = nn.functional.unfold(images, self.side, stride=self.side).transpose(1, 2)
+        plus = photons @ matrix.clamp(min=0).T
+        minus = photons @ (-matrix).clamp(min=0).T
+        plus = plus + torch.sqrt(plus + 1e-6) * torch.randn_like(plus)
+        minus = minus + torch.sqrt(minus + 1e-6) * torch.randn_like(minus)
+        counts = plus - minus
+        centred = counts - counts.mean(dim=(0, 1))
+        return self.vit(self.norm(centred.reshape(-1, 1)).view_as(counts))
+
+
+def plain_epochs(patches: Patches, how: PatchTraining) -> list[float]:
+    """Seconds of each epoch."""
+    torch.manual_seed(0)
+    model = Plain(patches, how).to(patches.device)
+    data = patches.data
+    images = TensorDataset(torch.from_numpy(data.x_train), torch.from_numpy(data.y_train))
+    loader = DataLoader(images, batch_size=how.batch, shuffle=True, drop_last=True)
+    optimiser = torch.optim.AdamW(
+        [
+            {"params": [model.masks], "lr": how.mask_lr, "weight_decay": 0.0},
+            {"params": model.vit.parameters(), "lr": how.lr, "weight_decay": how.decay},
+        ]
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, [how.mask_lr, how.lr], total_steps=how.epochs * len(loader)
+    )
+    seconds = []
+    for _ in range(how.epochs):
+        began = time.perf_counter()
+        running = 0.0
+        for x, y in loader:
+            logits = model(x.to(patches.device))
+            loss = nn.functional.cross_entropy(logits, y.to(patches.device))
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            running += loss.item()
+        seconds.append(time.perf_counter() - began)
+    return seconds
+
+
+def our_epochs(patches: Patches, how: PatchTraining) -> list[float]:
+    """Seconds of each epoch."""
+    ticks: list[float] = []
+
+    def tick(share: float) -> None:
+        if patches.device.type == "cuda":
+            torch.cuda.synchronize()
+        ticks.append(time.perf_counter())
+
+    train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=how), tick)
+    return [stop - start for start, stop in itertools.pairwise(ticks)]
+
+
+def main(given: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--recipe", default="ovit", help="ovit or ovit-full")
+    parser.add_argument("--images", type=int, default=2000)
+    parser.add_argument("--size", type=int, default=64, help="side of the images")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--epochs", type=int, default=2, help="of each round")
+    parser.add_argument("--device", default="auto")
+    arguments = parser.parse_args(given)
+
+    recipe = find(arguments.recipe)[0].recipe(quick=False)
+    how = recipe.training.model_copy(update={"epochs": arguments.epochs})
+    rng = np.random.default_rng(0)
+    x = rng.random((arguments.images, arguments.size, arguments.size), dtype=np.float32)
+    data = from_arrays(x, np.arange(len(x)) % CLASSES, x[:CLASSES], np.arange(CLASSES))
+    patches = Patches(data, recipe.patch, arguments.device)
+    kind = precision(PatchJob(photons=BUDGET, training=how), patches)
+    print(
+        f"{len(x)} random images of {arguments.size}x{arguments.size}, batch {how.batch}, width "
+        f"{how.width}, depth {how.depth}; {patches.device.type}, {torch.get_num_threads()} "
+        f"threads, ours {kind}, torch {torch.__version__}"
+    )
+    short = how.model_copy(update={"epochs": 1})
+    plain_epochs(patches, short)
+    our_epochs(patches, short)
+    times: dict[str, list[float]] = {"plain": [], "ours": []}
+    for _ in range(arguments.rounds):
+        times["plain"] += plain_epochs(patches, how)
+        times["ours"] += our_epochs(patches, how)
+    medians = {name: statistics.median(seconds) for name, seconds in times.items()}
+    seen = len(x) // how.batch * how.batch
+    for name, seconds in medians.items():
+        whole = recipe.training.epochs * 50_000 * seconds / seen / 60
+        print(
+            f"{name:5s} {seen / seconds:9.0f} images/s, {seconds:.3f} s an epoch (least "
+            f"{min(times[name]):.3f}); {recipe.training.epochs} epochs of 50 000 images: "
+            f"{whole:.1f} min"
+        )
+    print(f"ratio {medians['plain'] / medians['ours']:.2f}")
+
+
+if __name__ == "__main__":
+    main()
