@@ -442,7 +442,7 @@ def _pictures(results: Results, of: str, splits: Sequence[str]) -> list[Picture]
                 f"{of}, {splits[0]} split: the spectral masks of DeepFSI that count most photons, "
                 "as learned under each noise. A positive value sends that share of a band's "
                 "photons to the detector while the mask's first rail is shown, a negative one "
-                "while its second is.",
+                "while its second is. Grey: bands that water vapour darkens.",
                 f"Curves of masks learned on {of} over wavelength.",
             )
         )
