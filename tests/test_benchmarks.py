@@ -180,3 +180,11 @@ def test_the_comparison_of_photon_counting_runs(capsys):
     for name in ("deepfsi", "ptufile + numpy", "a record at a time"):
         assert f"| {name} |" in printed
     assert "peak memory, deepfsi" in printed
+
+
+def test_the_comparison_of_inference_runs(capsys):
+    """What both give is compared inside."""
+    pytest.importorskip("onnxruntime")
+    few = ["--data", "digits", "--masks", "5", "--exposures", "20", "--rounds", "1"]
+    benchmark("inference").main(few)
+    assert "| 5 | 40 128 |" in capsys.readouterr().out

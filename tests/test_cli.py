@@ -21,6 +21,7 @@ COMMANDS = [
     "design",
     "evaluate",
     "show",
+    "export",
     "data list",
     "data download",
     "data check",

@@ -6,6 +6,7 @@ from typing import NoReturn
 import typer
 
 from deepfsi.cli import camera, data
+from deepfsi.cli.deploy import export
 from deepfsi.cli.designs import design, evaluate, show
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
@@ -20,7 +21,7 @@ app = typer.Typer(
     help="Design the masks of a photon-limited single-pixel camera with the network that reads "
     "them.\n\nStart with: deepfsi compare",
 )
-for _command in (compare, sweep, reproduce, report, design, evaluate, show):
+for _command in (compare, sweep, reproduce, report, design, evaluate, show, export):
     app.command()(_command)
 app.add_typer(camera.dmd, name="dmd")
 app.add_typer(camera.camera, name="camera")
