@@ -21,6 +21,7 @@ COMMANDS = [
     "design",
     "evaluate",
     "show",
+    "plan",
     "export",
     "data list",
     "data download",
