@@ -112,11 +112,12 @@ def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, n
     """Least and most that a rising curve through points may plausibly be between them.
 
     The hull of three straight lines: the one that joins two points, and those of the gaps beside
-    it, continued into this one; never below the lower point nor above the upper one.
+    it, continued into this one (flat where there is none); never below the lower point nor above
+    the upper one, and at a point its own value.
     """
     slopes = np.diff(y) / np.diff(x)
     gap = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(slopes) - 1)
-    before, after = slopes[np.maximum(gap - 1, 0)], slopes[np.minimum(gap + 1, len(slopes) - 1)]
+    before, after = np.append(0.0, slopes)[gap], np.append(slopes, 0.0)[gap + 1]
     lines = np.stack(
         [
             y[gap] + slopes[gap] * (at - x[gap]),
@@ -124,7 +125,7 @@ def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, n
             y[gap + 1] - after * (x[gap + 1] - at),
         ]
     )
-    lines = np.clip(lines, y[gap], y[gap + 1])
+    lines = np.where(np.isin(at, x), lines[0], np.clip(lines, y[gap], y[gap + 1]))
     return lines.min(axis=0), lines.max(axis=0)
 
 
