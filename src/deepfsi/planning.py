@@ -22,7 +22,7 @@ from deepfsi.sweep import Report, run, summarise
 STEPS = 1000
 """Budgets that a curve is looked at, between the lowest and the highest tried."""
 
-APART = 0.1
+APART = 0.2
 """Decades between two budgets that are worth a training each."""
 
 KIND = ("light", "rails", "design")
@@ -151,11 +151,16 @@ def _half_widths(
 def next_budget(
     photons: Sequence[float], accuracies: Sequence[float], target: float
 ) -> float | None:
-    """Where one more training tells most: at the crossing, unless that is next to a tried one."""
+    """Where one more training tells most: at the crossing, but `APART` from tried budgets.
+
+    None where the crossing is beyond the tried budgets, or between two that are close already.
+    """
     found = crossing(photons, [[accuracy] for accuracy in accuracies], 1, target).photons
-    if found is None or np.abs(np.log10(found) - np.log10(photons)).min() < APART:
+    if found is None:
         return None
-    return float(f"{found:.3g}")
+    tried, place = np.log10(photons), int(np.searchsorted(photons, found))
+    low, high = tried[place - 1] + APART, tried[place] - APART
+    return float(f"{10 ** np.clip(np.log10(found), low, high):.3g}") if low <= high else None
 
 
 def photons_needed(
