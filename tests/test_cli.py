@@ -21,6 +21,8 @@ COMMANDS = [
     "design",
     "evaluate",
     "show",
+    "plan",
+    "export",
     "data list",
     "data download",
     "data check",
@@ -137,6 +139,16 @@ def test_own_matrix(call, tmp_path):
     words = ["--matrix", tmp_path / "m.npy", "--epochs", 1, "-o", tmp_path / "own.safetensors"]
     assert call("design", "--photons", "1e3", *words)[0] == 0
     assert np.allclose(Design.load(tmp_path / "own.safetensors").matrix, np.eye(64)[:8] / 8)
+
+
+def test_own_masks_as_images(call, tmp_path):
+    masks = np.random.default_rng(0).integers(0, 256, (4, 8, 8), dtype=np.uint8)
+    pages = [Image.fromarray(mask) for mask in masks]
+    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
+    words = ["--matrix", tmp_path / "m.tif", "--epochs", 1, "--light", "free-dwell"]
+    file = tmp_path / "own.safetensors"
+    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    assert np.allclose(Design.load(file).matrix, masks.reshape(4, 64) / 255 / 4)
 
 
 @pytest.mark.parametrize("budget", ["0", "-1", "nan", "inf", "many", "", "1e3,,x"])

@@ -48,7 +48,11 @@ TrainNoiseOption = Annotated[
     typer.Option(help="noise of the training, if another: ml_gauss, poisson, gaussian, none"),
 ]
 MatrixOption = Annotated[
-    Path | None, typer.Option(help="your own sensing matrix, .npy of shape (m, N)")
+    str | None,
+    typer.Option(
+        help="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or (m, H, W), a "
+        "folder of images, or a TIFF of m pages"
+    ),
 ]
 EpochsOption = Annotated[int | None, typer.Option(help="training epochs")]
 
@@ -111,19 +115,13 @@ def load(
     return view_dataset(scenes, load_calibration(view))
 
 
-def read_matrix(path: Path | None) -> "np.ndarray | None":
+def read_matrix(source: str | None) -> "np.ndarray | None":
     """A user's own sensing matrix (m, N)."""
-    if path is None:
+    if source is None:
         return None
-    import numpy as np
+    from deepfsi import matrices
 
-    try:
-        matrix = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        raise InputError(f"no matrix in {path}: give an .npy file of shape (m, N)") from None
-    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or not matrix.size:
-        raise InputError(f"{path} does not hold one matrix of shape (m, N)")
-    return matrix
+    return matrices.read_matrix(source)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
