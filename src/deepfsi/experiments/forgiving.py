@@ -144,13 +144,13 @@ def show(results: Results) -> Finding:
         "against the one trained for that budget; the first masks of a nested design are at their "
         f"lowest {_lowest(nested, str)} masks, against the design of so many. Stopping early saves "
         f"{saved.mean:.0%} of {photons_text(at)} photons and changes accuracy by "
-        f"{signed(-lost.mean, 4)}."
+        f"{signed(0.0 - lost.mean, 4)}."
     )
     return Finding(found, pictures, claims, (range_table, nested_table, stop_table))
 
 
 def _lowest(differences: Mapping[Any, Difference], text: Any) -> str:
-    place = min(differences, key=lambda place: differences[place].low)
+    place = min(differences, key=lambda place: differences[place].mean)
     return f"{differences[place]} at {text(place)}"
 
 
