@@ -211,3 +211,27 @@ def test_the_comparison_of_inference_runs(capsys):
     few = ["--data", "digits", "--masks", "5", "--exposures", "20", "--rounds", "1"]
     benchmark("inference").main(few)
     assert "| 5 | 40 128 |" in capsys.readouterr().out
+
+
+def test_conditions_are_those_of_the_camera(capsys):
+    words = ["--data", "digits", "--scenes", "600", "--epochs", "2", "--masks", "4"]
+    found = benchmark("conditions").main(words)
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(found)
+    assert all(0 <= value <= 1 for row in found.values() for value in row)
+
+
+def test_a_design_elsewhere_sees_the_same_features(digits):
+    """Under stray light whose mean is subtracted the features keep their mean and scale."""
+    conditions = benchmark("conditions")
+    from conftest import quick
+    from deepfsi.datasets import ambient
+
+    design = quick(digits, light="free-dwell", rails="single")
+    there = conditions.under(design, digits, 0.0, 2.0)
+    bright = ambient(digits, 2.0)
+    here, other = (
+        made.scanner("none")(torch.from_numpy(x) / made.mean_light) * 1e3
+        for made, x in ((design, digits.x_test), (there, bright.x_test * 1.0))
+    )
+    own, seen = design.logits(here, 1e3), there.logits(3 * other, 3e3)
+    torch.testing.assert_close(own, seen, rtol=1e-3, atol=1e-3)

@@ -20,6 +20,7 @@ COMMANDS = [
     "report",
     "design",
     "evaluate",
+    "stop",
     "show",
     "plan",
     "export",
@@ -106,6 +107,53 @@ def test_one_dmd_design(call, tmp_path):
     design = Design.load(file)
     assert design.light == "free-dwell"
     assert design.rails.shape == (1, 6, 64)
+
+
+def test_a_design_that_forgives(call, tmp_path):
+    file = tmp_path / "nested.safetensors"
+    words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
+    words += ["--light", "equal-dwell", "--rails", "single", "--hold-out", 300, "-o", file]
+    code, out, _ = call("design", *words, "--json")
+    assert code == 0
+    made = json.loads(out)
+    assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
+    training = made["info"]["job"]["training"]
+    assert [training[key] for key in ("span", "nested", "levels")] == [1e3, 2, 2]
+    assert [len(frame.unique()) for frame in Design.load(file).rails[0]] == [2] * 6
+    code, out, _ = call("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
+    assert code == 0
+    assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
+    code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["policy"]["masks"] == [2, 3, 4, 5, 6]
+    code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1)
+    assert code == 0
+    assert "1.0000" in out
+    assert "the surest 90 %" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["design", "--photons", "1e6:1e3", "--masks", 3], "LOW:HIGH"),
+        (["design", "--photons", "1e2:1e3:1e4", "--masks", 3], "LOW:HIGH"),
+        (["design", "--photons", "1e3:inf", "--masks", 3], "span"),
+        (["design", "--photons", "1e3", "--masks", 3, "--nested", 4], "at most 3"),
+        (["design", "--photons", "1e3", "--masks", 3, "--levels", 1], "dark alone"),
+        (["design", "--photons", "1e3", "--masks", 3, "--hold-out", 5000], "hold out at least 1"),
+    ],
+)
+def test_ranges_and_nests_that_cannot_be(call, tmp_path, words, hint):
+    code, out, err = call(*words, "-o", tmp_path / "d.safetensors")
+    assert (code, out) == (2, "")
+    assert hint in err
+
+
+def test_a_plain_design_cannot_stop(call, design_file):
+    code, _, err = call("stop", design_file, "--photons", "1e3")
+    assert code == 2
+    assert "--nested" in err
 
 
 def test_compare_writes_report_and_json(call, tmp_path):

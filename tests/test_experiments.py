@@ -39,6 +39,9 @@ def tiny(experiment, trials: int, name: str):
         changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
     if experiment.name == "masks":
         changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
+    if experiment.name == "forgiving":
+        changes |= {"photons": 1e4, "ratios": 0.05 if name == "forgiving-counts" else 0.1}
+        training |= {"nested": 2} if "nested" in training else {}
     return type(quick)(**{**kept, **changes})
 
 

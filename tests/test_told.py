@@ -16,6 +16,7 @@ from deepfsi.errors import InputError
 from deepfsi.evaluation import evaluate
 from deepfsi.jobs import BFLOAT16_COUNTS, Job, Training, products
 from deepfsi.photons import photons_per_pixel
+from deepfsi.scanner import measure
 from deepfsi.scenes import Scenes
 from deepfsi.told import Told, chances
 from deepfsi.training import train
@@ -100,6 +101,27 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     power = np.nanmean(every, axis=axis)
     error = np.nanstd(every, axis=axis) / np.sqrt((~np.isnan(every)).sum(axis=axis) / 6)
     assert (np.abs(power - 1) < 5 * error + 1e-3).all()
+
+
+def test_what_fewer_masks_gain_in_light_has_its_gradient():
+    """Against finite differences, in the noise of the draws and in the masks."""
+    draw = generator(3)
+    scenes = torch.rand(5, 6, generator=draw, dtype=torch.float64) + 0.5
+    masks = torch.rand(2, 3, 6, generator=draw, dtype=torch.float64, requires_grad=True)
+    epsilon = torch.randn(4, 3, generator=draw, dtype=torch.float64)
+
+    def features(rails: torch.Tensor) -> torch.Tensor:
+        used = constraints.used(rails, "free-dwell")
+        pair = torch.stack([rails[0] - rails[1], rails[0] + rails[1]])
+        return measure(scenes, pair, epsilon * used[:3].sqrt(), False)
+
+    assert torch.autograd.gradcheck(features, (masks,))
+
+
+@every_optics
+def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
+    design = quick(digits, light=light, rails=rails, **TRAINED)
+    assert float(constraints.used(design.rails, light)[-1]) == pytest.approx(1, rel=1e-5)
 
 
 def test_the_noise_of_a_range_is_its_mean_over_budgets():

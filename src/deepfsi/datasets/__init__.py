@@ -8,6 +8,7 @@ last of them are a fair sample to validate on (`Dataset.hold_out`).
 
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.catalog import DatasetInfo, check, download, list_datasets
+from deepfsi.datasets.conditions import ambient, jitter
 from deepfsi.datasets.cubes import read_cube
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.display import Display, read_display, write_display, write_pictures
@@ -21,9 +22,11 @@ __all__ = [
     "Display",
     "FileCheck",
     "SpectralImage",
+    "ambient",
     "check",
     "download",
     "from_arrays",
+    "jitter",
     "list_datasets",
     "load_dataset",
     "load_spectra",

@@ -14,7 +14,14 @@ from scipy import stats
 from deepfsi.artifact import Design
 from deepfsi.datasets import Dataset
 from deepfsi.evaluation import evaluate
-from deepfsi.experiments.contrast import CONFIDENCE, Difference, above, difference, of_trials
+from deepfsi.experiments.contrast import (
+    CONFIDENCE,
+    Difference,
+    above,
+    difference,
+    of_trials,
+    signed,
+)
 from deepfsi.experiments.study import Experiment, Finding, Results, budgets, points
 from deepfsi.report.figures import photons_text
 from deepfsi.report.forgiving import Line, lines_figure, stopping_figure
@@ -136,13 +143,14 @@ def show(results: Results) -> Finding:
         f"One design for all budgets is at its lowest {_lowest(ranged, photons_text)} photons, "
         "against the one trained for that budget; the first masks of a nested design are at their "
         f"lowest {_lowest(nested, str)} masks, against the design of so many. Stopping early saves "
-        f"{saved.mean:.0%} of {photons_text(at)} photons and loses {lost.mean:.4f}."
+        f"{saved.mean:.0%} of {photons_text(at)} photons and changes accuracy by "
+        f"{signed(0.0 - lost.mean, 4)}."
     )
     return Finding(found, pictures, claims, (range_table, nested_table, stop_table))
 
 
 def _lowest(differences: Mapping[Any, Difference], text: Any) -> str:
-    place = min(differences, key=lambda place: differences[place].low)
+    place = min(differences, key=lambda place: differences[place].mean)
     return f"{differences[place]} at {text(place)}"
 
 
@@ -252,16 +260,17 @@ def _stopping(results: Results) -> tuple[Difference, Difference, Table]:
         ("nested, stopped early", means["used"] * photons, means["stopped"]),
         *(("not nested, whole exposures", p, plain[p]) for p in sorted(plain, reverse=True)),
     ]
-    errors = [
-        ("calibration error of the answers", "calibration_error"),
-        ("the same without temperatures", "uncalibrated_error"),
-    ]
-    rows += [(text, photons, float(np.mean([e[key] for e in stopped]))) for text, key in errors]
-    return (
-        saved,
-        lost,
-        Table("Stopping early", ("", "mean photons", "accuracy, or error"), tuple(rows)),
+    error, raw = (
+        float(np.mean([each[name] for each in stopped]))
+        for name in ("calibration_error", "uncalibrated_error")
     )
+    table = Table(
+        f"Stopping early; the calibration error of the answers is {error:.4f}, and {raw:.4f} "
+        "without temperatures",
+        ("", "mean photons", "accuracy"),
+        tuple(rows),
+    )
+    return saved, lost, table
 
 
 def _over(rates: Sequence[Mapping[str, float]]) -> Difference:

@@ -1,0 +1,107 @@
+"""What training under stray light, on displaced scenes and with grey levels is worth there.
+
+    python benchmarks/conditions.py                     # MNIST, 20 000 training images
+    python benchmarks/conditions.py --data digits --scenes 600 --epochs 2 --masks 4
+
+Each row is a design, each column what it is tested under: nothing, stray light as bright as the
+scene with its mean subtracted from the counts, scenes displaced by one pixel to a side, and masks
+of 2 grey levels. One device (free-dwell, single rail), one seed, tests on held-out scenes.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from deepfsi import constraints
+from deepfsi.artifact import Design
+from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
+from deepfsi.evaluation import evaluate
+from deepfsi.photons import mean_light
+from deepfsi.training import learn
+
+STRAY = 1.0
+"""Stray light over the scenes' mean light."""
+
+
+def under(design: Design, data: Dataset, learned: float, share: float) -> Design:
+    """A design that learned with one share of stray light, where there is another.
+
+    The mean of the stray light is known and subtracted: it moves the centres of the features.
+    """
+    stray = constraints.combine(design.rails)[0].mean(dim=-1)
+    centre = design.centre * (1 + learned) + (share - learned) * stray
+    return replace(
+        design,
+        mean_light=mean_light(ambient(data, share).x_train),
+        centre=centre / (1 + share),
+        spread=design.spread * (1 + learned) / (1 + share),
+        shares=design.shares,
+    )
+
+
+def displaced(data: Dataset) -> Dataset:
+    """Test scenes by one pixel up, down, left or right, each a quarter of them."""
+    images = data.x_test.reshape(-1, *data.image_shape).copy()
+    for part, (by, axis) in enumerate([(1, 1), (-1, 1), (1, 2), (-1, 2)]):
+        images[part::4] = np.roll(images[part::4], by, axis=axis)
+    return replace(data, x_test=images.reshape(data.x_test.shape))
+
+
+def main(words: Sequence[str] | None = None) -> dict[str, list[float]]:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", default="mnist")
+    parser.add_argument("--scenes", type=int, default=20_000)
+    parser.add_argument("--photons", type=float, default=1e4)
+    parser.add_argument("--masks", type=int, default=16)
+    parser.add_argument("--epochs", type=int, default=15)
+    given = parser.parse_args(words)
+    torch.set_num_threads(1)
+    data = load_dataset(given.data).hold_out()
+    data = replace(data, x_train=data.x_train[: given.scenes], y_train=data.y_train[: given.scenes])
+    designs = {
+        "plain": (data, 0.0, 0),
+        "stray light": (ambient(data, STRAY), STRAY, 0),
+        "jitter 0.5": (jitter(data, 0.5, seed=1), 0.0, 0),
+        "jitter 1": (jitter(data, 1.0, seed=1), 0.0, 0),
+        "2 levels": (data, 0.0, 2),
+        "all, jitter 0.5": (ambient(jitter(data, 0.5, seed=1), STRAY), STRAY, 2),
+    }
+    heads = ("clean", "stray light", "displaced", "2 levels", "all")
+    print(f"{'trained with':18}" + "".join(f"{head:>13}" for head in heads))
+    found = {}
+    for name, (scenes, learned, levels) in designs.items():
+        design = learn(
+            scenes,
+            photons=given.photons * (1 + learned),
+            masks=given.masks,
+            epochs=given.epochs,
+            light="free-dwell",
+            rails="single",
+            levels=levels,
+            device="cpu",
+        )
+        moved = displaced(data)
+        found[name] = [
+            evaluate(
+                under(design.quantised(1) if binary else design, data, learned, share),
+                ambient(tested, share),
+                given.photons * (1 + share),
+                draws=1,
+            )[0].accuracy
+            for tested, share, binary in (
+                (data, 0.0, False),
+                (data, STRAY, False),
+                (moved, 0.0, False),
+                (data, 0.0, True),
+                (moved, STRAY, True),
+            )
+        ]
+        print(f"{name:18}" + "".join(f"{value:13.4f}" for value in found[name]), flush=True)
+    return found
+
+
+if __name__ == "__main__":
+    main()

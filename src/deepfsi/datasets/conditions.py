@@ -1,0 +1,100 @@
+"""Scenes as a camera has them: with stray light on them, and not quite in place.
+
+Train on them what is to work there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from deepfsi.datasets.dataset import Dataset, Reflectance
+from deepfsi.errors import InputError
+
+
+def ambient(data: Dataset, share: float) -> Dataset:
+    """Scenes under stray light, the same on every pixel.
+
+    A feature's mean over scenes is subtracted before it is classified, and stray light changes
+    nothing else but its noise: so this is light whose mean is known and subtracted.
+
+    Parameters
+    ----------
+    data
+    share
+        Stray light over the training scenes' mean light, at least 0.
+
+    Returns
+    -------
+    Dataset
+        With every scene dimmed by one factor, so that reflectance stays in [0, 1]. A budget of it
+        is of all the light: (1 + share) times that of the scene.
+
+    Raises
+    ------
+    InputError
+        If the share is negative or not finite.
+    """
+    if not (math.isfinite(share) and share >= 0):
+        raise InputError(f"ambient light {share!r} is not allowed: give a share, 0 or more")
+    stray = share * float(data.x_train.mean(dtype=np.float64))
+    x_train, x_test = (
+        ((x + stray) / (1 + stray)).astype(np.float32) for x in (data.x_train, data.x_test)
+    )
+    said = f"{data.preprocessing}; ambient light of {share:g} times the scenes' mean"
+    return replace(data, x_train=x_train, x_test=x_test, preprocessing=said)
+
+
+def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> Dataset:
+    """Scenes displaced at random, each by itself, training and test scenes alike.
+
+    Parameters
+    ----------
+    data
+        Images.
+    shift
+        Standard deviation of the shift along each axis, pixels, at least 0.
+    turn
+        Standard deviation of a turn about the centre, degrees, at least 0.
+    seed
+        Of the displacements.
+
+    Returns
+    -------
+    Dataset
+        Interpolated linearly; what comes in at the edges is like the edge.
+
+    Raises
+    ------
+    InputError
+        If the data is not images, or a displacement is negative or not finite.
+    """
+    if len(data.image_shape) != 2:
+        raise InputError(f"{data.name} has scenes of {data.image_shape}: jitter is for images")
+    if not (math.isfinite(shift) and math.isfinite(turn) and min(shift, turn) >= 0):
+        raise InputError(f"jitter by {shift!r} pixels and {turn!r}° is not allowed: give 0 or more")
+    rng = np.random.default_rng(seed)
+    x_train, x_test = (
+        _displaced(x, data.image_shape, shift, turn, rng) for x in (data.x_train, data.x_test)
+    )
+    said = f"{data.preprocessing}; displaced at random by {shift:g} pixels and {turn:g}° (1 σ)"
+    return replace(data, x_train=x_train, x_test=x_test, preprocessing=said)
+
+
+def _displaced(
+    x: Reflectance, shape: tuple[int, ...], shift: float, turn: float, rng: np.random.Generator
+) -> Reflectance:
+    moved = np.empty_like(x)
+    centre = (np.array(shape) - 1) / 2
+    shifts = rng.normal(0, shift, (len(x), 2))
+    angles = np.deg2rad(rng.normal(0, turn, len(x)))
+    for scene, by, angle, out in zip(x, shifts, angles, moved, strict=True):
+        cos, sin = math.cos(angle), math.sin(angle)
+        matrix = np.array([[cos, -sin], [sin, cos]])
+        out[:] = ndimage.affine_transform(
+            scene.reshape(shape), matrix, centre - matrix @ (centre + by), order=1, mode="nearest"
+        ).ravel()
+    return moved
