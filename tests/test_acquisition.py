@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from deepfsi.errors import InputError
 from deepfsi.hardware import acquisition as acq
 from deepfsi.hardware.acquisition import Acquisition, Scene, count, picture, prepare, read_counts
-from deepfsi.hardware.alignment import Counter, align
+from deepfsi.hardware.alignment import Counter, align, find_steps
 from deepfsi.hardware.dmd import export_patterns
 from deepfsi.hardware.ptu import Writer
 from deepfsi.hardware.sequence import DEVICES, Frame, Manifest, Patterns, find_device
@@ -248,6 +248,20 @@ def test_markers_of_other_patterns_are_refused(markers, scenes, match):
         align(markers, EQUAL, scenes)
 
 
+@pytest.mark.parametrize("brightest", [0.0, 0.1, 3.0, 200.0, 1e4])
+def test_a_pass_in_its_place_is_never_taken_for_a_shifted_one(brightest):
+    """Over 500 passes of 1000 frames, however faint."""
+    rng = np.random.default_rng(1)
+    rates = rng.uniform(0.1, 0.9, 1000)
+    rates[2:4] = 1.0, 0.45  # as a Hadamard basis begins
+    rates[[0, -2]], rates[[1, -1]] = 1.0, 0.0
+    for _ in range(500):
+        fits, clear = find_steps(rng.poisson(rates * brightest + 0.01), np.ones(1000))
+        assert fits[0]
+        assert fits[-1]
+        assert clear == (brightest > 10)
+
+
 @dataclass
 class Trouble:
     """What happens to a marker train."""
@@ -263,16 +277,23 @@ class Trouble:
         if not len(markers):
             return markers
         near = int(np.argmin(np.abs(markers - time)))
+        there = np.array([near] if abs(markers[near] - time) < 10 * JITTER else [], int)
         if self.kind == "missing":
-            return np.delete(markers, near)
+            return np.delete(markers, there)
         if self.kind == "late":
-            return np.sort(np.append(np.delete(markers, near), time + self.amount * DWELL))
+            return np.sort(np.append(np.delete(markers, there), time + self.amount * DWELL))
         if self.kind == "extra":
             return np.sort(np.append(markers, time + self.amount * DWELL))
         if self.kind == "cut":
             return markers[: max(near, 2)]
         first = int(np.argmin(np.abs(markers - true[0, frame])))
         return markers[first:]  # the recording begins within the first pass
+
+
+def unseen(markers: np.ndarray, true: np.ndarray) -> bool:
+    """Whether a pass left no marker and a later one did: nobody can tell which it was."""
+    left = np.isin(true, markers).any(axis=1)
+    return bool((np.diff(left.astype(int)) > 0).any())
 
 
 def troubles(*kinds: str) -> st.SearchStrategy[list[Trouble]]:
@@ -302,6 +323,7 @@ def test_no_fault_shifts_a_pass_silently(manifest, scenes, drift, pauses, troubl
     markers = true.ravel()
     for each in trouble:
         markers = each.strike(markers, true)
+    assume(not unseen(markers, true))
     counter = lamp(manifest, true, seed) if seen else None
     try:
         found = align(markers, manifest, scenes, counter=counter)
@@ -609,8 +631,7 @@ def test_a_valid_exposure_holds_the_photons_of_its_frames(whole, tmp_path, troub
         else:
             markers = each.strike(markers, starts)
     markers = np.unique(markers)
-    if not len(markers):
-        return
+    assume(len(markers) and not unseen(markers, starts))
     if not folder.exists():
         prepare(folder, whole.folder / "patterns", acq.read_acquisition(whole.folder)[0])
     length = patterns.manifest.picture_s

@@ -203,3 +203,11 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
     seen = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
     assert torch.allclose(seen, patches.x * (ovit.BUDGET / patches.light))
     assert plain(torch.from_numpy(data.x_train)).shape == (len(data.x_train), 10)
+
+
+def test_the_comparison_of_inference_runs(capsys):
+    """What both give is compared inside."""
+    pytest.importorskip("onnxruntime")
+    few = ["--data", "digits", "--masks", "5", "--exposures", "20", "--rounds", "1"]
+    benchmark("inference").main(few)
+    assert "| 5 | 40 128 |" in capsys.readouterr().out

@@ -21,9 +21,21 @@ COMMANDS = [
     "design",
     "evaluate",
     "show",
+    "plan",
+    "export",
     "data list",
     "data download",
     "data check",
+    "data export",
+    "dmd export",
+    "dmd check",
+    "camera simulate",
+    "camera count",
+    "camera classify",
+    "camera image",
+    "camera inspect",
+    "camera spots",
+    "camera calibrate",
 ]
 
 
@@ -127,6 +139,16 @@ def test_own_matrix(call, tmp_path):
     words = ["--matrix", tmp_path / "m.npy", "--epochs", 1, "-o", tmp_path / "own.safetensors"]
     assert call("design", "--photons", "1e3", *words)[0] == 0
     assert np.allclose(Design.load(tmp_path / "own.safetensors").matrix, np.eye(64)[:8] / 8)
+
+
+def test_own_masks_as_images(call, tmp_path):
+    masks = np.random.default_rng(0).integers(0, 256, (4, 8, 8), dtype=np.uint8)
+    pages = [Image.fromarray(mask) for mask in masks]
+    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
+    words = ["--matrix", tmp_path / "m.tif", "--epochs", 1, "--light", "free-dwell"]
+    file = tmp_path / "own.safetensors"
+    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    assert np.allclose(Design.load(file).matrix, masks.reshape(4, 64) / 255 / 4)
 
 
 @pytest.mark.parametrize("budget", ["0", "-1", "nan", "inf", "many", "", "1e3,,x"])
@@ -329,13 +351,26 @@ def test_all_mistakes_of_a_recipe_are_told_at_once(call, tmp_path):
         assert part in errors
 
 
+@pytest.mark.parametrize("options", [[], ["--dry-run"]])
+def test_the_split_of_a_recipe_is_asked_of_the_data(call, tmp_path, options):
+    path = tmp_path / "split.toml"
+    path.write_text('data = "digits"\nsplit = "blocks"\n')
+    code, _, errors = call("sweep", path, "-o", tmp_path / "out", *options)
+    assert code == 2
+    assert "digits: a split was given; only a hyperspectral image takes one" in errors
+    path.write_text('split = "halves"\n')
+    assert "'random' or 'blocks'" in call("sweep", path, "-o", tmp_path / "out", *options)[2]
+
+
 def test_experiments_are_listed(call):
     assert {row["name"] for row in json.loads(call("reproduce", "list", "--json")[1])} == {
         "mnist",
         "compression",
         "mlgauss",
         "quantization",
+        "indian-pines",
         "hardware",
+        "forgiving",
         "ovit",
         "ovit-full",
     }

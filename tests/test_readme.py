@@ -11,6 +11,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 LINES = re.findall(
     r"^(deepfsi (?:sweep|reproduce|report) .*?)(?: +#.*)?$", README, flags=re.MULTILINE
 )
+CAMERA = re.search(r"## A camera\n.*?```\n(.*?)```", README, flags=re.DOTALL).group(1).splitlines()
 COMMANDS = sorted(set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show) -?[^`]+)`", README)))
 
 
@@ -40,14 +41,35 @@ def test_commands(tmp_path, monkeypatch):
     assert (tmp_path / "masks.png").stat().st_size > 1000
 
 
+def test_a_camera_by_files_alone(tmp_path, monkeypatch, capsys):
+    """The README's lines, word for word: at 1e5 photons all ten digits but one or two are right."""
+    from deepfsi import cli
+
+    monkeypatch.chdir(tmp_path)
+    printed = {}
+    for line in CAMERA:
+        monkeypatch.setattr("sys.argv", shlex.split(line))
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 0, line
+        printed[line.split()[2]] = capsys.readouterr().out
+    right = re.search(r"right: (\d+) of 10 exposures", printed["classify"])
+    assert int(right.group(1)) >= 8
+    assert "Generic T2" in printed["inspect"]
+
+
 def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
     """On digits and small; the cluster's line is for `test_cluster`."""
     from deepfsi import cli
     from test_experiments import EVERY, study, tiny
 
     monkeypatch.chdir(tmp_path)
-    recipes = {each.name: tiny(each, 1) for each in EVERY}
-    monkeypatch.setattr(study.Experiment, "recipe", lambda self, quick, trials: recipes[self.name])
+    recipes = {name: tiny(each, 1, name) for each in EVERY for name in (each.name, *each.also)}
+    monkeypatch.setattr(
+        study.Experiment,
+        "recipe",
+        lambda self, quick, trials, name=None: recipes[name or self.name],
+    )
     (tmp_path / "recipes").mkdir()
     (tmp_path / "recipes/mnist-quick.toml").write_text(
         'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n'

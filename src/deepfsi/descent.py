@@ -263,20 +263,25 @@ def _features(
 def _told(
     scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
-    """Features of scenes that each have a budget and a number of masks of their own."""
+    """Features of scenes that each have a budget and a number of masks of their own.
+
+    The fewer masks share the light, the more each has. The gradient knows: a mask pays for the
+    light that it takes from those after it.
+    """
     job, how = jobs[0], jobs[0].training
     light, _ = job.optics
     seen_by = light if isinstance(masks, Learned) else "two-arm"  # fixed masks see every pixel
     x = scenes.centred(seen_by, products(job, scenes.device))
     told = Told(job.photons, how.span, job.masks)
     likely = chances(job.masks, how.nested).to(scenes.device)
+    brightened = how.nested > 0 and isinstance(masks, Learned)  # at the end, see `brighten`
 
     def features(streams: Sequence[_Stream], step: int) -> Tensor:
         difference, total = masks()
         rails = difference if difference is total else torch.stack([difference, total])
-        with torch.no_grad():
-            used = constraints.used(constraints.separate(difference, total), light)
-            used = used / used[..., -1:]
+        used = constraints.used(constraints.separate(difference, total), light)
+        whole = used[..., -1:]
+        used = used if brightened else used / whole
         parts, ratios, counts = [], [], []
         for stream in streams:
             budget, shown = stream.expose(how.span, likely)
@@ -289,7 +294,7 @@ def _told(
                     False,
                 )
             )
-            ratios.append(ratio)
+            ratios.append(ratio * stream.part(whole) if brightened else ratio)
             counts.append(shown.expand_as(ratio))
         seen, shown = _beside(parts), _beside(counts)
         scaled = _standardise(seen, how.scale, first(job.masks, shown))

@@ -103,26 +103,10 @@ def evaluate(
         If the data does not fit the design, or a budget is not finite and above 0.
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    if data.pixels != design.pixels:
-        raise InputError(
-            f"{data.name} has {data.pixels} pixels and the design {design.pixels}: use the data "
-            "(and --size) that it was made for"
-        )
-    if data.classes != design.classes:
-        raise InputError(
-            f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
-        )
-    if data.image_shape != design.image_shape:
-        raise InputError(
-            f"{data.name} has scenes of shape {data.image_shape} and the design "
-            f"{design.image_shape}: use the data that it was made for"
-        )
+    check_data(design, data)
     if not (math.isfinite(sigma) and sigma >= 0):
         raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
-    if not isinstance(draws, int) or draws < 1:
-        raise InputError(f"{draws} noise draws are not allowed: give at least 1")
+    check_draws(draws, seed)
     device = design.rails.device
     scanner = design.scanner(check_noise(noise), sigma)
     share = design.shares.tolist()
@@ -146,20 +130,52 @@ def evaluate(
     ]
 
 
+def check_data(design: Design, data: Dataset) -> None:
+    """Raise `InputError` unless a design can classify the scenes of a data set."""
+    if data.pixels != design.pixels:
+        raise InputError(
+            f"{data.name} has {data.pixels} pixels and the design {design.pixels}: use the data "
+            "(and --size) that it was made for"
+        )
+    if data.classes != design.classes:
+        raise InputError(
+            f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
+        )
+    if data.image_shape != design.image_shape:
+        raise InputError(
+            f"{data.name} has scenes of shape {data.image_shape} and the design "
+            f"{design.image_shape}: use the data that it was made for"
+        )
+
+
+def check_draws(draws: int, seed: int) -> None:
+    """Raise `InputError` unless so many noise draws can be had from that seed."""
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
+    if not isinstance(draws, int) or draws < 1:
+        raise InputError(f"{draws} noise draws are not allowed: give at least 1")
+
+
+def wilson(accuracy: float, images: int) -> tuple[float, float]:
+    """95 % interval of a mean over images, each of which counts as one trial."""
+    from scipy.stats import binomtest
+
+    found = binomtest(round(accuracy * images), images).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
+
+
 def _result(
     budget: float, noise: str, confusion: np.ndarray, draws: int, share: list[float]
 ) -> Result:
-    from scipy.stats import binomtest
-
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
-    interval = binomtest(round(accuracy * images), images).proportion_ci(0.95, method="wilson")
+    low, high = wilson(accuracy, images)
     return Result(
         photons=budget,
         noise=noise,
         accuracy=accuracy,
-        low=float(interval.low),
-        high=float(interval.high),
+        low=low,
+        high=high,
         covers=COVERS,
         images=images,
         draws=draws,

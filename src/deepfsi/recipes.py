@@ -102,6 +102,9 @@ class Recipe(BaseModel):
 
     data: str = Field("digits", description="name, folder of images or .npz file")
     size: tuple[int, int] | None = Field(None, description="height, width of folder images")
+    split: Literal["random", "blocks"] | None = Field(
+        None, description="how a hyperspectral image is divided for testing; random unless given"
+    )
     designs: Annotated[tuple[Name, ...], BeforeValidator(_axis), Field(min_length=1)] = (
         "impulse",
         "raster",

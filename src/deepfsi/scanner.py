@@ -156,7 +156,7 @@ class _Measure(torch.autograd.Function):
         return torch.addcmul(mean[:-1], deviation, epsilon)
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None]:
         scenes, epsilon, deviation = ctx.saved_tensors
         by_light = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
         back = gradient.new_zeros(len(scenes), *ctx.shape[:-1])
@@ -167,7 +167,8 @@ class _Measure(torch.autograd.Function):
         product = (back.flatten(1).to(scenes.dtype).T @ scenes).view(ctx.shape)
         if ctx.signed:
             product = torch.addcmul(product[0], product[1], ctx.sign)
-        return None, product.to(gradient.dtype), None, None
+        by_draw = gradient * deviation if ctx.needs_input_grad[2] else None
+        return None, product.to(gradient.dtype), by_draw, None
 
 
 def rails_lit(difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:

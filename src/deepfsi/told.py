@@ -16,6 +16,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+WHOLE = 0.25
+"""Share of the exposures of nested masks in training that show all of them."""
+
 
 @dataclass(frozen=True)
 class Told:
@@ -70,8 +73,11 @@ def chances(masks: int, fewest: int) -> Tensor:
     """Chance of each number of masks 1 .. m to be shown in training, shape (m,).
 
     Inverse to the number from the fewest on, so that few masks, which do worst, learn as much as
-    many; the whole sequence alone if `fewest` is 0.
+    many, but for the share `WHOLE` of exposures that show all: else the last masks would hardly
+    learn. The whole sequence alone if `fewest` is 0.
     """
     count = torch.arange(1, masks + 1, dtype=torch.float32)
     weight = torch.where(count >= (fewest or masks), 1 / count, 0.0)
-    return weight / weight.sum()
+    chance = (1 - WHOLE) * weight / weight.sum()
+    chance[-1] += WHOLE
+    return chance

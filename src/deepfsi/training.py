@@ -112,6 +112,8 @@ def train(
         classifiers = optimise(scenes, jobs, masks, report)
         if isinstance(masks, constraints.Learned):
             masks = _whole(masks, scenes.pixels(first.light))
+            if first.training.nested:
+                masks = brighten(masks, first.light)
 
     with torch.no_grad():
         learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
@@ -189,6 +191,16 @@ def _whole(masks: constraints.Learned, pixels: Tensor) -> constraints.Fixed:
     whole = rails.new_zeros(*rails.shape[:-1], len(pixels))
     whole[..., pixels] = rails
     return constraints.Fixed(whole)
+
+
+def brighten(masks: constraints.Fixed, light: constraints.Light) -> constraints.Fixed:
+    """Masks with one common factor that takes the whole of their constraint.
+
+    So nested masks are trained, however many of them are shown.
+    """
+    rails = constraints.separate(*masks())
+    used = constraints.used(rails, light)[..., -1:]
+    return constraints.Fixed(rails / used[..., None, None])
 
 
 def _frames(scenes: Scenes, name: str, count: int, seed: int) -> Tensor:

@@ -6,7 +6,8 @@ from typing import NoReturn
 import typer
 
 from deepfsi.cli import camera, data
-from deepfsi.cli.designs import design, evaluate, show
+from deepfsi.cli.deploy import export, plan
+from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
 
@@ -20,7 +21,7 @@ app = typer.Typer(
     help="Design the masks of a photon-limited single-pixel camera with the network that reads "
     "them.\n\nStart with: deepfsi compare",
 )
-for _command in (compare, sweep, reproduce, report, design, evaluate, show):
+for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
     app.command()(_command)
 app.add_typer(camera.dmd, name="dmd")
 app.add_typer(camera.camera, name="camera")
@@ -44,7 +45,7 @@ def main() -> NoReturn:
     except OSError as error:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == _STOPPED:
-        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"])
+        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"], ["plan"])
         kept = "; finished trials are kept, run again to go on" if resumes else ""
         print(f"deepfsi: stopped{kept}", file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)

@@ -14,6 +14,7 @@ from deepfsi.cli.common import (
     print_table,
     progress,
     read_toml,
+    size_of,
 )
 from deepfsi.errors import InputError
 
@@ -321,6 +322,72 @@ def camera_inspect(
         *(("problem", problem) for problem in contents.problems),
     ]
     print_table(str(file), ("what", "value"), rows)
+
+
+@camera.command("spots")
+def camera_spots(
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
+    size: Annotated[str, typer.Option(help="pixels of the display, HEIGHTxWIDTH")] = "32x32",
+    as_json: JsonOption = False,
+) -> None:
+    """Write the pictures that calibrate a camera: bright spots, all white, all black.
+
+    Show them to the camera with Hadamard or raster patterns, count, and give the run to
+    `deepfsi camera calibrate`.
+
+    Example: deepfsi camera spots --size 32x32 -o spots
+    """
+    import numpy as np
+
+    from deepfsi.datasets import write_pictures
+    from deepfsi.hardware.calibration import BLACK, WHITE, spot_scenes
+
+    height, width = size_of(size) or (32, 32)
+    shape = (height, width)
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape))}
+    uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
+    written = write_pictures({**pictures, **uniform}, out)
+    if as_json:
+        print_json([str(path) for path in written])
+    else:
+        print(f"{len(written)} pictures: {out}")
+
+
+@camera.command("calibrate")
+def camera_calibrate(
+    folder: RunArgument,
+    spots: Annotated[Path, typer.Option(help="the pictures that were shown")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
+    as_json: JsonOption = False,
+) -> None:
+    """Fit the camera's view of its display to a run of spots: place, blur, flat field, dark rate.
+
+    `deepfsi design --view` then trains on what the camera sees.
+
+    Example: deepfsi camera calibrate run_spots --spots spots -o calibration
+    """
+    from deepfsi.datasets import read_display
+    from deepfsi.hardware.acquisition import picture, read_acquisition, read_counts
+    from deepfsi.hardware.calibration import calibrate_run, save_calibration
+
+    acquisition, patterns = read_acquisition(folder)
+    shown = read_display(spots)
+    found = calibrate_run(
+        dict(zip(shown.names, shown.x, strict=True)),
+        [scene.name for scene in acquisition.scenes],
+        picture(folder),
+        read_counts(folder),
+        patterns.manifest.grid,
+    )
+    check_writable(out)
+    path = save_calibration(found, out)
+    if as_json:
+        print_json({"calibration": str(path), **found.model_dump(mode="json", exclude={"flat"})})
+        return
+    print(
+        f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); "
+        f"dark {found.dark:.4g} counts/s, ambient {found.ambient:.4g} counts/s\ncalibration: {path}"
+    )
 
 
 def seconds(option: str, text: str) -> float:

@@ -26,6 +26,10 @@ DataOption = Annotated[
 SizeOption = Annotated[
     str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
 ]
+ViewOption = Annotated[
+    Path | None,
+    typer.Option(help="folder of a camera's calibration: use what it sees of the scenes"),
+]
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
 WorkersOption = Annotated[
     int | None, typer.Option(min=1, help="processes; one for each core unless given")
@@ -44,7 +48,11 @@ TrainNoiseOption = Annotated[
     typer.Option(help="noise of the training, if another: ml_gauss, poisson, gaussian, none"),
 ]
 MatrixOption = Annotated[
-    Path | None, typer.Option(help="your own sensing matrix, .npy of shape (m, N)")
+    str | None,
+    typer.Option(
+        help="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or (m, H, W), a "
+        "folder of images, or a TIFF of m pages"
+    ),
 ]
 EpochsOption = Annotated[int | None, typer.Option(help="training epochs")]
 
@@ -90,26 +98,30 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     return int(sides[0]), int(sides[-1])
 
 
-def load(data: str, size: tuple[int, int] | None) -> "Dataset":
-    """The data set of that name or path."""
+def load(
+    data: str,
+    size: tuple[int, int] | None,
+    view: Path | None = None,
+    split: str | None = None,
+) -> "Dataset":
+    """The data set of that name or path, as a camera of that calibration sees it if given."""
     from deepfsi.datasets import load_dataset
 
-    return load_dataset(data, size=size)
+    scenes = load_dataset(data, size=size, split=split)
+    if view is None:
+        return scenes
+    from deepfsi.hardware.calibration import load_calibration, view_dataset
+
+    return view_dataset(scenes, load_calibration(view))
 
 
-def read_matrix(path: Path | None) -> "np.ndarray | None":
+def read_matrix(source: str | None) -> "np.ndarray | None":
     """A user's own sensing matrix (m, N)."""
-    if path is None:
+    if source is None:
         return None
-    import numpy as np
+    from deepfsi import matrices
 
-    try:
-        matrix = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        raise InputError(f"no matrix in {path}: give an .npy file of shape (m, N)") from None
-    if not isinstance(matrix, np.ndarray) or matrix.ndim != 2 or not matrix.size:
-        raise InputError(f"{path} does not hold one matrix of shape (m, N)")
-    return matrix
+    return matrices.read_matrix(source)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""Commands of one design: design, evaluate, show."""
+"""Commands of one design: design, evaluate, stop, show."""
 
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from deepfsi.cli.common import (
     SigmaOption,
     SizeOption,
     TrainNoiseOption,
+    ViewOption,
     check_writable,
     load,
     numbers,
@@ -32,11 +33,16 @@ from deepfsi.cli.common import (
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
-    pass
+    from deepfsi.stopping import Stopped
 
 
 def design(
-    photons: Annotated[str, typer.Option(help="budget: expected photons on the coding device")],
+    photons: Annotated[
+        str,
+        typer.Option(
+            help="budget: expected photons on the coding device; LOW:HIGH for a range of budgets"
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")],
     masks: Annotated[str | None, typer.Option(help="number of masks, m")] = None,
     data: DataOption = "digits",
@@ -49,13 +55,23 @@ def design(
     sigma: SigmaOption = 1.0,
     light: LightOption = "column",
     rails: RailsOption = "dual",
+    nested: Annotated[
+        int, typer.Option(help="fewest masks, first ones, that must do by themselves; 0: all")
+    ] = 0,
+    levels: Annotated[
+        int, typer.Option(help="grey levels of a cell, dark included, that masks are made of")
+    ] = 0,
     epochs: EpochsOption = None,
+    hold_out: Annotated[
+        int, typer.Option(help="last training scenes to leave out, for `deepfsi stop`")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="repeats exactly on one device")] = 0,
     matrix: MatrixOption = None,
+    view: ViewOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
-    """Learn masks and classifier for one budget, and save them as one file.
+    """Learn masks and classifier for one budget or a range of them, and save them as one file.
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
@@ -65,8 +81,8 @@ def design(
     from deepfsi.training import learn
 
     own = read_matrix(matrix)
-    budget = one("photons", photons)
-    scenes = load(data, size_of(size))
+    budgets = budget_range(photons)
+    scenes = load(data, size_of(size), view)
     if noise not in TRAINING_NOISE:
         from deepfsi.errors import closest
 
@@ -85,11 +101,14 @@ def design(
     if out.is_dir():
         raise InputError(f"{out} is a folder: give a file name ending in .safetensors")
     check_writable(out.parent)
-    settings = {} if epochs is None else {"epochs": epochs}
+    seen = scenes.hold_out(hold_out) if hold_out else scenes
+    settings: dict[str, Any] = {"levels": levels, "nested": nested, "span": budgets[1] / budgets[0]}
+    if epochs is not None:
+        settings["epochs"] = epochs
     with progress(f"{kind}, {count} masks", quiet=as_json) as tell:
         made = learn(
-            scenes,
-            photons=budget,
+            seen,
+            photons=budgets[0],
             masks=count,
             design=kind,
             noise=train_noise or TRAINING_NOISE[noise],
@@ -102,16 +121,29 @@ def design(
             progress=lambda share: tell(share, ""),
             **settings,
         )
-    result = test(made, scenes, budget, noise=noise, sigma=sigma)[0]
+    results = test(made, scenes, list(dict.fromkeys(budgets)), noise=noise, sigma=sigma)
     made.save(out)
     if as_json:
-        print_json({"design": str(out), "info": made.info, "test": result.as_dict()})
+        tests = [result.as_dict() for result in results]
+        print_json({"design": str(out), "info": made.info, "test": tests[0], "tests": tests})
         return
-    print(
-        f"{kind} with {made.masks} masks at {budget:g} photons: test accuracy "
-        f"{result.accuracy:.4f} [{result.low:.4f}, {result.high:.4f}], "
-        f"light throughput {result.throughput:.3f}\nsaved: {out}"
-    )
+    for result in results:
+        print(
+            f"{kind} with {made.masks} masks at {result.photons:g} photons: test accuracy "
+            f"{result.accuracy:.4f} [{result.low:.4f}, {result.high:.4f}], "
+            f"light throughput {result.throughput:.3f}"
+        )
+    print(f"saved: {out}")
+
+
+def budget_range(text: str) -> tuple[float, float]:
+    """Lowest and highest budget of NUMBER or LOW:HIGH; `InputError` names the option."""
+    parts = [one("photons", part) for part in text.split(":")]
+    if len(parts) > 2 or not 0 < parts[0] <= parts[-1]:
+        raise InputError(
+            f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as 1e3:1e6"
+        )
+    return parts[0], parts[-1]
 
 
 def evaluate(
@@ -123,8 +155,12 @@ def evaluate(
     size: SizeOption = None,
     noise: Annotated[str, typer.Option(help="poisson, gaussian, ml_gauss or none")] = "poisson",
     sigma: SigmaOption = 1.0,
+    first: Annotated[
+        int | None, typer.Option(help="show only so many masks of a nested design, the first ones")
+    ] = None,
     draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
     seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    view: ViewOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -144,7 +180,9 @@ def evaluate(
         made = made.to(find_device(device))
     else:
         made = Design.load(file, find_device(device))
-    scenes = load(data, size_of(size))
+    if first is not None:
+        made = made.first(first)
+    scenes = load(data, size_of(size), view)
     with progress("evaluate", quiet=as_json) as tell:
         results = test(
             made,
@@ -172,6 +210,63 @@ def evaluate(
     heads = ("photons", "accuracy, 95 % interval", "worst class", "counted", "counts per mask")
     print_table(f"{made.name}, {made.masks} masks, {noise} noise", heads, rows)
     print(f"interval: {results[0].covers}")
+
+
+def stop(
+    file: Annotated[Path, typer.Argument(help="nested design file for one device")],
+    photons: Annotated[str, typer.Option(help="budget of a whole exposure")],
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    hold_out: Annotated[
+        int | None,
+        typer.Option(help="last training scenes that the training left out; a sixth unless given"),
+    ] = None,
+    threshold: Annotated[
+        float | None, typer.Option(help="confidence above which to stop; chosen unless given")
+    ] = None,
+    draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
+    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Stop exposures as soon as their answer is sure enough, and say what that saves.
+
+    Example: deepfsi stop nested.safetensors --data mnist --photons 1e5 --hold-out 10000
+    """
+    from deepfsi.artifact import Design
+    from deepfsi.scenes import find_device
+    from deepfsi.stopping import stop as run
+
+    budget = one("photons", photons)
+    made = Design.load(file, find_device(device))
+    scenes = load(data, size_of(size))
+    found = run(
+        made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
+    )
+    if as_json:
+        print_json({"design": str(file), **found.as_dict()})
+        return
+    _print_stopped(found, made.masks)
+
+
+def _print_stopped(found: "Stopped", masks: int) -> None:
+    rows = []
+    for heading, rate in (
+        ("share of photons used", found.used),
+        ("accuracy, whole exposures", found.whole),
+        ("accuracy, stopped", found.stopped),
+        ("difference, paired", found.difference),
+    ):
+        rows.append((heading, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]"))
+    title = f"{masks} masks, {found.photons:g} photons, stopped above {found.policy.threshold:.5g}"
+    print_table(title, ("", "mean", "95 % interval"), rows)
+    kept = {round(each["accepted"], 2): each["stopped"] for each in found.rejection}
+    print(
+        f"calibration error of the answers: {found.calibration_error:.4f} "
+        f"({found.uncalibrated_error:.4f} without temperatures)\n"
+        f"the surest 90 % of the answers: {kept[0.9]:.4f} right; the surest half: {kept[0.5]:.4f}\n"
+        f"interval: {found.covers}"
+    )
 
 
 def show(

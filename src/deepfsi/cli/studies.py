@@ -158,7 +158,10 @@ def sweep(
 def reproduce(
     name: Annotated[
         str,
-        typer.Argument(help="mnist, compression, mlgauss, quantization, hardware, ovit, or list"),
+        typer.Argument(
+            help="mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
+            "forgiving, or list"
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/paper"),
     quick: Annotated[
@@ -272,7 +275,7 @@ def _sweep(
     from deepfsi.records import write_table
     from deepfsi.sweep import compare as run
 
-    scenes = load(recipe.data, recipe.size)
+    scenes = load(recipe.data, recipe.size, split=recipe.split)
     for folder in (out, *([table.parent] if table else [])):
         check_writable(folder)
     with progress(what, quiet=as_json) as tell:
@@ -305,7 +308,7 @@ def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_
 
     from deepfsi.forecast import forecast
 
-    scenes = load(recipe.data, recipe.size)
+    scenes = load(recipe.data, recipe.size, split=recipe.split)
     with progress("timing a few steps of each kind", quiet=as_json):
         expected = forecast(recipe, scenes, out, device, workers)
     if as_json:

@@ -10,7 +10,7 @@ from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.catalog import DatasetInfo, check, download, list_datasets
 from deepfsi.datasets.cubes import read_cube
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.display import Display, read_display, write_display
+from deepfsi.datasets.display import Display, read_display, write_display, write_pictures
 from deepfsi.datasets.load import load_dataset, load_spectra
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.datasets.store import FileCheck
@@ -30,4 +30,5 @@ __all__ = [
     "read_cube",
     "read_display",
     "write_display",
+    "write_pictures",
 ]

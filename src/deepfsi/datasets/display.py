@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,26 +87,39 @@ def write_display(
     InputError
         If the scenes are no images, a class has too few, or the folder holds something.
     """
-    from PIL import Image
-
-    target = Path(folder)
     if len(data.image_shape) != 2:
         raise InputError(f"{data.name}: scenes of shape {data.image_shape} are no images")
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} holds something already: name a new folder")
     rng = np.random.default_rng(seed)
-    drawn = []
+    pictures = {}
     for number, label in enumerate(data.classes):
         places = np.flatnonzero(data.y_test == number)
         if not 1 <= per_class <= len(places):
             raise InputError(
                 f"{per_class} test scenes of class {label} are not there: give 1 to {len(places)}"
             )
-        drawn += [(label, place) for place in sorted(rng.choice(places, per_class, replace=False))]
+        for place in sorted(rng.choice(places, per_class, replace=False)):
+            pictures[f"{label}/{place:06d}.png"] = data.x_test[place].reshape(data.image_shape)
+    return write_pictures(pictures, folder)
+
+
+def write_pictures(
+    pictures: Mapping[str, np.ndarray], folder: str | os.PathLike[str]
+) -> list[Path]:
+    """Write reflectances (H, W) in [0, 1] as grey pictures, by their names in a new folder.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something.
+    """
+    from PIL import Image
+
+    target = Path(folder)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} holds something already: name a new folder")
     written = []
-    for label, place in drawn:
-        image = np.rint(data.x_test[place].reshape(data.image_shape) * 255).astype(np.uint8)
+    for name, picture in pictures.items():
         content = io.BytesIO()
-        Image.fromarray(image).save(content, format="PNG")
-        written.append(write_atomically(target / label / f"{place:06d}.png", content.getvalue()))
+        Image.fromarray(np.rint(picture * 255).astype(np.uint8)).save(content, format="PNG")
+        written.append(write_atomically(target / name, content.getvalue()))
     return written

@@ -6,7 +6,9 @@ from pathlib import Path
 from deepfsi.errors import InputError, closest
 from deepfsi.experiments import (
     compression,
+    forgiving,
     hardware,
+    indian_pines,
     masks,
     mlgauss,
     mnist,
@@ -25,9 +27,11 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
+    "indian-pines": (indian_pines.EXPERIMENT,),
     "ovit": (ovit.EXPERIMENT,),
     "ovit-full": (ovit.FULL,),
     "hardware": (hardware.EXPERIMENT,),
+    "forgiving": (forgiving.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

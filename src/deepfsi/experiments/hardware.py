@@ -23,7 +23,7 @@ from deepfsi.experiments.contrast import Difference, above, of_trials
 from deepfsi.experiments.study import Experiment, Finding, Results
 from deepfsi.hardware import acquisition, calibration, detector, dmd
 from deepfsi.hardware.camera import CAMERAS, Camera, draw_counts, rates, record
-from deepfsi.hardware.sequence import Patterns, find_device, find_gates, find_grid
+from deepfsi.hardware.sequence import Grid, Patterns, find_device, find_gates, find_grid
 from deepfsi.report.figures import photons_text
 from deepfsi.report.hardware import (
     digits_figure,
@@ -438,6 +438,7 @@ def show(results: Results) -> Finding:
         "at 0.0001 s."
     )
     frame = np.frombuffer(base64.b64decode(extra["frame"]), np.uint8).reshape(DEVICE.rows, -1)
+    mirrors = dmd.unpack(frame, DEVICE)
     views = extra["views"]
     grid = find_grid(DEVICE, tuple(results["data"]["image_shape"]))
     fit = extra["calibration"]
@@ -481,8 +482,8 @@ def show(results: Results) -> Finding:
             "Ten digits above, and below them tilted, blurred and darker at the edges.",
         ),
         Picture(
-            mirrors_figure(dmd.unpack(frame, DEVICE), grid),
-            "The first frame of DeepFSI's masks, and nine of its cells mirror by mirror.",
+            mirrors_figure(mirrors, grid, _greyest(mirrors, grid)),
+            "DeepFSI's first frame, and its nine cells with most grey mirror by mirror.",
             "A grey mask made of mirrors that are ON or OFF.",
         ),
     )
@@ -507,6 +508,15 @@ def show(results: Results) -> Finding:
         _times(extra["times"]),
     )
     return Finding(found, pictures, claims, tables)
+
+
+def _greyest(mirrors: np.ndarray, grid: Grid, side: int = 3) -> tuple[int, int]:
+    """First cell of the window of side x side cells that are farthest from dark and full."""
+    share = dmd.recount(mirrors, grid).reshape(grid.down, grid.across) / grid.mirrors
+    grey = np.minimum(share, 1 - share)
+    windows = np.lib.stride_tricks.sliding_window_view(grey, (side, side)).sum(axis=(2, 3))
+    down, across = np.unravel_index(windows.argmax(), windows.shape)
+    return int(down), int(across)
 
 
 def _point(test: dict[str, Any]) -> dict[str, Any]:

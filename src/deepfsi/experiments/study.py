@@ -4,7 +4,7 @@ import io
 import json
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -27,12 +27,13 @@ Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Finding:
-    """What the numbers of an experiment show."""
+    """What the numbers of an experiment show; a title where these decide it."""
 
     found: str
     pictures: tuple[Picture, ...]
     claims: tuple[Claim, ...] = ()
     tables: tuple[Table, ...] = ()
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,9 @@ class Experiment:
     prepare : callable, optional
         What is done to the data before anything is trained on it.
     also : tuple of str
-        Names of further recipes whose points join the first's.
+        Names of further recipes whose points join the first's; each says its `recipe`.
+    adapt : callable, optional
+        What becomes of a recipe here, such as other data where those that it names are missing.
     settings : type of BaseModel
         What a recipe is made of.
     """
@@ -68,6 +71,7 @@ class Experiment:
     )
     prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
     also: tuple[str, ...] = ()
+    adapt: Callable[[Any], Any] = field(default=lambda recipe: recipe)
     settings: type[BaseModel] = Recipe
 
     def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Any:
@@ -76,7 +80,7 @@ class Experiment:
         text = (files("deepfsi.experiments") / "recipes" / file).read_text(encoding="utf-8")
         given = {} if trials is None else {"trials": trials}
         with reworded():
-            return self.settings.model_validate({**tomllib.loads(text), **given})
+            return self.adapt(self.settings.model_validate({**tomllib.loads(text), **given}))
 
     def run(
         self,
@@ -94,16 +98,20 @@ class Experiment:
 
         The experiments of a study share one folder of records, so that what one has trained
         another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
-        figures, and `NAME-trials.csv` one for each test.
+        figures, and `NAME-trials.csv` one for each test. Where a recipe names a split, its points
+        and the name of the data do, too.
         """
-        recipe = self.recipe(quick, trials)
-        data = self.prepare(load_dataset(recipe.data, size=recipe.size))
+        parts: dict[Any, Dataset] = {}
         results: dict[str, Any] = {}
         records: list[dict[str, Any]] = []
         for name in (self.name, *self.also):
+            recipe = self.recipe(quick, trials, name)
+            source = (recipe.data, recipe.size, recipe.split)
+            if source not in parts:
+                parts[source] = self.prepare(_load(recipe))
             part, own = compare(
-                self.recipe(quick, trials, name),
-                data,
+                recipe,
+                parts[source],
                 folder,
                 command=command,
                 device=device,
@@ -112,10 +120,15 @@ class Experiment:
                 report=report,
             )
             records += own
-            results = {**part, **results, "points": [*results.get("points", []), *part["points"]]}
+            where = {"recipe": name}
+            if recipe.split:
+                where |= {"data": recipe.data, "split": recipe.split}
+            points = [{**where, **point} for point in part["points"]]
+            results = {**part, **results, "points": [*results.get("points", []), *points]}
         if self.measure:
             tell = report or (lambda share, now: None)
-            results["extra"] = self.measure(results, data, folder / "designs", workers, tell)
+            first = next(iter(parts.values()))
+            results["extra"] = self.measure(results, first, folder / "designs", workers, tell)
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
 
@@ -148,7 +161,7 @@ class Experiment:
             ) from error
         return Section(
             name=self.name,
-            title=self.title,
+            title=shown.title or self.title,
             found=shown.found,
             paper=self.paper,
             pictures=shown.pictures,
@@ -158,6 +171,11 @@ class Experiment:
             command=results["command"],
             facts={key: results[key] for key in ("data", "recipe", "provenance")},
         )
+
+
+def _load(recipe: Recipe) -> Dataset:
+    data = load_dataset(recipe.data, size=recipe.size, split=recipe.split)
+    return replace(data, name=f"{data.name}, {recipe.split} split") if recipe.split else data
 
 
 def points(results: Results, **fields: Any) -> list[Mapping[str, Any]]:

@@ -14,7 +14,7 @@ a picture of each (`acquisition.picture`) and give them to `calibrate`.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -28,14 +28,18 @@ from skimage import measure, transform
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.hardware.acquisition import Counts
 from deepfsi.hardware.sequence import Grid, Patterns
 
 __all__ = [
+    "BLACK",
+    "WHITE",
     "Calibration",
     "Homography",
     "background",
     "black_rates",
     "calibrate",
+    "calibrate_run",
     "camera_view",
     "find_blur",
     "find_flat",
@@ -50,6 +54,7 @@ __all__ = [
 ]
 
 SCHEMA: Literal[1] = 1
+WHITE, BLACK = "white.png", "black.png"
 FILE = "calibration.json"
 POINTS = 24, 32  # of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells
 WINDOW = 1.5  # cells, standard deviation of the window in which a spot is centred
@@ -232,6 +237,54 @@ def calibrate(
         shown=len(scenes),
         blur=blur,
         flat=((1.0,),) if flat is None else tuple(map(tuple, flat.tolist())),
+        dark=dark,
+        ambient=ambient,
+    )
+
+
+def calibrate_run(
+    shown: Mapping[str, np.ndarray],
+    names: Sequence[str],
+    pictures: np.ndarray,
+    counts: Counts,
+    grid: Grid,
+) -> Calibration:
+    """Calibrate from one acquisition of spots, a white and a black picture.
+
+    Parameters
+    ----------
+    shown : mapping of str to array, shape (h, w)
+        Displayed pictures by name; `WHITE` and `BLACK` are uniform, all others are spots.
+    names : sequence of str
+        Of the acquisition's scenes.
+    pictures : array, shape (S, down, across)
+        What was measured of each, by `acquisition.picture`.
+    counts : Counts
+    grid : Grid
+
+    Raises
+    ------
+    InputError
+        If a scene was not among those shown, or the fit fails.
+    """
+    unknown = sorted(set(names) - set(shown))
+    if unknown:
+        raise InputError(
+            f"the run has a scene {unknown[0]} that is none of the displayed pictures: give the "
+            "folder that `deepfsi camera spots` wrote"
+        )
+    measured = dict(zip(names, pictures, strict=True))
+    spots = [name for name in names if name not in (WHITE, BLACK)]
+    dark = ambient = 0.0
+    if BLACK in measured:
+        place = list(names).index(BLACK)
+        dark, ambient = black_rates(counts.on_rate[[place]], counts.off_rate[[place]])
+    return calibrate(
+        np.stack([shown[name] for name in spots]) if spots else np.empty((0, 1, 1)),
+        np.stack([measured[name] for name in spots]) if spots else np.empty((0, 1, 1)),
+        grid,
+        white=measured.get(WHITE),
+        black=measured.get(BLACK),
         dark=dark,
         ambient=ambient,
     )

@@ -127,7 +127,8 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
         cell's mirrors together: the ideal camera gives x_j / K to each of the K mirrors of cell j.
         0 beyond the cells. Light at a mirror's centre stands for its whole.
     """
-    from scipy.ndimage import gaussian_filter
+    from scipy.fft import irfft2, rfft2
+    from scipy.ndimage import fourier_gaussian
 
     height, width = grid.down * grid.height, grid.across * grid.width
     edge = math.ceil(4 * camera.blur)
@@ -142,7 +143,8 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     for scene, mirrors in zip(scenes, out, strict=True):
         light = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
         if camera.blur:
-            light = gaussian_filter(light, camera.blur, mode="constant", truncate=4.0)
+            spectrum = fourier_gaussian(rfft2(light), camera.blur, n=light.shape[1])
+            light = np.maximum(irfft2(spectrum, light.shape), 0)
         mirrors[_area(grid)] = light[kept] * share
     return out
 
@@ -201,8 +203,7 @@ def rates(
     """
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
-    if not 0 <= flux <= MOST_FLUX:
-        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
+    _check_flux(flux)
     arms = 2 if manifest.two_arm else 1
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, arms))
@@ -222,6 +223,11 @@ def rates(
                 done = first * frames + (place + len(on)) * len(part)
                 progress(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
+
+
+def _check_flux(flux: float) -> None:
+    if not 0 <= flux <= MOST_FLUX:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
 
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
@@ -339,6 +345,7 @@ def record(
             f"{len(scenes)} scenes, {len(names)} names and "
             f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
         )
+    _check_flux(flux)
     gates = find_gates(manifest, exposure_s, settle_s, repeats)
     readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
     countable = max(MOST_READOUTS // readouts, 1)

@@ -19,8 +19,6 @@ import io
 import json
 import math
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -34,6 +32,7 @@ from PIL import Image, PngImagePlugin
 from pydantic import ValidationError
 
 from deepfsi.errors import InputError, closest
+from deepfsi.files import new_folder
 from deepfsi.hardware.sequence import (
     MOST_FRAMES,
     Device,
@@ -144,8 +143,7 @@ def export_patterns(
     shares = np.minimum(peaks * dimmed, 1.0)
     pictures = _picture_us(shares, light, device, dwell_s)
     every = _sequence(on, device, grid, selection, seed)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with _new_folder(target) as draft:
+    with new_folder(target) as draft:
         hashes = _write_frames(draft, format, device, len(shown) + 4, every, progress)
         masks = [
             Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=sha256)
@@ -770,18 +768,3 @@ def _whole(us: float) -> int:
 
 def _png(place: int, total: int) -> str:
     return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"
-
-
-@contextmanager
-def _new_folder(target: Path) -> Iterator[Path]:
-    """A folder beside the target that takes its place when all went well, and else goes."""
-    draft = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
-    try:
-        yield draft
-        umask = os.umask(0)
-        os.umask(umask)
-        draft.chmod(0o777 & ~umask)
-        os.replace(draft, target)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise

@@ -1,0 +1,180 @@
+"""Commands on the way to a camera: what it needs (plan), and the classifier for it (export)."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deepfsi.cli.common import (
+    DataOption,
+    DeviceOption,
+    EpochsOption,
+    JsonOption,
+    SizeOption,
+    WorkersOption,
+    check_writable,
+    command_line,
+    load,
+    numbers,
+    one,
+    print_json,
+    print_table,
+    progress,
+    size_of,
+    words,
+)
+from deepfsi.errors import InputError
+
+
+def export(
+    file: Annotated[
+        Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
+    ],
+    onnx: Annotated[bool, typer.Option("--onnx", help="as an ONNX graph")] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="the design's name with .onnx unless given")
+    ] = None,
+) -> None:
+    """Write the classifier of a design as a file that runs without this package.
+
+    Counts and budget in, class probabilities out; all scaling is inside. `dmd export` writes the
+    masks.
+
+    Example: deepfsi export digits.safetensors --onnx -o digits.onnx
+    """
+    from deepfsi.artifact import Design
+    from deepfsi.export import to_onnx
+    from deepfsi.files import write_atomically
+
+    if not onnx:
+        raise InputError("a design can be exported as an ONNX graph: add --onnx")
+    target = out or file.with_suffix(".onnx")
+    if target.is_dir():
+        raise InputError(f"{target} is a folder: give a file name ending in .onnx")
+    check_writable(target.parent)
+    if file.is_dir():
+        from deepfsi.hardware.dmd import check_patterns
+
+        design = Design.load(file / "design.safetensors").as_shown(check_patterns(file))
+    else:
+        design = Design.load(file)
+    write_atomically(target, to_onnx(design))
+    shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
+    print(
+        f"in: counts {shape}, photons (batch,)\n"
+        f"out: probabilities (batch, {len(design.classes)})\nsaved: {target}"
+    )
+
+
+def plan(
+    target: Annotated[str, typer.Option(help="accuracy to be reached, such as 0.95")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/plan"),
+    data: DataOption = "digits",
+    size: SizeOption = None,
+    designs: Annotated[str, typer.Option(help="names, separated by commas")] = (
+        "impulse,raster,truncated-hadamard,pca,deepfsi"
+    ),
+    photons: Annotated[
+        str, typer.Option(help="budgets to try first; more are added where the target is met")
+    ] = "1e2,1e3,1e4,1e5,1e6",
+    ratios: Annotated[
+        str | None, typer.Option(help="compression ratios m/N; 0.01,0.04,0.16 unless given")
+    ] = None,
+    masks: Annotated[str | None, typer.Option(help="mask counts, instead of ratios")] = None,
+    noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
+    sigma: Annotated[float, typer.Option(help="gaussian noise, counts per readout")] = 1.0,
+    light: Annotated[str, typer.Option(help="light constraints")] = "column",
+    rails: Annotated[str, typer.Option(help="dual, single")] = "dual",
+    trials: Annotated[int, typer.Option(help="training seeds for each point")] = 2,
+    epochs: EpochsOption = None,
+    device: DeviceOption = "auto",
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say how many photons and masks a target accuracy needs, for each design.
+
+    Every design is trained at a few budgets, then where its curve meets the target; what lies
+    between is interpolated, and the interval says how far that can be trusted. Stopped, it goes on
+    where it was when run again with the same output folder, also with another target.
+
+    Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
+    """
+    from deepfsi.files import write_atomically
+    from deepfsi.jobs import reworded
+    from deepfsi.planning import check_plan, photons_needed
+    from deepfsi.recipes import Recipe
+
+    if masks is not None and ratios is not None:
+        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
+    settings: dict[str, Any] = {
+        "data": data,
+        "size": size_of(size),
+        "designs": words(designs),
+        "photons": numbers("photons", photons),
+        "noise": noise,
+        "sigma": sigma,
+        "light": words(light),
+        "rails": words(rails),
+        "trials": trials,
+        "training": {} if epochs is None else {"epochs": epochs},
+    }
+    if masks is not None:
+        settings["masks"] = numbers("masks", masks, whole=True)
+    else:
+        settings["ratios"] = numbers("ratios", ratios) or [0.01, 0.04, 0.16]
+    accuracy = one("target", target)
+    with reworded():
+        recipe = Recipe.model_validate(settings)
+    scenes = load(data, size_of(size))
+    check_plan(recipe, scenes, accuracy)
+    check_writable(out)
+    with progress("plan", quiet=as_json) as tell:
+        found, results = photons_needed(
+            recipe,
+            scenes,
+            accuracy,
+            out,
+            command=command_line(),
+            device=device,
+            workers=workers,
+            report=tell,
+        )
+    for name, value in (("plan", found), ("results", results)):
+        write_atomically(out / f"{name}.json", json.dumps(value, indent=1).encode())
+    if as_json:
+        print_json(found)
+        return
+    _print_needs(found, [axis for axis in ("light", "rails") if len(settings[axis]) > 1])
+    print(f"plan: {out / 'plan.json'}")
+
+
+def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
+    def two_digits(photons: float) -> str:
+        return f"{float(f'{photons:.1e}'):g}"
+
+    def photons(need: Mapping[str, Any]) -> str:
+        tried = need["tried"]
+        if need["found"] == "below":
+            return f"{tried[0]['photons']:g} or fewer"
+        return two_digits(need["photons"]) if need["photons"] else f"above {tried[-1]['photons']:g}"
+
+    def interval(need: Mapping[str, Any]) -> str:
+        low, high = (end and two_digits(end) for end in (need["low"], need["high"]))
+        if low is None:
+            return "any" if high is None else f"{high} or fewer"
+        return f"{low} or more" if high is None else f"{low} to {high}"
+
+    needs = sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
+    rows = [
+        (need["title"], *(need[axis] for axis in axes), photons(need), interval(need),
+         str(need["masks"]), str(len(need["tried"])))
+        for need in needs
+    ]  # fmt: skip
+    heads = ("design", *axes, "photons", "95 % interval", "masks", "budgets tried")
+    print_table(f"{plan['data']['name']}: accuracy {plan['target']:g} needs", heads, rows)
+    print(f"interval: {plan['covers']}")
+    print(
+        "mask counts and added budgets were chosen on validation data; accuracies are of test data"
+    )

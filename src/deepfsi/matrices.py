@@ -1,0 +1,169 @@
+"""A user's own masks: an array, a MATLAB variable or a stack of images becomes a sensing matrix."""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.errors import InputError
+
+IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
+"""Ends of the names of image files that lose nothing."""
+
+LARGEST = 2**28
+"""Values of a matrix at most: a small file may claim more than memory holds."""
+
+WAYS = (
+    "a .npy file or a .mat file with one numeric variable (or FILE.mat:VARIABLE), of shape (m, N) "
+    "or (m, H, W), a folder of images, or a TIFF of m pages"
+)
+
+
+def read_matrix(source: str) -> np.ndarray:
+    """Read masks from a file or a folder.
+
+    Parameters
+    ----------
+    source : str
+        Path of one of
+
+        - a ``.npy`` file of shape (m, N) or (m, H, W);
+        - a ``.mat`` file up to version 7 with one numeric variable of such a shape; of one with
+          several, its path, a colon and the variable's name;
+        - an image of m pages, such as a TIFF, or a folder of images, in the order of their names.
+
+    Returns
+    -------
+    array, shape (m, N)
+        Shares of each pixel's photons. Grey levels (images, and arrays of bool, uint8 or uint16)
+        have no scale of their own: they become 0 to 1 and then 1/m of that, each mask shown for an
+        equal part of the time, which every light constraint allows. Other numbers stay.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is damaged, or it holds something else.
+    """
+    path, variable = Path(source), ""
+    if not path.exists() and ".mat:" in source:
+        name, _, variable = source.rpartition(":")
+        path = Path(name)
+    if not path.exists():
+        raise InputError(f"no matrix at {path}: give {WAYS}")
+    end = path.suffix.lower()
+    if path.is_dir() or end in IMAGES:
+        masks = _read_images(path)
+    elif end == ".mat":
+        masks = _read_mat(path, variable)
+    else:
+        masks = _read_npy(path)
+    if masks.ndim not in (2, 3) or not masks.size:
+        raise InputError(f"{path} holds an array of shape {masks.shape}: give {WAYS}")
+    full = _full_scale(masks)
+    return (masks / (full * len(masks)) if full else masks).reshape(len(masks), -1)
+
+
+def _full_scale(values: np.ndarray) -> int:
+    """The level that stands for all light; 0 where numbers are no levels."""
+    if values.dtype.kind not in "bu" or values.dtype.itemsize > 2:
+        return 0
+    return 1 if values.max() <= 1 else int(np.iinfo(values.dtype).max)
+
+
+def _read_npy(path: Path) -> np.ndarray:
+    try:
+        # mapped, so that no more is read than the file holds
+        values = np.lib.format.open_memmap(path, mode="r")
+    except (OSError, ValueError, EOFError):
+        values = None
+    if values is None or values.dtype.kind not in "biuf":
+        raise InputError(f"no matrix of real numbers in {path}: give {WAYS}")
+    return np.array(values)
+
+
+def _read_mat(path: Path, variable: str) -> np.ndarray:
+    from scipy.io import loadmat, whosmat
+
+    try:
+        shapes = {
+            name: shape
+            for name, shape, kind in whosmat(path)
+            if kind in ("double", "single", "logical") or "int" in kind
+        }
+        fitting = [name for name, shape in shapes.items() if len(shape) in (2, 3)]
+        if not variable and len(fitting) == 1:
+            [variable] = fitting
+        if variable not in fitting:
+            raise InputError(
+                f"{path} has {'no variable ' + variable if variable else 'not one variable alone'} "
+                "that is numeric and of two or three dimensions, but "
+                f"{', '.join(fitting) or 'none'}: name one as {path}:VARIABLE"
+            )
+        if np.prod(shapes[variable], dtype=float) > LARGEST:
+            raise InputError(
+                f"{path}: {variable} has the shape {shapes[variable]}: give {LARGEST} values or "
+                "fewer"
+            )
+        values = loadmat(path, variable_names=[variable])[variable]
+    except InputError:
+        raise
+    except NotImplementedError:
+        raise InputError(f"{path} is of version 7.3: save it in MATLAB with '-v7'") from None
+    except Exception as error:  # scipy raises almost anything on a damaged file
+        raise InputError(f"cannot read {path} as a .mat file ({error}): save it again") from None
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"{path}: {variable} holds complex numbers: give real ones")
+    return values
+
+
+def _read_images(path: Path) -> np.ndarray:
+    files = [path]
+    if path.is_dir():
+        files = sorted(
+            file
+            for file in path.iterdir()
+            if file.suffix.lower() in IMAGES and not file.name.startswith(".")
+        )
+    if not files:
+        raise InputError(f"no images in {path}: give some ({' '.join(IMAGES)}), a mask each")
+    masks: list[np.ndarray] = []
+    for file in files:
+        for page in _pages(file):
+            if masks and (page.shape, page.dtype) != (masks[0].shape, masks[0].dtype):
+                raise InputError(
+                    f"images differ: {file} has {_kind(page)}, {files[0]} {_kind(masks[0])}: bring "
+                    "them to one size and kind"
+                )
+            if page.size * (len(masks) + 1) > LARGEST:
+                raise InputError(f"{path} holds more than {LARGEST} pixels: give fewer")
+            masks.append(page)
+    return np.stack(masks)
+
+
+def _kind(page: np.ndarray) -> str:
+    return f"{page.shape[0]}x{page.shape[1]} pixels of {page.dtype}"
+
+
+def _pages(file: Path) -> Iterator[np.ndarray]:
+    """Every page of an image as (H, W), in the levels of its file."""
+    from PIL import Image, ImageSequence
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(file) as image:
+                for page in ImageSequence.Iterator(image):
+                    if page.mode == "I":
+                        raise InputError(
+                            f"{file} has 32 bits a pixel, of unknown full scale: save it with 8 "
+                            "or 16 bits, or as floats"
+                        )
+                    if page.mode.startswith("I;16"):
+                        yield np.asarray(page).astype(np.uint16)
+                    else:
+                        yield np.asarray(page if page.mode in ("1", "F") else page.convert("L"))
+    except InputError:
+        raise
+    except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
+        raise InputError(f"cannot read the image {file} ({error}): replace it") from None

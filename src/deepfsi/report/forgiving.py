@@ -1,0 +1,160 @@
+"""Figures of designs that serve many budgets and mask counts, and of exposures that stop early."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
+
+from deepfsi.report.figures import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_text, styled
+
+LOOKS: dict[str, dict[str, Any]] = {
+    "forgiving": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},
+    "deepfsi": {"color": COLOURS["deepfsi"], "marker": "o"},
+    "elsewhere": {"color": COLOURS["deepfsi"], "linestyle": (0, (1, 1.5)), "linewidth": 1.0},
+    "pca": {"color": COLOURS["pca"], "marker": "o", "linestyle": (0, (5, 1.6))},
+    "truncated-hadamard": {
+        "color": COLOURS["truncated-hadamard"],
+        "marker": "s",
+        "linestyle": LINES["truncated-hadamard"],
+    },
+}
+"""Lines by what they show; "elsewhere" is a design for one budget, tested at others."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Accuracies along an axis.
+
+    Attributes
+    ----------
+    name : str
+        For the key; empty for none.
+    look : str
+        Of `LOOKS`.
+    across : sequence of float
+        Rising.
+    accuracy, low, high : sequence of float
+        With its interval; none is drawn where both ends are left out.
+    """
+
+    name: str
+    look: str
+    across: Sequence[float]
+    accuracy: Sequence[float]
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+
+
+@styled
+def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
+    """Accuracy against the photon budget, or the number of masks, on logarithmic axes.
+
+    Parameters
+    ----------
+    panels : mapping of str to sequence of Line
+        Label of the axis → its lines.
+
+    Returns
+    -------
+    Figure
+        A panel for each, with a key of its own.
+    """
+    figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, (label, lines) in zip(axes, panels.items(), strict=True):
+        _draw(ax, lines)
+        ax.set_xscale("log")
+        ticks = sorted({value for line in lines for value in line.across})
+        ax.xaxis.set_major_locator(FixedLocator(ticks))
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(round(value))))
+        ax.set_xlabel(label)
+    axes[0].set_ylabel("accuracy")
+    return figure
+
+
+@styled
+def stopping_figure(
+    curves: Sequence[Mapping[str, Any]], plain: Line, photons: float, chosen: Mapping[str, float]
+) -> Figure:
+    """What stopping early saves, when exposures stop, and what rejection gives.
+
+    Parameters
+    ----------
+    curves : sequence of mapping
+        One for each trial: `curve`, `stops`, `policy` and `rejection` of `stopping.Stopped`.
+    plain : Line
+        A design for whole exposures, against photons.
+    photons : float
+        Budget of whole exposures.
+    chosen : mapping
+        Mean `used` photons and `accuracy` at the thresholds chosen.
+
+    Returns
+    -------
+    Figure
+        Three panels: accuracy against mean photons, the share of exposures still going on after
+        each mask, and accuracy against the share of answers accepted.
+    """
+    figure = Figure(figsize=(10.5, 3.2), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    used, accuracy = (
+        np.mean([[point[name] for point in each["curve"]] for each in curves], axis=0)
+        for name in ("used", "accuracy")
+    )
+    _draw(
+        left,
+        [
+            Line("", "elsewhere", (used * photons).tolist(), accuracy.tolist()),
+            plain,
+        ],
+    )
+    left.plot([], [], label="nested, stopped early", **LOOKS["elsewhere"])
+    left.plot(
+        chosen["used"],
+        chosen["accuracy"],
+        label="at the threshold chosen",
+        color=COLOURS["control"],
+        marker="D",
+        linestyle="none",
+    )
+    left.set_xlabel("mean photons used")
+    left.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+    left.set_ylabel("accuracy")
+    left.legend(frameon=False, fontsize=8, loc="lower right")
+    for each in curves:
+        going = 1 - np.cumsum(each["stops"])
+        middle.step(each["policy"]["masks"], going, where="post", color=COLOURS["deepfsi"], lw=1)
+    middle.set_xlabel("masks shown")
+    middle.set_ylabel("exposures that go on")
+    middle.yaxis.set_major_formatter(PercentFormatter(1))
+    middle.set_ylim(bottom=0)
+    accepted = [point["accepted"] for point in curves[0]["rejection"]]
+    for name, words, look in (
+        ("stopped", "stopped early", LOOKS["elsewhere"]),
+        ("whole", "whole exposures", {"color": COLOURS["deepfsi"]}),
+    ):
+        values = np.mean([[p[name] for p in each["rejection"]] for each in curves], axis=0)
+        right.plot(accepted, values, label=words, **look)
+    right.xaxis.set_major_formatter(PercentFormatter(1))
+    right.set_xlabel("answers accepted, the surest")
+    right.set_ylabel("accuracy of these")
+    right.legend(frameon=False, fontsize=8, loc="lower left")
+    for ax in (left, middle, right):
+        ax.grid(visible=True)
+    return figure
+
+
+def _draw(ax: Axes, lines: Sequence[Line]) -> None:
+    for line in lines:
+        look = LOOKS[line.look]
+        ax.plot(line.across, line.accuracy, label=line.name or "_", **look)
+        if line.low:
+            ax.vlines(line.across, line.low, line.high, color=look["color"], linewidth=1)
+    ax.grid(visible=True, color="#dfe3e8")
+    ax.tick_params(colors=MUTED, labelcolor="#1b1f24")
+    ax.legend(frameon=False, fontsize=8, loc="lower right")
