@@ -228,7 +228,12 @@ def show(results: Results) -> Finding:
     }
     claims = [
         *(_no_advantage(of, split, compared[("gaussian", split)]) for split in splits),
-        *(_advantageous(of, split, compared[("poisson", split)]) for split in splits),
+        *(
+            _advantageous(
+                of, split, compared[("poisson", split)], best(results, noise="poisson", split=split)
+            )
+            for split in splits
+        ),
     ]
     if len(splits) == 2:
         claims.append(_leakage_claim(of, _leakage(extra, splits)))
@@ -270,24 +275,25 @@ def _no_advantage(of: str, split: str, compared: Compared) -> Claim:
     )
 
 
-def _advantageous(of: str, split: str, compared: Compared) -> Claim:
-    least = min(compared, key=lambda budget: compared[budget].low)
-    clear = [photons_text(b) for b, each in compared.items() if each.low > 0]
-    most = max(compared, key=lambda budget: compared[budget].mean)
-    holds = above(compared.values())
+def _advantageous(of: str, split: str, compared: Compared, chosen: Chosen) -> Claim:
+    least, most = (f(compared, key=lambda budget: compared[budget].mean) for f in (min, max))
+    unclear = [
+        f"{_rival(chosen, RIVALS['poisson'], budget)['label']} at {photons_text(budget)}"
+        for budget, each in compared.items()
+        if each.low <= 0
+    ]
     said = (
         f"{of}: DeepFSI − best other lowest {compared[least]} at {photons_text(least)}, highest "
-        f"{compared[most]} at {photons_text(most)} photons; above at {listed(clear or ['none'])}"
+        f"{compared[most]} at {photons_text(most)} photons"
     )
-    why = (
-        "With very few photons every design guesses, and in bright light all come to what the "
-        "classifier can do."
-    )
+    if unclear:
+        said += f"; not clearly above {listed(unclear)}"
+    holds = above(compared.values())
     return Claim(
         f"PN, {split} split: DeepFSI is above every other design with one detector at every budget",
         holds,
         said,
-        "" if holds else why,
+        "" if holds else "In bright light all designs come to what the classifier can do.",
     )
 
 

@@ -206,11 +206,11 @@ def spectral_masks_figure(
     Returns
     -------
     Figure
-        All panels share one scale.
+        Each panel has a scale of its own.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
-    panels = figure.subplots(len(rows), len(AXIS_NOISES), squeeze=False, sharex=True, sharey=True)
+    panels = figure.subplots(len(rows), len(AXIS_NOISES), squeeze=False, sharex=True)
     for line, row in zip(panels, rows, strict=True):
         for ax, noise in zip(line, AXIS_NOISES, strict=True):
             x, order = _bands(wavelengths, row[noise].shape[1])
