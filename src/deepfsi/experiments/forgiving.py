@@ -307,7 +307,8 @@ def _heat_picture(results: Results) -> Picture:
     members = _counts(results, photons)
     prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "forgiving-both"]
     lights = [p for p in budgets(members) if p in set(budgets(prefixes))]
-    ratios = sorted({p["ratio"] for p in prefixes})
+    apart = {f"{p['ratio']:.0%}": p["ratio"] for p in prefixes}  # rows that read alike are one
+    ratios = sorted(apart.values())
     grids = {
         point["title"]: accuracy_grid(
             [p for p in members if p["design"] == point["design"]], lights, ratios

@@ -188,7 +188,7 @@ def heat_figure(
         All panels share one colour scale. Values stand in the cells where they fit.
     """
     edges = _edges(np.log10(budgets))
-    columns = min(3, len(panels))
+    columns = 2 if len(panels) == 4 else min(3, len(panels))
     rows = -(-len(panels) // columns)
     height = 0.9 + max(1.0, 0.24 * len(ratios))
     width = PAGE_WIDTH * (0.28 + 0.24 * columns)
