@@ -575,9 +575,10 @@ def test_every_recipe_runs_small(path, digits, tmp_path):
 
     settings = tomllib.loads(path.read_text())
     recipes.Recipe(**settings)
+    nested = settings.get("training", {}).get("nested", 0)
     tiny = {
         "data": "digits",
-        "masks": 4,
+        "masks": max(4, *nested) if isinstance(nested, list) else max(4, nested),
         "ratios": (),
         "photons": 1e3,
         "trials": 1,
