@@ -12,7 +12,7 @@ LINES = re.findall(
     r"^(deepfsi (?:sweep|reproduce|report) .*?)(?: +#.*)?$", README, flags=re.MULTILINE
 )
 CAMERA = re.search(r"## A camera\n.*?```\n(.*?)```", README, flags=re.DOTALL).group(1).splitlines()
-COMMANDS = sorted(set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show) -?[^`]+)`", README)))
+COMMANDS = sorted(set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show|export) -?[^`]+)`", README)))
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
@@ -28,7 +28,7 @@ def test_commands(tmp_path, monkeypatch):
     from deepfsi import cli
 
     monkeypatch.chdir(tmp_path)
-    assert len(COMMANDS) == 5
+    assert len(COMMANDS) == 6
     for command in sorted(COMMANDS, key=lambda line: "design" not in line):
         words = shlex.split(command.replace("mnist", "digits"))
         if words[1] in ("compare", "design"):
