@@ -41,6 +41,7 @@ def tiny(experiment, trials: int, name: str):
         changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
     if experiment.name == "forgiving":
         changes |= {"photons": 1e4, "ratios": 0.05 if name == "forgiving-counts" else 0.1}
+        changes["tuned"] = {}
         training |= {"nested": 2} if "nested" in training else {}
     return type(quick)(**{**kept, **changes})
 
