@@ -12,7 +12,9 @@ LINES = re.findall(
     r"^(deepfsi (?:sweep|reproduce|report) .*?)(?: +#.*)?$", README, flags=re.MULTILINE
 )
 CAMERA = re.search(r"## A camera\n.*?```\n(.*?)```", README, flags=re.DOTALL).group(1).splitlines()
-COMMANDS = sorted(set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show|export) -?[^`]+)`", README)))
+COMMANDS = sorted(
+    set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show|export) -?[^`]+)`", README))
+)
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
