@@ -98,7 +98,8 @@ class Training(BaseModel):
     @model_serializer(mode="wrap")
     def _without_what_has_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # so that records made before there were these fields keep their keys
-        return {name: value for name, value in dump(self).items() if value != LATER.get(name)}
+        fields = dump(self).items()
+        return {name: value for name, value in fields if (name, value) not in LATER.items()}
 
 
 LATER = {"levels": 0, "span": 1.0, "nested": 0}

@@ -9,7 +9,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
 
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.errors import InputError
