@@ -86,6 +86,8 @@ def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> 
 def _displaced(
     x: Reflectance, shape: tuple[int, ...], shift: float, turn: float, rng: np.random.Generator
 ) -> Reflectance:
+    from scipy import ndimage
+
     moved = np.empty_like(x)
     centre = (np.array(shape) - 1) / 2
     shifts = rng.normal(0, shift, (len(x), 2))
