@@ -7,6 +7,7 @@ million fails by chance; the seeds are fixed, so that it then fails always.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from functools import cache
 
@@ -113,6 +114,21 @@ def _digits() -> Dataset:
 @cache
 def _made(design: str, light: str, rails: str) -> Design:
     return quick(_digits(), design, light=light, rails=rails)
+
+
+@pytest.fixture
+def call(monkeypatch, capsys) -> Callable[..., tuple[object, str, str]]:
+    """Run a command line; gives its exit code, what it printed, and its errors."""
+    from deepfsi import cli
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        printed = capsys.readouterr()
+        return stop.value.code, printed.out, printed.err
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepfsi import cli
 from deepfsi.artifact import Design
 
 COMMANDS = [
@@ -38,18 +37,6 @@ COMMANDS = [
     "camera spots",
     "camera calibrate",
 ]
-
-
-@pytest.fixture
-def call(monkeypatch, capsys):
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        printed = capsys.readouterr()
-        return stop.value.code, printed.out, printed.err
-
-    return run
 
 
 @pytest.fixture(scope="module")

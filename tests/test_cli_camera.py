@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from deepfsi import cli
 from deepfsi.artifact import Design
 from deepfsi.cli.camera import seconds
 from deepfsi.datasets import load_dataset, read_display, write_display
 from deepfsi.errors import InputError
 from deepfsi.evaluation import evaluate
 from deepfsi.hardware.dmd import read_patterns
-
-
-@pytest.fixture
-def call(monkeypatch, capsys):
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        printed = capsys.readouterr()
-        return stop.value.code, printed.out, printed.err
-
-    return run
 
 
 @pytest.fixture(scope="module")
