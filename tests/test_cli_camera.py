@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from conftest import quick
 from deepfsi.artifact import Design
 from deepfsi.cli.camera import seconds
 from deepfsi.datasets import load_dataset, read_display, write_display
@@ -102,6 +103,30 @@ def test_from_photons_to_classes(call, lab, tmp_path):
     code, out, _ = call("camera", "inspect", run / "photons.ptu", "--json")
     contents = json.loads(out)
     assert contents["markers"]["1"] == 3 * len(read_patterns(tmp_path / "p").manifest.frames)
+
+
+def test_another_design_is_not_taken_for_the_one_that_was_shown(call, lab, tmp_path, digits):
+    exported(call, lab, tmp_path / "p")
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    call("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    call("camera", "count", tmp_path / "run")
+    quick(digits, light="equal-dwell", seed=1).save(tmp_path / "other.safetensors")
+    code, out, err = call("camera", "classify", tmp_path / "other.safetensors", tmp_path / "run")
+    assert code == 2
+    assert "not the design" in err
+    assert not out
+
+
+def test_the_cost_in_time_is_stated(call, lab, tmp_path):
+    code, out, _ = exported(call, lab, tmp_path / "p", "--dwell", "44us", "--json")
+    said = json.loads(out)
+    manifest = read_patterns(tmp_path / "p").manifest
+    counted = said["longest_exposure_s"] * manifest.shares.sum() / said["pass_s"]
+    assert code == 0
+    assert sum(said["uncounted"].values()) == pytest.approx(1 - counted)
+    assert said["uncounted"]["settling"] == pytest.approx(
+        10e-6 * said["mask_frames"] / said["pass_s"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -460,14 +460,14 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss"):
         "trial": {"job": job, "variant": ""},
         "validation": [{**result, "accuracy": validation}],
         "test": [{**result, "accuracy": test}],
-        "info": {"seconds": 1.0},
+        "info": {"seconds": 1.0, "device": "cpu"},
     }
 
 
 def summary(data, records, **changes):
-    return sweep.summarise(
-        small(**changes), data, records, command="deepfsi", device="cpu", seconds=1.0
-    )["points"]
+    return sweep.summarise(small(**changes), data, records, command="deepfsi", seconds=1.0)[
+        "points"
+    ]
 
 
 def test_mask_counts_are_chosen_on_validation_never_on_test(digits):

@@ -153,6 +153,10 @@ class Design:
             logits = self.logits(features.to(device), budget.to(device))
         return logits.softmax(dim=-1).cpu().numpy()
 
+    def readouts(self, rails: np.ndarray) -> np.ndarray:
+        """Counts (..., rails, m) of every rail, in the shape that `classify` takes."""
+        return rails if len(self.rails) == 2 else rails[..., 0, :]
+
     def to(self, device: str | torch.device) -> Self:
         """Move to a device; returns self."""
         self.rails = self.rails.to(device)
@@ -252,33 +256,14 @@ class Design:
                 f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
                 "only Mlp can; save its state_dict() yourself"
             )
-        tensors = {
-            "rails": self.rails,
-            "centre": self.centre,
-            "spread": self.spread,
-            "shares": self.shares,
-        }
-        for key, value in self.classifier.state_dict().items():
-            tensors[f"classifier.{key}"] = value
-        header = {
-            "schema": SCHEMA if self.told else 1,
-            "deepfsi": version("deepfsi"),
-            "name": self.name,
-            "light": self.light,
-            "mean_light": self.mean_light,
-            "image_shape": list(self.image_shape),
-            "classes": list(self.classes),
-            "classifier": {
-                "kind": "mlp",
-                "hidden": list(self.classifier.hidden),
-                "dropout": self.classifier.dropout,
-            },
-            "info": self.info,
+        network = {
+            "kind": "mlp",
+            "hidden": list(self.classifier.hidden),
+            "dropout": self.classifier.dropout,
         }
         if self.told:
-            header |= {"told": asdict(self.told), "used": self.used}
-        whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
-        return to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
+            return pack(self, SCHEMA, network, told=asdict(self.told), used=self.used)
+        return pack(self, 1, network)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], device: str | torch.device = "cpu") -> "Design":
@@ -302,13 +287,7 @@ class Design:
                 dropout=network["dropout"],
                 generator=torch.Generator(),
             )
-            classifier.load_state_dict(
-                {
-                    key.removeprefix("classifier."): torch.from_numpy(value)
-                    for key, value in tensors.items()
-                    if key.startswith("classifier.")
-                }
-            )
+            classifier.load_state_dict(weights_of(tensors))
             classifier.generator = None
             design = cls(
                 name=header["name"],
@@ -351,6 +330,36 @@ class Design:
         if not sound:
             raise damaged(path)
         return design.to(device)
+
+
+def pack(design: Design, schema: int, classifier: dict[str, Any], **more: Any) -> bytes:
+    """Content of a design file: tensors, and a header with what rebuilds the classifier."""
+    tensors = {name: getattr(design, name) for name in ("rails", "centre", "spread", "shares")}
+    for key, value in design.classifier.state_dict().items():
+        tensors[f"classifier.{key}"] = value
+    header = {
+        "schema": schema,
+        "deepfsi": version("deepfsi"),
+        "name": design.name,
+        "light": design.light,
+        "mean_light": design.mean_light,
+        "image_shape": list(design.image_shape),
+        "classes": list(design.classes),
+        "classifier": classifier,
+        "info": design.info,
+        **more,
+    }
+    whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
+    return to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
+
+
+def weights_of(tensors: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+    """State of the classifier among the tensors of a design file."""
+    return {
+        key.removeprefix("classifier."): torch.from_numpy(value)
+        for key, value in tensors.items()
+        if key.startswith("classifier.")
+    }
 
 
 def read_design(

@@ -8,7 +8,6 @@ A budget Φ is of the whole image, and the patches share it as they share its li
 the training set's mean summed reflectance of whole images.
 """
 
-import json
 import math
 import os
 import time
@@ -22,12 +21,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field
-from safetensors.torch import save as tensors_to_bytes
 from torch import Tensor
 from torch.nn import functional
 
 from deepfsi import coding, constraints
-from deepfsi.artifact import Design, damaged, kind_of, read_design
+from deepfsi.artifact import Design, damaged, kind_of, pack, read_design, weights_of
 from deepfsi.classifiers import Vit
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
@@ -126,23 +124,7 @@ class PatchDesign(Design):
     def to_bytes(self) -> bytes:
         """Content of the design file."""
         assert isinstance(self.classifier, Vit)
-        parts = {name: getattr(self, name) for name in ("rails", "centre", "spread", "shares")}
-        for key, value in self.classifier.state_dict().items():
-            parts[f"classifier.{key}"] = value
-        header = {
-            "schema": SCHEMA,
-            "deepfsi": version("deepfsi"),
-            "name": self.name,
-            "light": self.light,
-            "mean_light": self.mean_light,
-            "image_shape": list(self.image_shape),
-            "patch": self.patch,
-            "classes": list(self.classes),
-            "classifier": {"kind": "vit", **self.classifier.size},
-            "info": self.info,
-        }
-        whole = {key: value.detach().cpu().contiguous() for key, value in parts.items()}
-        return tensors_to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
+        return pack(self, 1, {"kind": "vit", **self.classifier.size}, patch=self.patch)
 
     @classmethod
     def load(
@@ -161,11 +143,7 @@ class PatchDesign(Design):
             raise InputError(f"{path} is no design of image patches: load it with Design.load")
         try:
             size = {key: header["classifier"][key] for key in ("width", "depth", "heads", "hidden")}
-            weights = {
-                key.removeprefix("classifier."): value
-                for key, value in parts.items()
-                if key.startswith("classifier.")
-            }
+            weights = weights_of(arrays)
             vit = Vit(
                 parts["rails"].shape[1],
                 len(weights["position"]),

@@ -233,7 +233,6 @@ def photons_needed(
             data,
             records,
             command=command,
-            device=", ".join(sorted({record["info"]["device"] for record in records})),
             seconds=sum(record["info"]["seconds"] for record in records),
         )
         curves = _curves(results)

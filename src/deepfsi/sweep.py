@@ -359,7 +359,6 @@ def summarise(
     records: Sequence[Mapping[str, Any]],
     *,
     command: str,
-    device: str,
     seconds: float,
 ) -> dict[str, Any]:
     """Points of a comparison: trials averaged, mask counts chosen on validation data.
@@ -395,7 +394,7 @@ def summarise(
         "title": f"{data.name} under {' and '.join(recipe.noise)} noise",
         "command": command,
         "recipe": recipe.model_dump(mode="json"),
-        **origin(data, held_out, records, device, seconds),
+        **origin(data, held_out, records, seconds),
         "chosen_on": "validation" if held_out else "nothing",
         "points": points,
     }
@@ -432,7 +431,6 @@ def compare(
         data,
         records,
         command=command,
-        device=", ".join(sorted({record["info"]["device"] for record in records})),
         seconds=time.perf_counter() - began,
     )
     return results, records
@@ -442,7 +440,6 @@ def origin(
     data: Dataset,
     held_out: int,
     records: Sequence[Mapping[str, Any]],
-    device: str,
     seconds: float,
 ) -> dict[str, Any]:
     """What a `results.json` says of its data, and of what made it."""
@@ -462,7 +459,7 @@ def origin(
         "provenance": {
             **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
             "python": platform.python_version(),
-            "device": device,
+            "device": ", ".join(sorted({record["info"]["device"] for record in records})),
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             "seconds": round(seconds, 1),
             "training_seconds": round(sum(record["info"]["seconds"] for record in records), 1),

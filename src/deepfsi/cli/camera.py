@@ -1,6 +1,5 @@
 """Commands of the camera: patterns for a device, virtual and real acquisitions, photon files."""
 
-import io
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +8,9 @@ import typer
 
 from deepfsi.cli.common import (
     JsonOption,
+    check_picture,
     check_writable,
+    draw,
     print_json,
     print_table,
     progress,
@@ -187,10 +188,11 @@ def camera_count(
             repeats=repeats,
             progress=lambda share: tell(share, ""),
         )
+    summary = _summary(counts)
     if as_json:
         print_json(
             {
-                **_summary(counts),
+                **summary,
                 "faults": [fault.model_dump() for fault in counts.faults],
                 "counts": counts.counts.tolist(),
                 "valid": counts.valid.tolist(),
@@ -199,7 +201,6 @@ def camera_count(
         return
     for fault in counts.faults:
         print(f"marker {fault}")
-    summary = _summary(counts)
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
@@ -228,11 +229,9 @@ def camera_classify(
 
     acquisition, patterns = read_acquisition(folder)
     counts = read_counts(folder)
+    _check_shown(file, patterns)
     made = Design.load(file).as_shown(patterns)
-    signal = counts.signal()
-    probabilities = made.classify(
-        signal if len(made.rails) == 2 else signal[..., 0, :], photons or counts.photons
-    )
+    probabilities = made.classify(made.readouts(counts.signal()), photons or counts.photons)
     scenes: list[dict[str, Any]] = []
     for scene, chances, whole in zip(acquisition.scenes, probabilities, counts.valid, strict=True):
         guesses = [made.classes[k] for k in chances[whole].argmax(axis=-1)]
@@ -279,20 +278,14 @@ def camera_image(
 
     Example: deepfsi camera image run_0001 -o picture.png
     """
-    from deepfsi.files import write_atomically
     from deepfsi.hardware.acquisition import picture, read_acquisition
     from deepfsi.report.hardware import pictures_figure
 
     target = out or folder / "picture.png"
-    kind = target.suffix.lower()
-    if kind not in (".png", ".svg", ".pdf"):
-        raise InputError(f"cannot draw to {target}: end the name in .png, .svg or .pdf")
+    check_picture(target)
     acquisition, _ = read_acquisition(folder)
     figure = pictures_figure(picture(folder), [scene.name for scene in acquisition.scenes])
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=160, format=kind[1:])
-    write_atomically(target, drawn.getvalue())
-    print(f"drawn: {target}")
+    draw(figure, target)
 
 
 @camera.command("inspect")
@@ -419,10 +412,28 @@ def _camera(text: str) -> "Camera":
         return Camera.model_validate(read_toml(Path(text)))
 
 
+def _check_shown(file: Path, patterns: "Patterns") -> None:
+    """Raise `InputError` where the patterns are known to be of another design."""
+    import hashlib
+
+    known = patterns.manifest.design_sha256
+    if known and file.is_file() and hashlib.sha256(file.read_bytes()).hexdigest() != known:
+        raise InputError(
+            f"{file} is not the design whose patterns were shown: give the file that "
+            "`deepfsi dmd export` was given"
+        )
+
+
 def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from deepfsi.hardware.dmd import find_cost
+    from deepfsi.hardware.sequence import longest_exposure
+
     manifest = patterns.manifest
     sentinels = len(manifest.frames) - len(manifest.shown)
-    longest = float((manifest.picture_s[manifest.shown] / manifest.shares).min())
+    longest = longest_exposure(manifest, manifest.device.settle_us * 1e-6)
+    cost = find_cost(manifest, longest)
     if as_json:
         print_json(
             {
@@ -431,18 +442,23 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
                 "mask_frames": len(manifest.shown),
                 "pass_s": manifest.pass_s,
                 "longest_exposure_s": longest,
+                "uncounted": asdict(cost),
                 "dimmed": manifest.dimmed,
             }
         )
         return
     print(
         f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
-        f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s less the settling"
+        f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
+        f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
+        f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
+        f"{cost.idle:.1%} since no picture is shorter than {manifest.device.shortest_us} µs"
     )
     if manifest.dimmed < 0.999:
         print(
-            f"cost: one device shows a {manifest.light} design with {manifest.dimmed:.3g} of its "
-            "light; learn it with --light free-dwell or equal-dwell instead"
+            f"cost in light: one device shows a {manifest.light} design with "
+            f"{manifest.dimmed:.3g} of its light; learn it with --light free-dwell or "
+            "equal-dwell instead"
         )
     print(f"patterns: {folder}")
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,7 +14,9 @@ from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
+    from matplotlib.figure import Figure
 
+    from deepfsi.artifact import Design
     from deepfsi.datasets import Dataset
 
 DataOption = Annotated[
@@ -115,6 +117,35 @@ def load(
     return view_dataset(scenes, load_calibration(view))
 
 
+def open_design(path: Path) -> "Design":
+    """A design file, or what a folder of patterns realises of the design in it."""
+    from deepfsi.artifact import Design
+
+    if not path.is_dir():
+        return Design.load(path)
+    from deepfsi.hardware.dmd import check_patterns
+
+    return Design.load(path / "design.safetensors").as_shown(check_patterns(path))
+
+
+def check_picture(path: Path) -> None:
+    """Raise `InputError` unless a picture can be drawn to that name."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf") or path.is_dir():
+        raise InputError(f"cannot draw to {path}: end the name in .png, .svg or .pdf")
+
+
+def draw(figure: "Figure", path: Path) -> None:
+    """Write a figure, whole or not at all, and say where."""
+    import io
+
+    from deepfsi.files import write_atomically
+
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
+    write_atomically(path, picture.getvalue())
+    print(f"drawn: {path}")
+
+
 def read_matrix(source: str | None) -> "np.ndarray | None":
     """A user's own sensing matrix (m, N)."""
     if source is None:
@@ -169,7 +200,8 @@ def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]])
 
     table = Table(title=title, title_justify="left")
     for number, head in enumerate(heads):
-        table.add_column(head, justify="left" if number == 0 else "right", no_wrap=True)
+        side: Literal["left", "right"] = "left" if number == 0 else "right"
+        table.add_column(head, justify=side, no_wrap=number < len(heads) - 1, overflow="fold")
     for row in rows:
         table.add_row(*row)
     Console().print(table)

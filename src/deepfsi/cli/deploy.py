@@ -19,6 +19,7 @@ from deepfsi.cli.common import (
     load,
     numbers,
     one,
+    open_design,
     print_json,
     print_table,
     progress,
@@ -44,7 +45,6 @@ def export(
 
     Example: deepfsi export digits.safetensors --onnx -o digits.onnx
     """
-    from deepfsi.artifact import Design
     from deepfsi.export import to_onnx
     from deepfsi.files import write_atomically
 
@@ -54,12 +54,7 @@ def export(
     if target.is_dir():
         raise InputError(f"{target} is a folder: give a file name ending in .onnx")
     check_writable(target.parent)
-    if file.is_dir():
-        from deepfsi.hardware.dmd import check_patterns
-
-        design = Design.load(file / "design.safetensors").as_shown(check_patterns(file))
-    else:
-        design = Design.load(file)
+    design = open_design(file)
     write_atomically(target, to_onnx(design))
     shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
     print(

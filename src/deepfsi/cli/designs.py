@@ -1,6 +1,5 @@
 """Commands of one design: design, evaluate, stop, show."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,10 +18,13 @@ from deepfsi.cli.common import (
     SizeOption,
     TrainNoiseOption,
     ViewOption,
+    check_picture,
     check_writable,
+    draw,
     load,
     numbers,
     one,
+    open_design,
     print_json,
     print_table,
     progress,
@@ -168,18 +170,11 @@ def evaluate(
 
     Example: deepfsi evaluate digits.safetensors --data mnist --photons 1e2,1e3,1e4
     """
-    from deepfsi.artifact import Design
     from deepfsi.evaluation import evaluate as test
     from deepfsi.scenes import find_device
 
     budgets = numbers("photons", photons) or []
-    if file.is_dir():
-        from deepfsi.hardware.dmd import check_patterns
-
-        made = Design.load(file / "design.safetensors").as_shown(check_patterns(file))
-        made = made.to(find_device(device))
-    else:
-        made = Design.load(file, find_device(device))
+    made = open_design(file).to(find_device(device))
     if first is not None:
         made = made.first(first)
     scenes = load(data, size_of(size), view)
@@ -240,9 +235,10 @@ def stop(
     budget = one("photons", photons)
     made = Design.load(file, find_device(device))
     scenes = load(data, size_of(size))
-    found = run(
-        made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
-    )
+    with progress("stop", quiet=as_json):
+        found = run(
+            made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
+        )
     if as_json:
         print_json({"design": str(file), **found.as_dict()})
         return
@@ -280,11 +276,8 @@ def show(
     """
     from deepfsi import report
     from deepfsi.artifact import Design
-    from deepfsi.files import write_atomically
 
-    kind = out.suffix.lower()
-    if kind not in (".png", ".svg", ".pdf") or out.is_dir():
-        raise InputError(f"cannot draw to {out}: end the name in .png, .svg or .pdf")
+    check_picture(out)
     if count < 1:
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = Design.load(file)
@@ -292,10 +285,7 @@ def show(
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
     figure = report.masks_figure(made.matrix, made.image_shape, title=title, count=count)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=160, format=kind[1:])
-    write_atomically(out, picture.getvalue())
-    print(f"drawn: {out}")
+    draw(figure, out)
 
 
 def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:

@@ -216,26 +216,30 @@ def draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
 
 def show_design(design: Design, scenes: np.ndarray) -> Shown:
     """Export a design and let the optics of the laboratory look at scenes (S, h, w) through it."""
-    rails = design.rails.numpy()
-    longest = REPEATS * max(EXPOSURES) * float(rails.max())
     optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
     with tempfile.TemporaryDirectory() as folder:
         there = Path(folder) / "patterns"
-        frames = int((rails.max(axis=-1) > 0).sum())
-        mean_s = longest if design.light == "equal-dwell" else REPEATS * max(EXPOSURES) / frames
-        patterns = dmd.export_patterns(
-            rails,
-            design.light,
-            design.image_shape,
-            DEVICE,
-            1.01 * mean_s + DEVICE.settle_us * 1e-6,
-            there,
-            mean_light=design.mean_light,
-        )
+        patterns = _export(design, REPEATS, there)
         light = rates(there, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
         glow = rates(there, np.zeros_like(scenes[:1]), one, 0.0)
     return Shown(design.as_shown(patterns), patterns, light, glow)
+
+
+def _export(design: Design, repeats: int, folder: Path) -> Patterns:
+    """Patterns whose frames last for so many of the longest exposures, and a little more."""
+    rails = design.rails.numpy()
+    frames = int((rails.max(axis=-1) > 0).sum())
+    share = float(rails.max()) if design.light == "equal-dwell" else 1 / frames
+    return dmd.export_patterns(
+        rails,
+        design.light,
+        design.image_shape,
+        DEVICE,
+        1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6,
+        folder,
+        mean_light=design.mean_light,
+    )
 
 
 def classify(
@@ -253,8 +257,7 @@ def classify(
     window = manifest.picture_s[:2] - gates.settle_s
     on, off = (detector.draw(camera, flow[:, :2, 0], window, rng) / window).mean(axis=0)
     signal = calibration.subtract_background(counts, shown.patterns, exposure_s, off)
-    dual = len(shown.design.rails) == 2
-    chances = shown.design.classify(signal if dual else signal[..., 0, :], (on - off) * exposure_s)
+    chances = shown.design.classify(shown.design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)
 
 
@@ -372,28 +375,17 @@ def _settings(assumed: float) -> Iterable[tuple[str, float, Camera, Sequence[flo
 
 def run_time(design: Design, scene: np.ndarray) -> dict[str, Any]:
     """Seconds from a photon file to its classes, for one exposure of the longest time."""
-    rails = design.rails.numpy()
-    exposure = max(EXPOSURES)
-    frames = int((rails.max(axis=-1) > 0).sum())
-    dwell = (
-        1.05 * exposure * (float(rails.max()) if design.light == "equal-dwell" else 1 / frames)
-        + DEVICE.settle_us * 1e-6
-    )
     with tempfile.TemporaryDirectory() as folder:
         patterns, run = Path(folder) / "patterns", Path(folder) / "run"
-        dmd.export_patterns(
-            rails, design.light, design.image_shape, DEVICE, dwell, patterns,
-            mean_light=design.mean_light,
-        )  # fmt: skip
+        _export(design, 1, patterns)
         record(
             patterns, scene, ["scene"], None, run,
-            camera=LAB, flux=FLUX, exposure_s=exposure, repeats=1, seed=0,
+            camera=LAB, flux=FLUX, exposure_s=max(EXPOSURES), repeats=1, seed=0,
         )  # fmt: skip
         began = time.perf_counter()
         counts = acquisition.count(run)
         shown = design.as_shown(acquisition.read_acquisition(run)[1])
-        signal = counts.signal()
-        shown.classify(signal if len(shown.rails) == 2 else signal[..., 0, :], counts.photons)
+        shown.classify(shown.readouts(counts.signal()), counts.photons)
         seconds = time.perf_counter() - began
         return {
             "seconds": seconds,

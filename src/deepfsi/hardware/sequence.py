@@ -323,6 +323,12 @@ class Gates:
         return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
 
 
+def longest_exposure(manifest: Manifest, settle_s: float) -> float:
+    """Longest exposure, seconds, whose gates fit all frames after the time to settle."""
+    room = (manifest.picture_s[manifest.shown] - settle_s) / manifest.shares
+    return float(room.min())
+
+
 def find_gates(
     manifest: Manifest,
     exposure_s: float,
@@ -357,10 +363,9 @@ def find_gates(
             f"an exposure of {exposure_s:g} s leaves a frame less than {_SHORTEST_S:g} s: give a "
             "longer one"
         )
-    room = float(((manifest.picture_s[manifest.shown] - settle) / length).min())
-    fit = int(np.floor(room * (1 + 1e-9)))
+    longest = longest_exposure(manifest, settle)
+    fit = int(np.floor(longest / exposure_s * (1 + 1e-9)))
     if fit < 1:
-        longest = exposure_s * room
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit frames with {settle:g} s to settle: "
             f"give at most {max(longest, 0):.3g} s, or export with a longer --dwell"
