@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -153,6 +154,16 @@ def test_discriminants_separate_classes_better_than_components(digits):
     lda = sensing_matrix("lda", 9, digits)
     assert np.allclose(np.linalg.norm(lda, axis=1), 1)
     assert ratio(lda) > ratio(sensing_matrix("pca", 9, digits))
+
+
+def test_class_pairs_are_differences_of_means_the_nearest_first(digits):
+    means = [digits.x_train[digits.y_train == c].mean(axis=0, dtype=float) for c in range(10)]
+    gaps = [means[a] - means[b] for a, b in itertools.combinations(range(10), 2)]
+    rows = sensing_matrix("class-pairs", 50, digits)
+    for row, gap in zip(rows, sorted(gaps, key=np.linalg.norm), strict=False):
+        assert np.linalg.norm(row) == pytest.approx(1)
+        assert row @ gap == pytest.approx(np.linalg.norm(gap))
+    assert np.allclose(rows[45:], sensing_matrix("pca", 5, digits))
 
 
 def test_random_masks_follow_their_seed(digits):

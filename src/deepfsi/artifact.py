@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -21,11 +21,13 @@ from deepfsi.constraints import Light
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.hardware.sequence import Patterns
+from deepfsi.photons import check_budget
 from deepfsi.scanner import Scanner, subtract
+from deepfsi.schedule import Exposure, Schedule
 from deepfsi.told import Told
 
-SCHEMA = 2
-"""Of the newest file that can be read; 2 has what a classifier is told, 1 has not."""
+SCHEMA = 3
+"""Of the newest file that can be read; 2 has what a classifier is told, 3 has a schedule."""
 
 
 @dataclass
@@ -54,6 +56,9 @@ class Design:
         What the classifier is told besides features, if it is.
     used : float
         Share of the whole sequence's light that masks would take within it, for its first ones.
+    schedule : Schedule, optional
+        What chooses dwells while the exposure runs, if they are not fixed. `rails`, `centre` and
+        `spread` are then those of equal dwells, 1 / m.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     """
@@ -70,6 +75,7 @@ class Design:
     classes: tuple[str, ...]
     told: Told | None = None
     used: float = 1.0
+    schedule: Schedule | None = None
     info: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -95,15 +101,97 @@ class Design:
         """The optical front end, with a noise of your choice."""
         return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
 
-    def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
-        """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`."""
+    def logits(
+        self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
+    ) -> Tensor:
+        """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`.
+
+        `dwell` (..., m) is the share of the exposure that each mask had, where a schedule chose it.
+        """
+        if dwell is not None:
+            exposure = Exposure(features / photons, dwell)
+            return self.classifier(exposure.inputs(self.centre, self.spread))
         scaled = (features / photons - self.centre) / self.spread
         if self.told:
             ratio = torch.as_tensor(photons).to(scaled) / (self.used * self.told.photons)
             scaled = self.told.inputs(scaled, ratio, ratio.new_tensor(self.masks))
         return self.classifier(scaled)
 
-    def classify(self, counts: Any, photons: Any) -> np.ndarray:
+    def expose(
+        self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
+    ) -> Exposure:
+        """Exposures whose dwells a schedule chooses, with counts that a scanner draws.
+
+        Parameters
+        ----------
+        scanner : Scanner
+            Of this design.
+        rates : tensor, shape (..., 1, m)
+            Expected counts at equal dwells, for a budget of one photon.
+        generator : torch.Generator
+        photons : float
+            Budget Φ.
+        """
+        assert self.schedule is not None
+
+        def read(dwell: Tensor) -> Tensor:
+            shown = rates * (photons * self.masks * dwell.unsqueeze(-2))
+            return subtract(scanner.read(shown, generator)) / photons
+
+        centre = self.centre.expand(*rates.shape[:-2], -1)
+        return self.schedule(read, centre, self.spread)
+
+    def answer(
+        self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
+    ) -> Tensor:
+        """Logits (..., C) of exposures whose counts a scanner draws, with dwells fixed or chosen.
+
+        Parameters as for `expose`; rates are of every rail, (..., rails, m).
+        """
+        if self.schedule is None:
+            return self.logits(subtract(scanner.read(rates * photons, generator)), photons)
+        seen = self.expose(scanner, rates, generator, photons)
+        return self.logits(seen.features * photons, photons, seen.dwell)
+
+    def watch(self, read: Callable[[np.ndarray], Any], photons: float) -> np.ndarray:
+        """Class probabilities (C,) of an exposure whose dwells are chosen while it runs.
+
+        Parameters
+        ----------
+        read : callable
+            Called once for each look: shows each mask for the given shares (m,) of the exposure
+            time, floats that sum to 1 / K, and returns the counts (m,) of this look.
+        photons : float
+            Budget Φ of the whole exposure, or an estimate of it.
+
+        Raises
+        ------
+        InputError
+            If the design has fixed dwells, or counts or photons are not as `classify` takes them.
+        """
+        if self.schedule is None:
+            raise InputError(
+                "the dwells of this design are fixed: show all masks and use `classify`, or learn "
+                "a design with --looks"
+            )
+        budget = check_budget(photons)
+        counted = []
+
+        def show(dwell: Tensor) -> Tensor:
+            counts = np.asarray(read(dwell.cpu().numpy()), dtype=np.float32)
+            if counts.shape != (self.masks,):
+                raise InputError(
+                    f"a look of shape {counts.shape} does not fit this design: return "
+                    f"({self.masks},) counts"
+                )
+            counted.append(counts)
+            return torch.from_numpy(counts / np.float32(budget)).to(dwell)
+
+        with torch.no_grad():
+            seen = self.schedule(show, self.centre, self.spread)
+        return self.classify(np.sum(counted, axis=0), budget, seen.dwell.cpu().numpy())
+
+    def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Class probabilities of one or many exposures.
 
         Parameters
@@ -113,6 +201,9 @@ class Design:
             reads 0.
         photons : float or array, shape (...)
             Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
+        dwell : array, shape (..., m), optional
+            Share of the exposure that each mask had: goes with designs that have a `schedule`,
+            whose counts are those of all looks together.
 
         Returns
         -------
@@ -124,11 +215,17 @@ class Design:
         InputError
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
+        if (dwell is None) != (self.schedule is None):
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: "
+                + ("give dwell, or use `watch`" if dwell is None else "leave dwell out")
+            )
         try:
             read = torch.tensor(np.asarray(counts, dtype=np.float32))
             budget = torch.tensor(np.asarray(photons, dtype=np.float32))
+            shown = None if dwell is None else torch.tensor(np.asarray(dwell, dtype=np.float32))
         except (TypeError, ValueError):
-            raise InputError("counts and photons must be arrays of numbers") from None
+            raise InputError("counts, photons and dwell must be arrays of numbers") from None
         dual = len(self.rails) == 2
         wanted = (2, self.masks) if dual else (self.masks,)
         if tuple(read.shape[-len(wanted) :]) != wanted:
@@ -138,6 +235,13 @@ class Design:
             )
         if not bool(torch.isfinite(read).all()):
             raise InputError("counts hold NaN or infinity: give finite counts")
+        if shown is not None and (
+            shown.shape != read.shape or not bool((torch.isfinite(shown) & (shown >= 0)).all())
+        ):
+            raise InputError(
+                f"dwells of shape {tuple(shown.shape)} do not fit counts of shape "
+                f"{tuple(read.shape)}: give a share of 0 or more for each count"
+            )
         if not bool((torch.isfinite(budget) & (budget > 0)).all()):
             raise InputError("photons must be a finite number above 0 for every exposure")
         device = self.rails.device
@@ -150,7 +254,8 @@ class Design:
                 f"{tuple(read.shape)}: give one number, or one for each exposure"
             ) from None
         with torch.no_grad():
-            logits = self.logits(features.to(device), budget.to(device))
+            had = None if shown is None else shown.to(device)
+            logits = self.logits(features.to(device), budget.to(device), had)
         return logits.softmax(dim=-1).cpu().numpy()
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
@@ -163,6 +268,8 @@ class Design:
         self.centre, self.spread = self.centre.to(device), self.spread.to(device)
         self.shares = self.shares.to(device)
         self.classifier = self.classifier.to(device)
+        if self.schedule is not None:
+            self.schedule = self.schedule.to(device)
         return self
 
     def quantised(self, steps: int) -> "Design":
@@ -212,8 +319,13 @@ class Design:
         Raises
         ------
         InputError
-            If the patterns are of a design of another shape.
+            If the patterns are of a design of another shape, or dwells are not fixed.
         """
+        if self.schedule is not None:
+            raise InputError(
+                "this design chooses dwells while the exposure runs, and a fixed sequence of "
+                "patterns cannot: show its masks with a program of yours that uses Design.watch"
+            )
         manifest = patterns.manifest
         shape = (manifest.rails, manifest.masks, patterns.on.shape[1])
         if shape != tuple(self.rails.shape) or manifest.image_shape != self.image_shape:
@@ -261,8 +373,12 @@ class Design:
             "hidden": list(self.classifier.hidden),
             "dropout": self.classifier.dropout,
         }
+        if self.schedule is not None:
+            chooser = self.schedule.network
+            how = {"looks": self.schedule.looks, "hidden": list(chooser.hidden)}
+            return pack(self, SCHEMA, network, schedule=how)
         if self.told:
-            return pack(self, SCHEMA, network, told=asdict(self.told), used=self.used)
+            return pack(self, 2, network, told=asdict(self.told), used=self.used)
         return pack(self, 1, network)
 
     @classmethod
@@ -280,15 +396,23 @@ class Design:
         try:
             network = header["classifier"]
             told = Told(**header["told"]) if "told" in header else None
+            masks, how = tensors["rails"].shape[1], header.get("schedule")
+            inputs = 2 * masks if how else told.masks + 2 if told else masks
             classifier = Mlp(
-                inputs=told.masks + 2 if told else tensors["rails"].shape[1],
-                classes=len(header["classes"]),
-                hidden=network["hidden"],
-                dropout=network["dropout"],
-                generator=torch.Generator(),
+                inputs,
+                len(header["classes"]),
+                network["hidden"],
+                network["dropout"],
+                torch.Generator(),
             )
-            classifier.load_state_dict(weights_of(tensors))
+            classifier.load_state_dict(weights_of(tensors, "classifier."))
             classifier.generator = None
+            schedule = None
+            if how:
+                chooser = Mlp(2 * masks + 1, masks, how["hidden"], generator=torch.Generator())
+                chooser.load_state_dict(weights_of(tensors, "schedule."))
+                chooser.generator = None
+                schedule = Schedule(chooser.eval(), how["looks"])
             design = cls(
                 name=header["name"],
                 rails=torch.from_numpy(tensors["rails"]),
@@ -302,6 +426,7 @@ class Design:
                 classes=tuple(header["classes"]),
                 told=told,
                 used=header.get("used", 1.0),
+                schedule=schedule,
                 info=header["info"],
             )
             sound = (
@@ -322,6 +447,7 @@ class Design:
                 and bool((design.spread > 0).all())
                 and (told is None or (design.masks <= told.masks and 0 < told.photons < math.inf))
                 and (told is None or (1 <= told.span < math.inf and 0 < design.used < math.inf))
+                and (schedule is None or (schedule.looks >= 1 and len(design.rails) == 1))
             )
             constraints.check_light(design.light, "dual" if len(design.rails) == 2 else "single")
             constraints.check(design.rails, design.light)
@@ -337,6 +463,9 @@ def pack(design: Design, schema: int, classifier: dict[str, Any], **more: Any) -
     tensors = {name: getattr(design, name) for name in ("rails", "centre", "spread", "shares")}
     for key, value in design.classifier.state_dict().items():
         tensors[f"classifier.{key}"] = value
+    if design.schedule is not None:
+        for key, value in design.schedule.network.state_dict().items():
+            tensors[f"schedule.{key}"] = value
     header = {
         "schema": schema,
         "deepfsi": version("deepfsi"),
@@ -353,12 +482,12 @@ def pack(design: Design, schema: int, classifier: dict[str, Any], **more: Any) -
     return to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
 
 
-def weights_of(tensors: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
-    """State of the classifier among the tensors of a design file."""
+def weights_of(tensors: Mapping[str, np.ndarray], part: str) -> dict[str, Tensor]:
+    """State of a network among the tensors of a design file, those whose names begin so."""
     return {
-        key.removeprefix("classifier."): torch.from_numpy(value)
+        key.removeprefix(part): torch.from_numpy(value)
         for key, value in tensors.items()
-        if key.startswith("classifier.")
+        if key.startswith(part)
     }
 
 

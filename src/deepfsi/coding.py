@@ -53,6 +53,7 @@ DESIGNS: dict[str, Code] = {
     "control": Code("CG", "control group", specific=True),
     "random": Code("RND", "random ±1"),
     "lda": Code("LDA", "linear discriminants", specific=True),
+    "class-pairs": Code("CP", "differences of class means", specific=True),
     "s-matrix": Code("S", "S-matrix", fixed_count=True, single_rail=True),
     "custom": Code("USER", "own matrix"),
 }
@@ -118,7 +119,7 @@ def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.nd
     masks : int
         m.
     data : Dataset
-        Gives the scene's shape, and the training scenes for `pca` and `lda`.
+        Gives the scene's shape, and the training scenes for `pca`, `lda` and `class-pairs`.
     seed : int
         For `random` only.
 
@@ -144,6 +145,8 @@ def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.nd
         return principal_components(data.x_train, masks)
     if name == "lda":
         return discriminants(data.x_train, data.y_train, masks)
+    if name == "class-pairs":
+        return class_pairs(data.x_train, data.y_train, masks)
     if name == "s-matrix":
         return s_matrix(pixels)
     if name == "random":
@@ -241,6 +244,28 @@ def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     model = LinearDiscriminantAnalysis(solver="eigen", shrinkage="auto").fit(x, y)
     rows = model.scalings_.T[:masks]
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
+    """Differences of the mean scenes of two classes, the pairs that differ least first.
+
+    As frames of one rail a pair is what one class has more than the other, and the reverse. Where
+    there are fewer pairs than masks, principal components follow.
+
+    Returns
+    -------
+    array, shape (masks, N)
+        Unit rows, but for classes of one mean, whose rows are 0.
+    """
+    means = np.stack([x[y == label].mean(axis=0, dtype=np.float64) for label in np.unique(y)])
+    first, second = np.triu_indices(len(means), k=1)
+    pairs = means[first] - means[second]
+    length = np.linalg.norm(pairs, axis=1)
+    order = np.argsort(length, kind="stable")[:masks]
+    rows = pairs[order] / np.where(length > 0, length, 1.0)[order, None]
+    if len(rows) == masks:
+        return rows
+    return np.concatenate([rows, principal_components(x, masks - len(rows))])
 
 
 @lru_cache

@@ -84,6 +84,11 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     return parts / (_peak(parts) * len(frames(parts)))
 
 
+def equalise(rails: Tensor) -> Tensor:
+    """Single rails (..., 1, m, N) with every mask at equal dwell: its peak at 1 / m."""
+    return rails / (_peak(rails) * rails.shape[-2])
+
+
 def quantise(rails: Tensor, light: Light, steps: int) -> Tensor:
     """Rails as a device shows them: each frame in steps of its own peak / `steps`.
 

@@ -26,6 +26,7 @@ from deepfsi.jobs import Job, Training, products
 from deepfsi.noise import follow, poisson, root, variance
 from deepfsi.scanner import lit, measure, project, project_pair
 from deepfsi.scenes import Scenes
+from deepfsi.schedule import Schedule, expose
 from deepfsi.told import Told, chances, first
 
 Progress = Callable[[float], None]
@@ -49,7 +50,7 @@ GRAIN = 2**15
 
 def optimise(
     scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, report: Progress
-) -> list[Mlp]:
+) -> tuple[list[Mlp], list[Schedule]]:
     """Train the classifiers of jobs, and the masks where they learn; masks are changed in place.
 
     Parameters
@@ -64,23 +65,24 @@ def optimise(
 
     Returns
     -------
-    list of Mlp
+    classifiers : list of Mlp
+    schedules : list of Schedule
+        Of jobs of several looks; else none.
     """
     job, how, device = jobs[0], jobs[0].training, scenes.device
-    classifiers = [
-        Mlp(
-            job.masks + (2 if how.told else 0),
-            len(scenes.data.classes),
-            how.hidden,
-            how.dropout,
-            torch.Generator(device).manual_seed(each.seed),
-        )
-        for each in jobs
-    ]
+
+    def networks(inputs: int, outputs: int, dropout: float) -> list[Mlp]:
+        seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
+        return [Mlp(inputs, outputs, how.hidden, dropout, seed) for seed in seeds]
+
+    twice = how.looks > 1  # dwells besides features
+    inputs = 2 * job.masks if twice else job.masks + (2 if how.told else 0)
+    classifiers = networks(inputs, len(scenes.data.classes), how.dropout)
+    choosers = networks(inputs + 1, job.masks, 0.0) if twice else []
     replicas = Replicas(classifiers, stacked=device.type == "cuda")
-    groups: list[dict[str, Any]] = [
-        {"params": list(replicas.parameters()), "lr": how.lr, "weight_decay": how.decay}
-    ]
+    choose = Replicas(choosers, stacked=device.type == "cuda")
+    learning = [*replicas.parameters(), *choose.parameters()]
+    groups: list[dict[str, Any]] = [{"params": learning, "lr": how.lr, "weight_decay": how.decay}]
     if isinstance(masks, Learned):
         groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
     batch = batch_of(how, len(scenes.labels))
@@ -89,7 +91,7 @@ def optimise(
         _Stream(scenes, jobs, [r for r, _ in members], steps, batch)
         for _, members in groupby(enumerate(jobs), key=lambda place: place[1].seed)
     ]
-    features = _features(scenes, jobs, masks)
+    features = _features(scenes, jobs, masks, choose)
     optimiser = torch.optim.AdamW(groups, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, [group["lr"] for group in groups], total_steps=how.epochs * steps
@@ -110,11 +112,12 @@ def optimise(
                 optimiser.zero_grad(set_to_none=True)
                 schedule.step()
             report((epoch + 1) / how.epochs)
-    replicas.hand_back()
-    for classifier in classifiers:
-        classifier.generator = None
-        classifier.eval()
-    return classifiers
+    for trained in (replicas, choose):
+        trained.hand_back()
+    for network in [*classifiers, *choosers]:
+        network.generator = None
+        network.eval()
+    return classifiers, [Schedule(chooser, how.looks) for chooser in choosers]
 
 
 def batch_of(how: Training, count: int) -> int:
@@ -197,14 +200,17 @@ def footprint(scenes: Scenes, jobs: Sequence[Job]) -> float:
     own = replicas if job.design in ("control", "random") else 1
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = STEP_TENSORS * batch * (masks + replicas * sum(job.training.hidden))
+    step *= job.training.looks
     return single * (3 * scenes.full.numel() + learned + products_of_all + step)
 
 
 def _features(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
-    """How a step gets its standardised features (B, R, m)."""
+    """How a step gets the inputs of classifiers: features (B, R, m), and what is told."""
     job = jobs[0]
+    if job.training.looks > 1:
+        return _chosen(scenes, jobs, masks, choose)
     if job.training.told:
         return _told(scenes, jobs, masks)
     if isinstance(masks, Fixed):
@@ -299,6 +305,47 @@ def _told(
         seen, shown = _beside(parts), _beside(counts)
         scaled = _standardise(seen, how.scale, first(job.masks, shown))
         return told.inputs(scaled, _beside(ratios), shown)
+
+    return features
+
+
+def _chosen(
+    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
+) -> Callable[[Sequence["_Stream"], int], Tensor]:
+    """Features and dwells of exposures of several looks; masks are those of equal dwells."""
+    job = jobs[0]
+    seen_by = "free-dwell" if isinstance(masks, Learned) else "two-arm"  # those see every pixel
+    x = scenes.centred(seen_by, products(job, scenes.device))  # type: ignore[arg-type]
+    gain = _Noise(scenes, jobs).gain
+
+    def features(streams: Sequence[_Stream], step: int) -> Tensor:
+        rails, _ = masks()
+        parts = []
+        for stream in streams:
+            product = project(x.index_select(0, stream.with_mean[step]), stream.part(rails))
+            parts.append(product.expand(-1, stream.jobs.stop - stream.jobs.start, -1))
+        products_of_all = _beside(parts)
+        centred, centre = products_of_all[:-1], products_of_all[-1]
+        light = centred + centre
+        power = centred.detach().square().mean(dim=0) + centre.detach() / gain
+        if job.training.scale == "common":
+            power = power.mean(dim=-1, keepdim=True).expand_as(power)
+        spread = torch.where(power > 0, power, 1.0).sqrt()
+
+        def read(dwell: Tensor) -> Tensor:
+            rates = job.masks * dwell * light
+            drawn = []
+            for stream in streams:
+                own = rates[:, stream.jobs]
+                if job.noise == "poisson":
+                    drawn.append(stream.noise.counted(own, own))
+                else:
+                    deviation = stream.noise.deviation(own, own)
+                    drawn.append(own + deviation * stream.normal(job.masks))
+            return _beside(drawn)
+
+        seen = expose(choose, read, job.training.looks, centre.expand_as(light), spread)
+        return seen.inputs(centre, spread)
 
     return features
 

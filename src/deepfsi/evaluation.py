@@ -13,7 +13,6 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.noise import check_noise
 from deepfsi.photons import check_budget
-from deepfsi.scanner import subtract
 
 COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
 
@@ -107,6 +106,10 @@ def evaluate(
     if not (math.isfinite(sigma) and sigma >= 0):
         raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
     check_draws(draws, seed)
+    if design.schedule is not None and noise == "gaussian":
+        raise InputError(
+            "a design of several looks is for photon noise: use poisson, ml_gauss or none"
+        )
     device = design.rails.device
     scanner = design.scanner(check_noise(noise), sigma)
     share = design.shares.tolist()
@@ -119,8 +122,7 @@ def evaluate(
             shares = scanner.rates(design.seen(scenes.to(device)) / design.mean_light)
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
                 for _ in range(draws):
-                    counts = scanner.read(shares * budget, generator)
-                    guess = design.logits(subtract(counts), budget).argmax(dim=-1)
+                    guess = design.answer(scanner, shares, generator, budget).argmax(dim=-1)
                     np.add.at(confusion, (truth, guess.cpu().numpy()), 1)
             if progress:
                 progress(done / len(chunks))

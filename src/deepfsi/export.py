@@ -37,7 +37,7 @@ def to_onnx(design: Design) -> bytes:
     Raises
     ------
     InputError
-        If the package onnx is not there, or the classifier is not an `Mlp`.
+        If the package onnx is not there, the classifier is not an `Mlp`, or dwells are not fixed.
     """
     try:
         from onnx import TensorProto, checker, helper, numpy_helper
@@ -48,6 +48,11 @@ def to_onnx(design: Design) -> bytes:
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp can"
+        )
+    if design.schedule is not None:
+        raise InputError(
+            "a design that chooses dwells while the exposure runs is a loop of two networks, not "
+            "one graph: use Design.watch"
         )
     dual, masks, classes = len(design.rails) == 2, design.masks, len(design.classes)
     nodes, constants = [], []

@@ -85,6 +85,13 @@ class Training(BaseModel):
         0, ge=0, description="fewest masks, first ones, that must do for a class; 0: all are needed"
     )
 
+    looks: int = Field(
+        1,
+        ge=1,
+        le=64,
+        description="looks of an exposure; from 2 on, counts choose the dwells of the next",
+    )
+
     @property
     def told(self) -> bool:
         """Whether the classifier is told the budget and how many masks were shown."""
@@ -102,7 +109,7 @@ class Training(BaseModel):
         return {name: value for name, value in fields if (name, value) not in LATER.items()}
 
 
-LATER = {"levels": 0, "span": 1.0, "nested": 0}
+LATER = {"levels": 0, "span": 1.0, "nested": 0, "looks": 1}
 """Fields of `Training` that came after the first records, with the value of no effect."""
 
 
@@ -210,6 +217,8 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
             f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
             f"{job.masks}"
         )
+    if job.training.looks > 1:
+        _check_looks(job)
     if job.design == "hadamard" and job.rails == "single":
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
@@ -229,6 +238,22 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
         raise InputError("the matrix holds something else than finite real numbers")
     if not matrix.any():
         raise InputError("the matrix is zero everywhere: give at least one lit entry")
+
+
+def _check_looks(job: Job) -> None:
+    if job.optics != ("free-dwell", "single"):
+        light, rails = job.optics
+        raise InputError(
+            f"several looks choose how long one device shows each frame, not {light} with {rails} "
+            "rails: use --light free-dwell --rails single"
+        )
+    if job.training.told or job.noise not in ("ml_gauss", "poisson"):
+        raise InputError(
+            "several looks are for one budget under photon noise: leave a range of budgets, "
+            "--nested and gaussian noise out"
+        )
+    if job.design == "control":
+        raise InputError("control learns its masks under gaussian noise, which has one look only")
 
 
 @contextmanager

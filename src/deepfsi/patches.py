@@ -143,7 +143,7 @@ class PatchDesign(Design):
             raise InputError(f"{path} is no design of image patches: load it with Design.load")
         try:
             size = {key: header["classifier"][key] for key in ("width", "depth", "heads", "hidden")}
-            weights = weights_of(arrays)
+            weights = weights_of(arrays, "classifier.")
             vit = Vit(
                 parts["rails"].shape[1],
                 len(weights["position"]),

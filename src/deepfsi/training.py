@@ -12,7 +12,7 @@ from torch import Tensor
 from deepfsi import coding, constraints
 from deepfsi.artifact import Design
 from deepfsi.datasets import Dataset
-from deepfsi.descent import Progress, optimise, statistics
+from deepfsi.descent import CHUNK, Progress, optimise, statistics
 from deepfsi.errors import InputError
 from deepfsi.jobs import Job, Training, check_job, reworded, training_for
 from deepfsi.scenes import Scenes
@@ -50,7 +50,7 @@ def learn(
     **settings
         Further fields of `Job` (`design`, `noise`, `sigma`, `light`, `rails`, `seed`) and of
         `Training` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`, `decay`,
-        `start`, `precision`, `levels`, `span`, `nested`).
+        `start`, `precision`, `levels`, `span`, `nested`, `looks`).
 
     Returns
     -------
@@ -106,24 +106,27 @@ def train(
             progress=lambda share: report(share / 2),
         )
         masks = constraints.Fixed(torch.stack([design.rails for design in optimised]))
-        classifiers = optimise(scenes, jobs, masks, lambda share: report(0.5 + share / 2))
+        classifiers, schedules = optimise(
+            scenes, jobs, masks, lambda share: report(0.5 + share / 2)
+        )
     else:
         masks = _masks(scenes, jobs, matrix).to(scenes.device)
-        classifiers = optimise(scenes, jobs, masks, report)
+        classifiers, schedules = optimise(scenes, jobs, masks, report)
         if isinstance(masks, constraints.Learned):
             masks = _whole(masks, scenes.pixels(first.light))
             if first.training.nested:
                 masks = brighten(masks, first.light)
 
     with torch.no_grad():
-        learned = [*masks(), *(part for net in classifiers for part in net.parameters())]
+        networks = [*classifiers, *schedules]
+        learned = [*masks(), *(part for net in networks for part in net.parameters())]
         if not all(bool(torch.isfinite(part).all()) for part in learned):
             raise Diverged(f"training of {first.design} diverged: lower lr and mask_lr")
         centre, spread, light = statistics(scenes, jobs, masks)
     constraint, _ = first.optics
     every = constraints.separate(*masks())
     seconds = time.perf_counter() - began
-    return [
+    designs = [
         Design(
             name=job.design,
             rails=constraints.check(every[r % len(every)].clone(), constraint),
@@ -136,6 +139,7 @@ def train(
             image_shape=scenes.data.image_shape,
             classes=scenes.data.classes,
             told=Told(job.photons, job.training.span, job.masks) if job.training.told else None,
+            schedule=schedules[r] if schedules else None,
             info={
                 "job": job.model_dump(mode="json"),
                 "data": {"name": scenes.data.name, "hash": scenes.data.hash},
@@ -148,6 +152,23 @@ def train(
         )
         for r, job in enumerate(jobs)
     ]
+    for job, design in zip(jobs, designs, strict=True):
+        if design.schedule is not None:
+            design.shares = _shares(design, scenes, job)
+    return designs
+
+
+def _shares(design: Design, scenes: Scenes, job: Job) -> Tensor:
+    """Share of the budget (m,) that each mask counts, in the mean over training scenes."""
+    scanner = design.scanner()
+    generator = torch.Generator(scenes.device).manual_seed(job.seed)
+    shares = torch.zeros_like(design.centre)
+    with torch.no_grad():
+        for x in scenes.full.split(CHUNK):
+            rates = scanner.rates(x / scenes.light)
+            dwell = design.expose(scanner, rates, generator, job.photons).dwell
+            shares += (design.masks * dwell * rates[..., 0, :]).sum(dim=0)
+    return shares / len(scenes.full)
 
 
 def _masks(
@@ -172,7 +193,8 @@ def _masks(
     if job.code.learned:
         start = torch.stack(signed)[..., scenes.pixels(light).cpu()]
         start = start.expand(len(jobs), -1, -1).clone()
-        return constraints.Learned(start, light, rails, job.training.steps)
+        shape: constraints.Light = "equal-dwell" if job.training.looks > 1 else light
+        return constraints.Learned(start, shape, rails, job.training.steps)
     if job.design == "raster":
         return _fixed(signed[0][None, None], job)
     return _fixed(torch.stack([constraints.fit(matrix, light, rails) for matrix in signed]), job)
@@ -181,6 +203,8 @@ def _masks(
 def _fixed(rails: Tensor, job: Job) -> constraints.Fixed:
     """Rails (R or 1, 2 or 1, m, N) with the grey levels of a job."""
     light, steps = job.optics[0], job.training.steps
+    if job.training.looks > 1:
+        rails = constraints.equalise(rails)
     return constraints.Fixed(constraints.quantise(rails, light, steps) if steps else rails)
 
 

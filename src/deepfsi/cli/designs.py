@@ -63,6 +63,10 @@ def design(
     levels: Annotated[
         int, typer.Option(help="grey levels of a cell, dark included, that masks are made of")
     ] = 0,
+    looks: Annotated[
+        int,
+        typer.Option(help="looks of an exposure: counts of each choose the dwells of the next"),
+    ] = 1,
     epochs: EpochsOption = None,
     hold_out: Annotated[
         int, typer.Option(help="last training scenes to leave out, for `deepfsi stop`")
@@ -104,7 +108,12 @@ def design(
         raise InputError(f"{out} is a folder: give a file name ending in .safetensors")
     check_writable(out.parent)
     seen = scenes.hold_out(hold_out) if hold_out else scenes
-    settings: dict[str, Any] = {"levels": levels, "nested": nested, "span": budgets[1] / budgets[0]}
+    settings: dict[str, Any] = {
+        "levels": levels,
+        "nested": nested,
+        "looks": looks,
+        "span": budgets[1] / budgets[0],
+    }
     if epochs is not None:
         settings["epochs"] = epochs
     with progress(f"{kind}, {count} masks", quiet=as_json) as tell:

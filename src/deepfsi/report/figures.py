@@ -43,6 +43,7 @@ COLOURS = {
     "control": "#cc79a7",
     "random": "#8a7a00",
     "lda": "#56b4e9",
+    "class-pairs": "#b3446c",
     "s-matrix": "#9a6a3a",
     "custom": "#6a51a3",
 }
@@ -56,6 +57,7 @@ DARK_COLOURS = {
     "control": "#e8a3c8",
     "random": "#c9b83a",
     "lda": "#8fd3ff",
+    "class-pairs": "#e07a9f",
     "s-matrix": "#cf9a62",
     "custom": "#b39bff",
 }
@@ -68,6 +70,7 @@ LINES: dict[str, Any] = {
     "control": (0, (4, 1.4, 1.2, 1.4, 1.2, 1.4)),
     "random": (0, (2, 3)),
     "lda": (0, (8, 2, 2, 2)),
+    "class-pairs": (0, (8, 2, 1.2, 2, 1.2, 2)),
     "s-matrix": (0, (1, 3)),
 }
 

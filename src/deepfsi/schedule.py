@@ -1,0 +1,101 @@
+"""Exposures that look several times: what was counted decides how long each mask is shown next.
+
+One device shows the same masks in every look, each for its own share of the time (`free-dwell`).
+In the first look these *dwells* are the same for all scenes; a small network then chooses those of
+each further look from the counts so far. Masks that would tell what is already known get no time.
+Given the dwells, counts of one mask in several looks are independent Poisson counts of one rate, so
+their sum and the sum of their dwells hold all that they say: they are what both networks are shown.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi.classifiers import Mlp
+
+Read = Callable[[Tensor], Tensor]
+"""From dwells (..., m) to counts (..., m) of masks shown for these shares of the exposure."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What an exposure of several looks has seen.
+
+    Attributes
+    ----------
+    features : tensor, shape (..., m)
+        Counts over the budget, of all looks together.
+    dwell : tensor, shape (..., m)
+        Share of the exposure that each mask had; sums to 1.
+    """
+
+    features: Tensor
+    dwell: Tensor
+
+    def inputs(self, centre: Tensor, spread: Tensor) -> Tensor:
+        """Inputs (..., 2 m) of the classifier: features and dwells, standardised.
+
+        Parameters
+        ----------
+        centre, spread : tensor, shape (..., m)
+            Mean and spread of features whose masks all have the same dwell, 1 / m.
+        """
+        relative = self.dwell * self.dwell.shape[-1]
+        return torch.cat([(self.features - relative * centre) / spread, relative / 3], dim=-1)
+
+
+def expose(
+    choose: Callable[[Tensor], Tensor],
+    read: Read,
+    looks: int,
+    centre: Tensor,
+    spread: Tensor,
+) -> Exposure:
+    """Take one exposure, or many at once: the same loop in training, in tests and at a camera.
+
+    Parameters
+    ----------
+    choose : callable
+        Network from (..., 2 m + 1), the inputs of the classifier so far and the share of the
+        exposure that is left, to (..., m): dwells of the next look are their softmax.
+    read : callable
+        Shows the masks for given shares of the exposure and returns counts over the budget.
+    looks : int
+        K, each 1 / K of the exposure.
+    centre, spread : tensor, shape (..., m)
+        As for `Exposure.inputs`, with the leading axes of the exposures.
+
+    Returns
+    -------
+    Exposure
+    """
+    none = torch.zeros_like(centre)
+    seen = Exposure(none, none)
+    for look in range(looks):
+        left = torch.full_like(none[..., :1], 1 - look / looks)
+        scores = choose(torch.cat([seen.inputs(centre, spread), left], dim=-1))
+        dwell = scores.softmax(dim=-1) / looks
+        seen = Exposure(seen.features + read(dwell), seen.dwell + dwell)
+    return seen
+
+
+class Schedule(nn.Module):
+    """How many looks there are, and the network that chooses dwells.
+
+    Parameters
+    ----------
+    network : Mlp
+        From 2 m + 1 inputs to m outputs.
+    looks : int
+        K.
+    """
+
+    def __init__(self, network: Mlp, looks: int) -> None:
+        super().__init__()
+        self.network, self.looks = network, looks
+
+    def forward(self, read: Read, centre: Tensor, spread: Tensor) -> Exposure:
+        """Take exposures; as `expose`."""
+        return expose(self.network, read, self.looks, centre, spread)
