@@ -72,7 +72,7 @@ def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
     counts = scanner.read(scanner.rates(scenes) * PHOTONS, generator(7))[:, 0].numpy()
     right, used, ends = [], [], []
     for exposure, label in zip(counts, digits.y_test, strict=True):
-        for shown in found.policy.masks:
+        for shown in found.policy.after:
             chances, enough = found.policy.ask(nested, exposure[:shown], PHOTONS)
             if enough:
                 break
@@ -81,7 +81,7 @@ def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
         ends.append(shown)
     assert np.mean(right) == pytest.approx(found.stopped.mean)
     assert np.mean(used) == pytest.approx(found.used.mean)
-    for shown, share in zip(found.policy.masks, found.stops, strict=True):
+    for shown, share in zip(found.policy.after, found.stops, strict=True):
         assert np.mean(np.equal(ends, shown)) == pytest.approx(share)
 
 
@@ -143,6 +143,42 @@ def test_calibration_error_is_that_of_groups_written_out():
     assert error == pytest.approx((0 + 0.3 + 0) / 3)
 
 
+@pytest.fixture(scope="module")
+def looking(digits):
+    """A design of several looks."""
+    settings = {**TRAINED, "nested": 0, "looks": 4, "masks": 16, "photons": 2e4}
+    return quick(digits.hold_out(HELD_OUT), **settings)
+
+
+def test_an_exposure_of_several_looks_may_stop_after_each(looking, digits):
+    found = stop(looking, digits, 2e4, held_out=HELD_OUT, draws=2, seed=4)
+    [whole] = evaluate(looking, digits, 2e4, draws=2, seed=4)
+    assert found.policy.after == (1, 2, 3, 4)
+    assert found.whole.mean == pytest.approx(whole.accuracy, abs=1e-12)
+    assert found.used.mean == pytest.approx(np.dot(found.stops, [0.25, 0.5, 0.75, 1]))
+    assert found.used.high < 0.95
+    assert found.difference.low > -0.05
+
+
+def test_a_camera_that_looks_again_stops_as_the_study_says(looking, digits):
+    found = stop(looking, digits, 2e4, held_out=HELD_OUT, threshold=0.9, draws=4)
+    rng, patterns = np.random.default_rng(0), looking.rails[0].numpy() * looking.masks
+    looks, right = [], []
+    for scene, label in zip(digits.x_test, digits.y_test, strict=True):
+        shown = []
+
+        def read(dwell, rates=patterns @ scene * 2e4 / looking.mean_light, shown=shown):
+            shown.append(dwell)
+            return rng.poisson(dwell * rates)
+
+        chances = looking.watch(read, 2e4, until=found.policy.judge)
+        assert chances.sum() == pytest.approx(1)
+        looks.append(len(shown) / 4)
+        right.append(chances.argmax() == label)
+    for mine, its in ((looks, found.used), (right, found.stopped)):
+        assert abs(np.mean(mine) - its.mean) < 5 * (1.25 / len(mine)) ** 0.5 * np.std(mine)
+
+
 def test_under_column_nothing_is_saved(digits):
     design = quick(digits.hold_out(HELD_OUT), masks=4, nested=2)
     with pytest.raises(InputError, match="all masks see light at once"):
@@ -176,6 +212,6 @@ def test_features_are_those_of_evaluate(nested, digits):
     scenes = torch.from_numpy(np.tile(digits.x_test, (4, 1))) / nested.mean_light
     head = scanner.rates(scenes[:1024]) * 1e3
     first, second = (subtract(scanner.read(head, draw)) for _ in range(2))
-    assert torch.equal(seen.features[0:2048:2], first)
-    assert torch.equal(seen.features[1:2048:2], second)
-    assert len(seen.features) == 8 * len(digits.x_test)
+    assert torch.equal(seen.drawn[0:2048:2], first)
+    assert torch.equal(seen.drawn[1:2048:2], second)
+    assert len(seen.drawn) == 8 * len(digits.x_test)

@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -119,8 +119,8 @@ class Design:
 
     def expose(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
-    ) -> Exposure:
-        """Exposures whose dwells a schedule chooses, with counts that a scanner draws.
+    ) -> Iterator[Exposure]:
+        """Exposures after each look, with dwells that a schedule chooses and counts of a scanner.
 
         Parameters
         ----------
@@ -150,10 +150,15 @@ class Design:
         """
         if self.schedule is None:
             return self.logits(subtract(scanner.read(rates * photons, generator)), photons)
-        seen = self.expose(scanner, rates, generator, photons)
+        *_, seen = self.expose(scanner, rates, generator, photons)
         return self.logits(seen.features * photons, photons, seen.dwell)
 
-    def watch(self, read: Callable[[np.ndarray], Any], photons: float) -> np.ndarray:
+    def watch(
+        self,
+        read: Callable[[np.ndarray], Any],
+        photons: float,
+        until: Callable[[int, np.ndarray], tuple[np.ndarray, bool]] | None = None,
+    ) -> np.ndarray:
         """Class probabilities (C,) of an exposure whose dwells are chosen while it runs.
 
         Parameters
@@ -163,6 +168,9 @@ class Design:
             time, floats that sum to 1 / K, and returns the counts (m,) of this look.
         photons : float
             Budget Φ of the whole exposure, or an estimate of it.
+        until : callable, optional
+            Told the looks so far and the probabilities (C,) after them; returns probabilities, and
+            whether the exposure ends there. `stopping.Policy.judge` is one.
 
         Raises
         ------
@@ -174,22 +182,28 @@ class Design:
                 "the dwells of this design are fixed: show all masks and use `classify`, or learn "
                 "a design with --looks"
             )
-        budget = check_budget(photons)
-        counted = []
+        budget, counted = check_budget(photons), np.zeros(self.masks)
 
         def show(dwell: Tensor) -> Tensor:
-            counts = np.asarray(read(dwell.cpu().numpy()), dtype=np.float32)
+            nonlocal counted
+            counts = np.asarray(read(dwell.cpu().numpy()), dtype=float)
             if counts.shape != (self.masks,):
                 raise InputError(
                     f"a look of shape {counts.shape} does not fit this design: return "
                     f"({self.masks},) counts"
                 )
-            counted.append(counts)
-            return torch.from_numpy(counts / np.float32(budget)).to(dwell)
+            counted = counted + counts
+            return torch.from_numpy(counts / budget).to(dwell)
 
         with torch.no_grad():
-            seen = self.schedule(show, self.centre, self.spread)
-        return self.classify(np.sum(counted, axis=0), budget, seen.dwell.cpu().numpy())
+            for look, seen in enumerate(self.schedule(show, self.centre, self.spread), start=1):
+                chances = self.classify(counted, budget, seen.dwell.cpu().numpy())
+                if until is None:
+                    continue
+                chances, enough = until(look, chances)
+                if enough:
+                    break
+        return chances
 
     def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
         """Class probabilities of one or many exposures.

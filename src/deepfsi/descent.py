@@ -44,6 +44,12 @@ STEP_TENSORS = 12
 CHUNK = 4096
 """Scenes that are multiplied at once outside the steps."""
 
+EARLY = 0.2
+"""Weight of the loss of the answers before the last look, in their mean; the last has 1."""
+
+CHOOSER = 0.2
+"""Learning rate of the network that chooses dwells, over that of the classifier."""
+
 GRAIN = 2**15
 """Elements below which torch itself does not share an operation among threads."""
 
@@ -104,10 +110,7 @@ def optimise(
             for step in range(steps):
                 logits = replicas(features(streams, step))
                 labels = _beside([stream.labels(step) for stream in streams])
-                loss = functional.cross_entropy(
-                    logits.flatten(0, 1), labels.flatten(), reduction="sum"
-                )
-                (loss / batch).backward()
+                (_loss(logits, labels) / batch).backward()
                 optimiser.step()
                 optimiser.zero_grad(set_to_none=True)
                 schedule.step()
@@ -118,6 +121,17 @@ def optimise(
         network.generator = None
         network.eval()
     return classifiers, [Schedule(chooser, how.looks) for chooser in choosers]
+
+
+def _loss(logits: Tensor, labels: Tensor) -> Tensor:
+    """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K looks."""
+    looks = len(logits) // len(labels)
+    if looks == 1:
+        return functional.cross_entropy(logits.flatten(0, 1), labels.flatten(), reduction="sum")
+    truth = labels.repeat(looks, 1).flatten()
+    each = functional.cross_entropy(logits.flatten(0, 1), truth, reduction="none")
+    *early, last = each.view(looks, -1).sum(dim=1)
+    return last + EARLY / len(early) * sum(early)
 
 
 def batch_of(how: Training, count: int) -> int:
@@ -312,7 +326,7 @@ def _told(
 def _chosen(
     scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
-    """Features and dwells of exposures of several looks; masks are those of equal dwells."""
+    """Features and dwells (K · B, R, 2 m) after each of K looks, with masks of equal dwells."""
     job = jobs[0]
     seen_by = "free-dwell" if isinstance(masks, Learned) else "two-arm"  # those see every pixel
     x = scenes.centred(seen_by, products(job, scenes.device))  # type: ignore[arg-type]
@@ -344,8 +358,8 @@ def _chosen(
                     drawn.append(own + deviation * stream.normal(job.masks))
             return _beside(drawn)
 
-        seen = expose(choose, read, job.training.looks, centre.expand_as(light), spread)
-        return seen.inputs(centre, spread)
+        every = expose(choose, read, job.training.looks, centre.expand_as(light), spread)
+        return torch.cat([seen.inputs(centre, spread) for seen in every])
 
     return features
 

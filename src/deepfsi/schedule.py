@@ -5,9 +5,11 @@ In the first look these *dwells* are the same for all scenes; a small network th
 each further look from the counts so far. Masks that would tell what is already known get no time.
 Given the dwells, counts of one mask in several looks are independent Poisson counts of one rate, so
 their sum and the sum of their dwells hold all that they say: they are what both networks are shown.
+
+The classifier learns to answer after every look, so that an exposure may end when it is sure.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -15,20 +17,26 @@ from torch import Tensor, nn
 
 from deepfsi.classifiers import Mlp
 
+REACH = 4.0
+"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
+
+A mask that is never shown is never learned, and the scores would not come back from there.
+"""
+
 Read = Callable[[Tensor], Tensor]
 """From dwells (..., m) to counts (..., m) of masks shown for these shares of the exposure."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """What an exposure of several looks has seen.
+    """What an exposure of several looks has seen so far.
 
     Attributes
     ----------
     features : tensor, shape (..., m)
         Counts over the budget, of all looks together.
     dwell : tensor, shape (..., m)
-        Share of the exposure that each mask had; sums to 1.
+        Share of the whole exposure that each mask had; sums to 1 after the last look.
     """
 
     features: Tensor
@@ -52,14 +60,14 @@ def expose(
     looks: int,
     centre: Tensor,
     spread: Tensor,
-) -> Exposure:
+) -> Iterator[Exposure]:
     """Take one exposure, or many at once: the same loop in training, in tests and at a camera.
 
     Parameters
     ----------
     choose : callable
         Network from (..., 2 m + 1), the inputs of the classifier so far and the share of the
-        exposure that is left, to (..., m): dwells of the next look are their softmax.
+        exposure that is left, to scores (..., m): dwells of the next look are their softmax.
     read : callable
         Shows the masks for given shares of the exposure and returns counts over the budget.
     looks : int
@@ -67,18 +75,19 @@ def expose(
     centre, spread : tensor, shape (..., m)
         As for `Exposure.inputs`, with the leading axes of the exposures.
 
-    Returns
-    -------
+    Yields
+    ------
     Exposure
+        After each look.
     """
     none = torch.zeros_like(centre)
     seen = Exposure(none, none)
     for look in range(looks):
         left = torch.full_like(none[..., :1], 1 - look / looks)
         scores = choose(torch.cat([seen.inputs(centre, spread), left], dim=-1))
-        dwell = scores.softmax(dim=-1) / looks
+        dwell = (REACH * torch.tanh(scores / REACH)).softmax(dim=-1) / looks
         seen = Exposure(seen.features + read(dwell), seen.dwell + dwell)
-    return seen
+        yield seen
 
 
 class Schedule(nn.Module):
@@ -96,6 +105,6 @@ class Schedule(nn.Module):
         super().__init__()
         self.network, self.looks = network, looks
 
-    def forward(self, read: Read, centre: Tensor, spread: Tensor) -> Exposure:
-        """Take exposures; as `expose`."""
+    def forward(self, read: Read, centre: Tensor, spread: Tensor) -> Iterator[Exposure]:
+        """Take exposures, look by look; as `expose`."""
         return expose(self.network, read, self.looks, centre, spread)

@@ -1,12 +1,13 @@
-"""Early stopping: masks in sequence, and an answer as soon as it is sure enough.
+"""Early stopping: masks in sequence, or looks, and an answer as soon as it is sure enough.
 
-After each mask of a nested design, from the fewest on that do by themselves, an exposure is
-classified with what has been counted so far. It stops where the confidence of the answer, the
-probability of the likeliest class, is above a threshold. Photons that a stopped exposure has taken
-are the first of those that the whole one takes: nothing is drawn again.
+After each mask of a nested design, from the fewest on that do by themselves, or after each look of
+a design of several, an exposure is classified with what has been counted so far. It stops where
+the confidence of the answer, the probability of the likeliest class, is above a threshold. Photons
+that a stopped exposure has taken are the first of those that the whole one takes: nothing is drawn
+again.
 
-A network's own probabilities are rarely right, so each number of masks has a temperature that
-divides the logits. It is fitted on scenes that were held out of the training. The threshold is
+A network's own probabilities are rarely right, so each number of masks or looks has a temperature
+that divides the logits. It is fitted on scenes that were held out of the training. The threshold is
 chosen on the same scenes, of which each half has the temperatures of the other; the test scenes are
 read once.
 """
@@ -20,13 +21,14 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax, logsumexp
+from torch import Tensor
 
 from deepfsi.artifact import Design
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.evaluation import check_data, check_draws, wilson
 from deepfsi.photons import check_budget
-from deepfsi.scanner import subtract
+from deepfsi.scanner import Scanner, subtract
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""
@@ -46,20 +48,20 @@ class Policy:
 
     Attributes
     ----------
-    masks : tuple of int
-        Numbers of masks after which it may, rising; the last is m.
+    after : tuple of int
+        Numbers of masks, or of looks, after which it may, rising; the last is all.
     temperatures : tuple of float
         What the logits are divided by, after each.
     threshold : float
         Confidence above which it stops; 1 for never before the end.
     """
 
-    masks: tuple[int, ...]
+    after: tuple[int, ...]
     temperatures: tuple[float, ...]
     threshold: float
 
     def ask(self, design: Design, counts: ArrayLike, photons: float) -> tuple[np.ndarray, bool]:
-        """Classify an exposure that goes on, and say whether it may stop.
+        """Classify an exposure of a nested design that goes on, and say whether it may stop.
 
         Parameters
         ----------
@@ -79,20 +81,26 @@ class Policy:
         Raises
         ------
         InputError
-            If k is not one of `masks`.
+            If k is not one of `after`.
         """
         read = np.asarray(counts, dtype=np.float32)
         shown = read.shape[-1] if read.ndim else 0
-        if shown not in self.masks:
+        if shown not in self.after:
             raise InputError(
-                f"counts of {shown} masks cannot be judged: give those of {self.masks[0]} to "
-                f"{self.masks[-1]} masks"
+                f"counts of {shown} masks cannot be judged: give those of {self.after[0]} to "
+                f"{self.after[-1]} masks"
             )
         part = design.first(shown)
-        raw = part.classify(read, photons * part.used / design.used)
-        log = np.log(np.maximum(raw, np.finfo(np.float32).tiny).astype(float))
-        chances = np.exp(log_softmax(log / self.temperatures[self.masks.index(shown)]))
-        return chances, bool(shown == self.masks[-1] or chances.max() > self.threshold)
+        return self.judge(shown, part.classify(read, photons * part.used / design.used))
+
+    def judge(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop.
+
+        For `Design.watch`.
+        """
+        log = np.log(np.maximum(chances, np.finfo(np.float32).tiny).astype(float))
+        calibrated = np.exp(log_softmax(log / self.temperatures[self.after.index(shown)]))
+        return calibrated, bool(shown == self.after[-1] or calibrated.max() > self.threshold)
 
 
 @dataclass(frozen=True)
@@ -118,7 +126,7 @@ class Stopped:
     whole, stopped, difference : Rate
         Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
     stops : list of float
-        Share of exposures that end after each of `policy.masks`.
+        Share of exposures that end after each of `policy.after`.
     confidence : float
         Mean confidence of the answers given.
     calibration_error, uncalibrated_error : float
@@ -181,7 +189,8 @@ def stop(
     Parameters
     ----------
     design : Design
-        Nested, one whose masks are shown in sequence, trained on ``data.hold_out(held_out)``.
+        Of several looks, or nested, one whose masks are shown in sequence; trained on
+        ``data.hold_out(held_out)``.
     data : Dataset
     photons : float
         Budget Φ of the whole exposure.
@@ -208,7 +217,7 @@ def stop(
     budget = check_budget(photons)
     check_draws(draws, seed)
     check_data(design, data)
-    fewest = fewest_masks(design)
+    after, share = _places(design)
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
     kept = data.hold_out(held_out)
@@ -218,24 +227,31 @@ def stop(
             "training scenes, which calibrate its confidence: learn it with "
             f"--hold-out {len(kept.y_test)}"
         )
-    masks = tuple(range(fewest, design.masks + 1))
-    share = np.array([design.first(k).used for k in masks]) / design.used
-    seen = _Exposures(design, kept.x_test, kept.y_test, budget, masks, draws, seed ^ 2**31)
+    seen = _Exposures(design, kept.x_test, kept.y_test, budget, after, draws, seed ^ 2**31)
     # at random: the images of MNIST come from two sources by turns
     half = np.random.default_rng(seed).permutation(len(kept.x_test))[seen.images] % 2 == 0
     halves = np.array(
         [
             [_temperature(logits[part], seen.labels[part]) for part in (half, ~half)]
-            for _, logits in seen.answers()
+            for logits in seen.answers()
         ]
     )
     choice = _Answers(seen, [np.where(half, b, a)[:, None] for a, b in halves])
     if threshold is None:
         threshold = choice.least_threshold(share)
     temperatures = np.sqrt(halves.prod(axis=1)).tolist()
-    policy = Policy(masks, tuple(temperatures), float(threshold))
-    test = _Exposures(design, data.x_test, data.y_test, budget, masks, draws, seed)
+    policy = Policy(after, tuple(temperatures), float(threshold))
+    test = _Exposures(design, data.x_test, data.y_test, budget, after, draws, seed)
     return _result(policy, _Answers(test, temperatures), choice, share, budget, draws)
+
+
+def _places(design: Design) -> tuple[tuple[int, ...], np.ndarray]:
+    """Numbers of masks or looks after which a design may stop, and the photons used, of all."""
+    if design.schedule is not None:
+        looks = design.schedule.looks
+        return tuple(range(1, looks + 1)), np.arange(1, looks + 1) / looks
+    after = tuple(range(fewest_masks(design), design.masks + 1))
+    return after, np.array([design.first(k).used for k in after]) / design.used
 
 
 def fewest_masks(design: Design) -> int:
@@ -243,7 +259,8 @@ def fewest_masks(design: Design) -> int:
     fewest = int(design.info.get("job", {}).get("training", {}).get("nested", 0))
     if not 0 < fewest < design.masks:
         raise InputError(
-            "this design needs all its masks for an answer: learn nested ones with --nested"
+            "this design needs all its masks for an answer: learn nested ones with --nested, or "
+            "several looks with --looks"
         )
     if design.light == "column":
         raise InputError(
@@ -254,7 +271,7 @@ def fewest_masks(design: Design) -> int:
 
 
 class _Exposures:
-    """Whole exposures of scenes, and what a design says after each number of masks."""
+    """Whole exposures of scenes, and what a design says after each number of masks or looks."""
 
     def __init__(
         self,
@@ -262,30 +279,43 @@ class _Exposures:
         x: np.ndarray,
         labels: np.ndarray,
         photons: float,
-        masks: Sequence[int],
+        after: Sequence[int],
         draws: int,
         seed: int,
     ) -> None:
-        self.design, self.photons, self.masks = design, photons, masks
+        self.design, self.photons, self.after = design, photons, after
+        self.images = np.repeat(np.arange(len(x)), draws)
+        self.labels = labels[self.images]
         device = design.rails.device
         scanner, generator = design.scanner(), torch.Generator(device).manual_seed(seed)
-        features, self.images = [], np.repeat(np.arange(len(x)), draws)
+        drawn = []
         with torch.no_grad():
             for rows in torch.arange(len(x)).split(1024):
                 rates = scanner.rates(torch.from_numpy(x[rows]).to(device) / design.mean_light)
-                drawn = [subtract(scanner.read(rates * photons, generator)) for _ in range(draws)]
-                features.append(torch.stack(drawn, dim=1).flatten(0, 1))
-        self.features = torch.cat(features)
-        self.labels = labels[self.images]
+                several = [self._draw(scanner, rates, generator) for _ in range(draws)]
+                drawn.append(torch.stack(several, dim=-2).flatten(-3, -2))
+        self.drawn = torch.cat(drawn, dim=-2)
 
-    def answers(self) -> Iterator[tuple[int, np.ndarray]]:
-        """Numbers of masks, rising, with the logits (E, C) after them."""
-        for shown in self.masks:
-            part = self.design.first(shown)
-            so_far = self.photons * part.used / self.design.used
-            with torch.no_grad():
-                logits = part.logits(self.features[:, :shown], so_far)
-            yield shown, logits.double().cpu().numpy()
+    def _draw(self, scanner: Scanner, rates: Tensor, generator: torch.Generator) -> Tensor:
+        """Features (B, m) of one draw, or logits (K, B, C) after each of K looks."""
+        if self.design.schedule is None:
+            return subtract(scanner.read(rates * self.photons, generator))
+        looks = self.design.expose(scanner, rates, generator, self.photons)
+        return torch.stack(
+            [self.design.logits(s.features * self.photons, self.photons, s.dwell) for s in looks]
+        )
+
+    def answers(self) -> Iterator[np.ndarray]:
+        """Logits (E, C) after each number of masks or looks."""
+        for place, shown in enumerate(self.after):
+            if self.design.schedule is not None:
+                logits = self.drawn[place]
+            else:
+                part = self.design.first(shown)
+                so_far = self.photons * part.used / self.design.used
+                with torch.no_grad():
+                    logits = part.logits(self.drawn[:, :shown], so_far)
+            yield logits.double().cpu().numpy()
 
 
 class _Answers:
@@ -294,7 +324,7 @@ class _Answers:
     def __init__(self, seen: _Exposures, temperatures: Sequence[Any]) -> None:
         labels, self.images = seen.labels, seen.images
         sure, raw, right, self.log_loss, self.raw_log_loss = [], [], [], 0.0, 0.0
-        for (_, logits), temperature in zip(seen.answers(), temperatures, strict=True):
+        for logits, temperature in zip(seen.answers(), temperatures, strict=True):
             calibrated, plain = (
                 log_softmax(each, axis=1) for each in (logits / temperature, logits)
             )

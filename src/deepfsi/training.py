@@ -166,8 +166,8 @@ def _shares(design: Design, scenes: Scenes, job: Job) -> Tensor:
     with torch.no_grad():
         for x in scenes.full.split(CHUNK):
             rates = scanner.rates(x / scenes.light)
-            dwell = design.expose(scanner, rates, generator, job.photons).dwell
-            shares += (design.masks * dwell * rates[..., 0, :]).sum(dim=0)
+            *_, seen = design.expose(scanner, rates, generator, job.photons)
+            shares += (design.masks * seen.dwell * rates[..., 0, :]).sum(dim=0)
     return shares / len(scenes.full)
 
 

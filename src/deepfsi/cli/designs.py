@@ -217,7 +217,9 @@ def evaluate(
 
 
 def stop(
-    file: Annotated[Path, typer.Argument(help="nested design file for one device")],
+    file: Annotated[
+        Path, typer.Argument(help="design file for one device, nested or of several looks")
+    ],
     photons: Annotated[str, typer.Option(help="budget of a whole exposure")],
     data: DataOption = "digits",
     size: SizeOption = None,

@@ -128,7 +128,7 @@ def stopping_figure(
     left.legend(frameon=False, fontsize=8, loc="lower right")
     for each in curves:
         going = 1 - np.cumsum(each["stops"])
-        middle.step(each["policy"]["masks"], going, where="post", color=COLOURS["deepfsi"], lw=1)
+        middle.step(each["policy"]["after"], going, where="post", color=COLOURS["deepfsi"], lw=1)
     middle.set_xlabel("masks shown")
     middle.set_ylabel("exposures that go on")
     middle.yaxis.set_major_formatter(PercentFormatter(1))
