@@ -34,7 +34,7 @@ def rate(mean):
     return {"mean": mean, "low": mean - 0.001, "high": mean + 0.001}
 
 
-def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, spread=0.001):
+def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001):
     points = [
         *(point("forgiving", 0.9, photons=p) for p in LIGHTS),
         *(
@@ -52,38 +52,42 @@ def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, spread=0.001):
         point("forgiving-stop", 0.9, photons=1e5),
         *(point("forgiving-plain", 0.9, photons=p) for p in (5e4, 1e5)),
     ]
-    stopped = [
-        {
-            "photons": 1e5,
-            "used": rate(used + change),
-            "whole": rate(0.9),
-            "stopped": rate(0.9 - lost),
-            "difference": rate(-lost + change * spread),
-            "calibration_error": 0.01,
-            "uncalibrated_error": 0.02,
-            "stops": [0.5, 0.5],
-            "policy": {"after": [1, 2]},
-            "curve": [{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
-            "rejection": [{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
-        }
-        for change in SHIFTS
-    ]
+    stopped, looked = (
+        [
+            {
+                "photons": 1e5,
+                "used": rate(used + change),
+                "whole": rate(0.9),
+                "stopped": rate(0.9 - lost),
+                "difference": rate(-lost + change * spread),
+                "calibration_error": 0.01,
+                "uncalibrated_error": 0.02,
+                "stops": [0.5, 0.5],
+                "policy": {"after": [1, 2]},
+                "curve": [{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
+                "rejection": [{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
+            }
+            for change in SHIFTS
+        ]
+        for used, lost in ((used, lost), (looked, 0.0))
+    )
     prefixes = [
         point(recipe, first if masks == 10 else 0.9, masks=masks, photons=1e4)
         for recipe in ("forgiving-nested", "forgiving-both")
         for masks in (10, 92)
     ]
-    return {"points": points, "extra": {"prefixes": prefixes, "stopped": stopped}}
+    return {"points": points, "extra": {"prefixes": prefixes, "stopped": stopped, "looked": looked}}
 
 
 @pytest.mark.parametrize(
     ("changes", "answers"),
     [
-        ({}, [True, True, True]),
-        ({"ranged": 0.88}, [False, True, True]),
-        ({"first": 0.88}, [True, False, True]),
-        ({"used": 0.8}, [True, True, False]),
-        ({"lost": 0.01}, [True, True, False]),
+        ({}, [True, True, True, True]),
+        ({"ranged": 0.88}, [False, True, True, True]),
+        ({"first": 0.88}, [True, False, True, True]),
+        ({"used": 0.8}, [True, True, False, True]),
+        ({"lost": 0.01}, [True, True, False, True]),
+        ({"looked": 0.8}, [True, True, True, False]),
     ],
 )
 def test_claims_answer_to_the_numbers(changes, answers):
@@ -98,6 +102,7 @@ def test_tables_hold_the_differences():
     assert ranged.rows[0][4:] == (0.7, 0.7)
     assert nested.rows[0][:4] == (10, 0.89, 0.9, "−0.010 [−0.010, −0.010]")
     assert stopping.rows[1][:2] == ("nested, stopped early", pytest.approx(6e4))
+    assert stopping.rows[3][:2] == ("several looks, stopped early", pytest.approx(5e4))
 
 
 def test_a_single_trial_has_the_interval_of_its_images():

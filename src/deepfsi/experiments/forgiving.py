@@ -24,7 +24,7 @@ from deepfsi.experiments.contrast import (
 )
 from deepfsi.experiments.study import Experiment, Finding, Results, budgets, points
 from deepfsi.report.figures import photons_text
-from deepfsi.report.forgiving import Line, lines_figure, stopping_figure
+from deepfsi.report.forgiving import Line, Stops, lines_figure, stopping_figure
 from deepfsi.report.studies import accuracy_grid, heat_figure
 from deepfsi.report.study import Claim, Picture, Table
 from deepfsi.stopping import stop
@@ -75,13 +75,19 @@ def measure(
                 for place, photons in enumerate(lights)
             ]
     report(0.5, "stopping")
-    [point] = points(results, recipe="forgiving-stop")
-    held_out = results["data"]["validation"]
-    stopped = [
-        stop(design, data, point["photons"], held_out=held_out, draws=1, seed=seed).as_dict()
-        for seed, design in enumerate(_load(designs, point))
-    ]
-    return {"prefixes": prefixes, "stopped": stopped}
+    stopped = {}
+    for name in ("forgiving-stop", "forgiving-looks"):
+        [point] = points(results, recipe=name)
+        held_out = results["data"]["validation"]
+        stopped[name] = [
+            stop(design, data, point["photons"], held_out=held_out, draws=1, seed=seed).as_dict()
+            for seed, design in enumerate(_load(designs, point))
+        ]
+    return {
+        "prefixes": prefixes,
+        "stopped": stopped["forgiving-stop"],
+        "looked": stopped["forgiving-looks"],
+    }
 
 
 def _load(folder: Path, point: Mapping[str, Any]) -> list[Design]:
@@ -102,11 +108,12 @@ def _trials(tests: Sequence[Any]) -> dict[str, Any]:
 
 
 def show(results: Results) -> Finding:
-    """Lines against budget and masks, what stopping saves, and heat maps; three claims."""
+    """Lines against budget and masks, what stopping saves, and heat maps; four claims."""
     extra = results["extra"]
     ranged, range_table, range_panel = _range(results)
     nested, nested_table, nested_panel = _nested(results)
-    saved, lost, stop_table = _stopping(results)
+    saved, lost = _stopping(extra["stopped"])
+    saved_by_looks, lost_by_looks = _stopping(extra["looked"])
     at = extra["stopped"][0]["photons"]
     nested_at = photons_text(points(results, recipe="forgiving-nested")[0]["photons"])
     claims = (
@@ -121,11 +128,17 @@ def show(results: Results) -> Finding:
             above(nested.values(), -NESTED_LOSS),
             f"lowest {_lowest(nested, str)} masks",
         ),
-        Claim(
-            f"Stopping early saves {SAVED:.0%} of the photons and loses less than {EQUAL} at "
-            f"{photons_text(at)} photons",
-            _both(above([saved], SAVED), above([-lost], -EQUAL)),
-            f"saved {saved}, lost {lost}",
+        *(
+            Claim(
+                f"Stopping exposures of {kind} early saves {SAVED:.0%} of the photons and loses "
+                f"less than {EQUAL} at {photons_text(at)} photons",
+                _both(above([share], SAVED), above([-loss], -EQUAL)),
+                f"saved {share}, lost {loss}",
+            )
+            for kind, share, loss in (
+                ("nested masks", saved, lost),
+                ("several looks", saved_by_looks, lost_by_looks),
+            )
         ),
     )
     pictures = (
@@ -143,10 +156,11 @@ def show(results: Results) -> Finding:
         f"One design for all budgets is at its lowest {_lowest(ranged, photons_text)} photons, "
         "against the one trained for that budget; the first masks of a nested design are at their "
         f"lowest {_lowest(nested, str)} masks, against the design of so many. Stopping early saves "
-        f"{saved.mean:.0%} of {photons_text(at)} photons and changes accuracy by "
-        f"{signed(0.0 - lost.mean, 4)}."
+        f"{saved.mean:.0%} of {photons_text(at)} photons with nested masks and changes accuracy by "
+        f"{signed(0.0 - lost.mean, 4)}; with several looks, whose counts choose the dwells of the "
+        f"next, {saved_by_looks.mean:.0%} and {signed(0.0 - lost_by_looks.mean, 4)}."
     )
-    return Finding(found, pictures, claims, (range_table, nested_table, stop_table))
+    return Finding(found, pictures, claims, (range_table, nested_table, _stop_table(results)))
 
 
 def _lowest(differences: Mapping[Any, Difference], text: Any) -> str:
@@ -245,32 +259,39 @@ def _counts(results: Results, photons: float) -> list[Trials]:
     ]
 
 
-def _stopping(results: Results) -> tuple[Difference, Difference, Table]:
-    stopped = results["extra"]["stopped"]
+def _stopping(stopped: Sequence[Mapping[str, Any]]) -> tuple[Difference, Difference]:
+    """Share of the photons that stopping saves, and accuracy that it loses."""
     saved = _over([{**each["used"], "mean": 1 - each["used"]["mean"]} for each in stopped])
     lost = _over([{**each["difference"], "mean": -each["difference"]["mean"]} for each in stopped])
+    return saved, lost
+
+
+def _stop_table(results: Results) -> Table:
     plain = {p["photons"]: p["accuracy"] for p in points(results, recipe="forgiving-plain")}
-    means = {
-        name: float(np.mean([each[name]["mean"] for each in stopped]))
-        for name in ("used", "whole", "stopped")
-    }
-    photons = stopped[0]["photons"]
-    rows: list[tuple[str, float, float]] = [
-        ("nested, whole exposures", photons, means["whole"]),
-        ("nested, stopped early", means["used"] * photons, means["stopped"]),
-        *(("not nested, whole exposures", p, plain[p]) for p in sorted(plain, reverse=True)),
-    ]
-    error, raw = (
-        float(np.mean([each[name] for each in stopped]))
-        for name in ("calibration_error", "uncalibrated_error")
-    )
-    table = Table(
-        f"Stopping early; the calibration error of the answers is {error:.4f}, and {raw:.4f} "
-        "without temperatures",
+    rows: list[tuple[str, float, float]] = []
+    errors = []
+    for name, kind in (("stopped", "nested"), ("looked", "several looks")):
+        trials = results["extra"][name]
+        photons = trials[0]["photons"]
+        used, whole, stopped = (
+            float(np.mean([each[part]["mean"] for each in trials]))
+            for part in ("used", "whole", "stopped")
+        )
+        rows += [
+            (f"{kind}, whole exposures", photons, whole),
+            (f"{kind}, stopped early", used * photons, stopped),
+        ]
+        error, raw = (
+            float(np.mean([each[part] for each in trials]))
+            for part in ("calibration_error", "uncalibrated_error")
+        )
+        errors.append(f"{error:.4f} with {kind} ({raw:.4f} without temperatures)")
+    rows += [("neither, whole exposures", p, plain[p]) for p in sorted(plain, reverse=True)]
+    return Table(
+        f"Stopping early; the calibration error of the answers is {' and '.join(errors)}",
         ("", "mean photons", "accuracy"),
         tuple(rows),
     )
-    return saved, lost, table
 
 
 def _over(rates: Sequence[Mapping[str, float]]) -> Difference:
@@ -283,21 +304,21 @@ def _over(rates: Sequence[Mapping[str, float]]) -> Difference:
 
 
 def _stopping_picture(results: Results) -> Picture:
-    stopped = results["extra"]["stopped"]
-    photons = stopped[0]["photons"]
+    extra = results["extra"]
+    photons = extra["stopped"][0]["photons"]
     plain = _line(
-        "not nested, whole", "deepfsi", points(results, recipe="forgiving-plain"), "photons"
+        "neither, whole exposures", "deepfsi", points(results, recipe="forgiving-plain"), "photons"
     )
-    chosen = {
-        "used": photons * float(np.mean([each["used"]["mean"] for each in stopped])),
-        "accuracy": float(np.mean([each["stopped"]["mean"] for each in stopped])),
-    }
+    stopped = (
+        Stops("nested, stopped early", "elsewhere", extra["stopped"]),
+        Stops("several looks, stopped early", "looks", extra["looked"]),
+    )
     return Picture(
-        stopping_figure(stopped, plain, photons, chosen),
+        stopping_figure(stopped, plain),
         f"Exposures of {photons_text(photons)} photons on one device that stop when their answer "
-        "is sure enough. Left: accuracy against the mean of photons used, for all thresholds, and "
-        "of a design for whole exposures of that many. Middle: how many go on, a line for each "
-        "trial. Right: accuracy of the surest answers.",
+        "is sure enough. Left: accuracy against the mean of photons used, for all thresholds (the "
+        "diamond is at those chosen), and of a design for whole exposures of that many. Middle: "
+        "how many go on, a line for each trial. Right: accuracy of the surest answers.",
         "What stopping early saves, when exposures stop, and what rejection gives.",
     )
 
@@ -346,6 +367,7 @@ EXPERIMENT = Experiment(
         "forgiving-nested",
         "forgiving-both",
         "forgiving-stop",
+        "forgiving-looks",
         "forgiving-plain",
     ),
 )

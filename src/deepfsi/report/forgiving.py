@@ -14,6 +14,7 @@ from deepfsi.report.figures import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_
 LOOKS: dict[str, dict[str, Any]] = {
     "forgiving": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},
     "deepfsi": {"color": COLOURS["deepfsi"], "marker": "o"},
+    "looks": {"color": COLOURS["control"], "linestyle": LINES["hadamard"], "linewidth": 1.6},
     "elsewhere": {"color": COLOURS["deepfsi"], "linestyle": (0, (1, 1.5)), "linewidth": 1.0},
     "pca": {"color": COLOURS["pca"], "marker": "o", "linestyle": (0, (5, 1.6))},
     "truncated-hadamard": {
@@ -49,6 +50,25 @@ class Line:
     high: Sequence[float] = ()
 
 
+@dataclass(frozen=True)
+class Stops:
+    """Exposures of one kind of design that stop early.
+
+    Attributes
+    ----------
+    name : str
+        For the key.
+    look : str
+        Of `LOOKS`.
+    trials : sequence of mapping
+        `stopping.Stopped` of each.
+    """
+
+    name: str
+    look: str
+    trials: Sequence[Mapping[str, Any]]
+
+
 @styled
 def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
     """Accuracy against the photon budget, or the number of masks, on logarithmic axes.
@@ -78,68 +98,53 @@ def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
 
 
 @styled
-def stopping_figure(
-    curves: Sequence[Mapping[str, Any]], plain: Line, photons: float, chosen: Mapping[str, float]
-) -> Figure:
+def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
     """What stopping early saves, when exposures stop, and what rejection gives.
 
     Parameters
     ----------
-    curves : sequence of mapping
-        One for each trial: `curve`, `stops`, `policy` and `rejection` of `stopping.Stopped`.
+    stopped : sequence of Stops
     plain : Line
         A design for whole exposures, against photons.
-    photons : float
-        Budget of whole exposures.
-    chosen : mapping
-        Mean `used` photons and `accuracy` at the thresholds chosen.
 
     Returns
     -------
     Figure
         Three panels: accuracy against mean photons, the share of exposures still going on after
-        each mask, and accuracy against the share of answers accepted.
+        each part of the masks or looks, and accuracy against the share of answers accepted.
     """
-    figure = Figure(figsize=(10.5, 3.2), layout="constrained")
+    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    used, accuracy = (
-        np.mean([[point[name] for point in each["curve"]] for each in curves], axis=0)
-        for name in ("used", "accuracy")
-    )
-    _draw(
-        left,
-        [
-            Line("", "elsewhere", (used * photons).tolist(), accuracy.tolist()),
-            plain,
-        ],
-    )
-    left.plot([], [], label="nested, stopped early", **LOOKS["elsewhere"])
-    left.plot(
-        chosen["used"],
-        chosen["accuracy"],
-        label="at the threshold chosen",
-        color=COLOURS["control"],
-        marker="D",
-        linestyle="none",
-    )
+    lines = [plain]
+    for each in stopped:
+        photons, curve = each.trials[0]["photons"], [trial["curve"] for trial in each.trials]
+        used, accuracy = (
+            np.mean([[point[name] for point in points] for points in curve], axis=0)
+            for name in ("used", "accuracy")
+        )
+        lines.append(Line(each.name, each.look, (used * photons).tolist(), accuracy.tolist()))
+    _draw(left, lines)
+    for each in stopped:
+        used, accuracy = (
+            np.mean([trial[name]["mean"] for trial in each.trials]) for name in ("used", "stopped")
+        )
+        left.plot(used * photons, accuracy, marker="D", color=LOOKS[each.look]["color"])
     left.set_xlabel("mean photons used")
     left.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
     left.set_ylabel("accuracy")
-    left.legend(frameon=False, fontsize=8, loc="lower right")
-    for each in curves:
-        going = 1 - np.cumsum(each["stops"])
-        middle.step(each["policy"]["after"], going, where="post", color=COLOURS["deepfsi"], lw=1)
-    middle.set_xlabel("masks shown")
+    for each in stopped:
+        for trial in each.trials:
+            after = np.array(trial["policy"]["after"])
+            going = 1 - np.cumsum(trial["stops"])
+            middle.step(after / after[-1], going, where="post", **LOOKS[each.look])
+        accepted = [point["accepted"] for point in each.trials[0]["rejection"]]
+        values = np.mean([[p["stopped"] for p in t["rejection"]] for t in each.trials], axis=0)
+        right.plot(accepted, values, label=each.name, **LOOKS[each.look])
+    middle.xaxis.set_major_formatter(PercentFormatter(1))
+    middle.set_xlabel("masks, or looks, that were shown")
     middle.set_ylabel("exposures that go on")
     middle.yaxis.set_major_formatter(PercentFormatter(1))
     middle.set_ylim(bottom=0)
-    accepted = [point["accepted"] for point in curves[0]["rejection"]]
-    for name, words, look in (
-        ("stopped", "stopped early", LOOKS["elsewhere"]),
-        ("whole", "whole exposures", {"color": COLOURS["deepfsi"]}),
-    ):
-        values = np.mean([[p[name] for p in each["rejection"]] for each in curves], axis=0)
-        right.plot(accepted, values, label=words, **look)
     right.xaxis.set_major_formatter(PercentFormatter(1))
     right.set_xlabel("answers accepted, the surest")
     right.set_ylabel("accuracy of these")
