@@ -127,6 +127,21 @@ def test_a_camera_of_ones_own_has_the_accuracy_of_the_test(digits, design):
     assert abs(np.mean(right) - tested.accuracy) < 5 * noise
 
 
+def test_what_was_really_shown_is_what_counts(digits, design):
+    """A device that leaves short frames out says so."""
+    shown: list[np.ndarray] = []
+
+    def camera(dwell):
+        kept = np.where(dwell < dwell.mean(), 0, dwell)
+        shown.append(kept)
+        return 1e3 * kept, kept
+
+    chances = design.watch(camera, 1e3)
+    told = np.sum(shown, axis=0)
+    assert np.allclose(chances, design.classify(1e3 * told, 1e3, dwell=told), atol=1e-6)
+    assert not np.allclose(chances, design.watch(lambda dwell: 1e3 * dwell, 1e3), atol=1e-6)
+
+
 def test_exposures_read_again_are_classified_as_before(digits, design):
     seen = exposures(design, digits, 1e4)
     again = design.classify(seen.features * 1e4, 1e4, dwell=seen.dwell)
@@ -149,7 +164,7 @@ def test_gradients_through_all_looks_are_those_of_finite_differences():
 
         def read(dwell):
             rates = dwell * light
-            return rates + 0.1 * rates.sqrt() * next(draws)
+            return rates + 0.1 * rates.sqrt() * next(draws), dwell
 
         looks = expose(lambda told: told @ weight.T, read, LOOKS, centre.expand(5, -1), spread)
         return torch.cat([seen.inputs(centre, spread) for seen in looks]).square().sum()

@@ -134,9 +134,9 @@ class Design:
         """
         assert self.schedule is not None
 
-        def read(dwell: Tensor) -> Tensor:
+        def read(dwell: Tensor) -> tuple[Tensor, Tensor]:
             shown = rates * (photons * self.masks * dwell.unsqueeze(-2))
-            return subtract(scanner.read(shown, generator)) / photons
+            return subtract(scanner.read(shown, generator)) / photons, dwell
 
         centre = self.centre.expand(*rates.shape[:-2], -1)
         return self.schedule(read, centre, self.spread)
@@ -165,7 +165,8 @@ class Design:
         ----------
         read : callable
             Called once for each look: shows each mask for the given shares (m,) of the exposure
-            time, floats that sum to 1 / K, and returns the counts (m,) of this look.
+            time, floats that sum to 1 / K, and returns the counts (m,) of this look. Where a device
+            cannot show these, as frames have a shortest time, a pair: counts, and shares shown.
         photons : float
             Budget Φ of the whole exposure, or an estimate of it.
         until : callable, optional
@@ -184,16 +185,21 @@ class Design:
             )
         budget, counted = check_budget(photons), np.zeros(self.masks)
 
-        def show(dwell: Tensor) -> Tensor:
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
-            counts = np.asarray(read(dwell.cpu().numpy()), dtype=float)
-            if counts.shape != (self.masks,):
+            asked = dwell.cpu().numpy()
+            seen = read(asked)
+            counts, shown = (
+                np.asarray(part, dtype=float)
+                for part in (seen if isinstance(seen, tuple) else (seen, asked))
+            )
+            if not counts.shape == shown.shape == (self.masks,):
                 raise InputError(
                     f"a look of shape {counts.shape} does not fit this design: return "
-                    f"({self.masks},) counts"
+                    f"({self.masks},) counts, or a pair of counts and shares shown"
                 )
             counted = counted + counts
-            return torch.from_numpy(counts / budget).to(dwell)
+            return torch.from_numpy(counts / budget).to(dwell), torch.from_numpy(shown).to(dwell)
 
         with torch.no_grad():
             for look, seen in enumerate(self.schedule(show, self.centre, self.spread), start=1):

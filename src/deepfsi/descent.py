@@ -346,7 +346,7 @@ def _chosen(
             power = power.mean(dim=-1, keepdim=True).expand_as(power)
         spread = torch.where(power > 0, power, 1.0).sqrt()
 
-        def read(dwell: Tensor) -> Tensor:
+        def read(dwell: Tensor) -> tuple[Tensor, Tensor]:
             rates = job.masks * dwell * light
             drawn = []
             for stream in streams:
@@ -356,7 +356,7 @@ def _chosen(
                 else:
                     deviation = stream.noise.deviation(own, own)
                     drawn.append(own + deviation * stream.normal(job.masks))
-            return _beside(drawn)
+            return _beside(drawn), dwell
 
         every = expose(choose, read, job.training.looks, centre.expand_as(light), spread)
         return torch.cat([seen.inputs(centre, spread) for seen in every])

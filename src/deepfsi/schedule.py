@@ -23,8 +23,8 @@ REACH = 4.0
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
 
-Read = Callable[[Tensor], Tensor]
-"""From dwells (..., m) to counts (..., m) of masks shown for these shares of the exposure."""
+Read = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""From dwells (..., m) to counts (..., m) over the budget, and the dwells really shown."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,8 @@ def expose(
         Network from (..., 2 m + 1), the inputs of the classifier so far and the share of the
         exposure that is left, to scores (..., m): dwells of the next look are their softmax.
     read : callable
-        Shows the masks for given shares of the exposure and returns counts over the budget.
+        Shows the masks for given shares of the exposure; returns counts over the budget, and the
+        shares that it did show.
     looks : int
         K, each 1 / K of the exposure.
     centre, spread : tensor, shape (..., m)
@@ -86,7 +87,8 @@ def expose(
         left = torch.full_like(none[..., :1], 1 - look / looks)
         scores = choose(torch.cat([seen.inputs(centre, spread), left], dim=-1))
         dwell = (REACH * torch.tanh(scores / REACH)).softmax(dim=-1) / looks
-        seen = Exposure(seen.features + read(dwell), seen.dwell + dwell)
+        counts, shown = read(dwell)
+        seen = Exposure(seen.features + counts, seen.dwell + shown)
         yield seen
 
 
