@@ -30,7 +30,7 @@ def test_commands(tmp_path, monkeypatch):
     from deepfsi import cli
 
     monkeypatch.chdir(tmp_path)
-    assert len(COMMANDS) == 6
+    assert len(COMMANDS) == 7
     for command in sorted(COMMANDS, key=lambda line: "design" not in line):
         words = shlex.split(command.replace("mnist", "digits"))
         if words[1] in ("compare", "design"):

@@ -30,6 +30,10 @@ SCHEMA = 3
 """Of the newest file that can be read; 2 has what a classifier is told, 3 has a schedule."""
 
 
+LATE = 0.05
+"""By how much a look may be longer than asked, relative, for frames in whole microseconds."""
+
+
 @dataclass
 class Design:
     """Masks and the classifier that reads them.
@@ -164,9 +168,10 @@ class Design:
         Parameters
         ----------
         read : callable
-            Called once for each look: shows each mask for the given shares (m,) of the exposure
-            time, floats that sum to 1 / K, and returns the counts (m,) of this look. Where a device
-            cannot show these, as frames have a shortest time, a pair: counts, and shares shown.
+            Called once for each look: shows each mask, ``rails[0] * masks`` in 0 .. 1, for the
+            given shares (m,) of the exposure time, floats that sum to 1 / K, and returns the counts
+            (m,) of this look. Where a device cannot show these, as frames have a shortest time, a
+            pair: counts, and the shares shown.
         photons : float
             Budget Φ of the whole exposure, or an estimate of it.
         until : callable, optional
@@ -188,25 +193,34 @@ class Design:
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
             asked = dwell.cpu().numpy()
-            seen = read(asked)
-            counts, shown = (
-                np.asarray(part, dtype=float)
-                for part in (seen if isinstance(seen, tuple) else (seen, asked))
-            )
+            seen = read(asked.copy())
+            pair = seen if isinstance(seen, tuple) else (seen, asked)
+            try:
+                counts, shown = (np.asarray(part, dtype=float) for part in pair)
+            except (TypeError, ValueError):
+                counts, shown = np.empty(0), asked
             if not counts.shape == shown.shape == (self.masks,):
                 raise InputError(
-                    f"a look of shape {counts.shape} does not fit this design: return "
-                    f"({self.masks},) counts, or a pair of counts and shares shown"
+                    f"a look does not fit this design: return ({self.masks},) counts, or a pair of "
+                    "counts and shares shown"
+                )
+            if not np.isfinite(counts).all():
+                raise InputError("a look holds NaN or infinity: return finite counts")
+            if not 0 <= shown.sum() <= asked.sum() * (1 + LATE):
+                raise InputError(
+                    f"a look that took {shown.sum():.4g} of the exposure was to take "
+                    f"{asked.sum():.4g}: show each mask for at most the shares asked"
                 )
             counted = counted + counts
             return torch.from_numpy(counts / budget).to(dwell), torch.from_numpy(shown).to(dwell)
 
         with torch.no_grad():
             for look, seen in enumerate(self.schedule(show, self.centre, self.spread), start=1):
-                chances = self.classify(counted, budget, seen.dwell.cpu().numpy())
-                if until is None:
+                if until is None and look < self.schedule.looks:
                     continue
-                chances, enough = until(look, chances)
+                chances, enough = self.classify(counted, budget, seen.dwell.cpu().numpy()), False
+                if until is not None:
+                    chances, enough = until(look, chances)
                 if enough:
                     break
         return chances
@@ -396,7 +410,7 @@ class Design:
         if self.schedule is not None:
             chooser = self.schedule.network
             how = {"looks": self.schedule.looks, "hidden": list(chooser.hidden)}
-            return pack(self, SCHEMA, network, schedule=how)
+            return pack(self, 3, network, schedule=how)
         if self.told:
             return pack(self, 2, network, told=asdict(self.told), used=self.used)
         return pack(self, 1, network)
@@ -467,7 +481,7 @@ class Design:
                 and bool((design.spread > 0).all())
                 and (told is None or (design.masks <= told.masks and 0 < told.photons < math.inf))
                 and (told is None or (1 <= told.span < math.inf and 0 < design.used < math.inf))
-                and (schedule is None or (schedule.looks >= 1 and len(design.rails) == 1))
+                and (schedule is None or _sound(schedule, design))
             )
             constraints.check_light(design.light, "dual" if len(design.rails) == 2 else "single")
             constraints.check(design.rails, design.light)
@@ -476,6 +490,12 @@ class Design:
         if not sound:
             raise damaged(path)
         return design.to(device)
+
+
+def _sound(schedule: Schedule, design: Design) -> bool:
+    whole = type(schedule.looks) is int and 2 <= schedule.looks <= 64
+    alone = design.light == "free-dwell" and design.told is None and len(design.rails) == 1
+    return whole and alone and constraints.excess(design.rails, "equal-dwell") < constraints.SLACK
 
 
 def pack(design: Design, schema: int, classifier: dict[str, Any], **more: Any) -> bytes:

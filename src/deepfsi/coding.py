@@ -250,19 +250,20 @@ def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     """Differences of the mean scenes of two classes, the pairs that differ least first.
 
     As frames of one rail a pair is what one class has more than the other, and the reverse. Where
-    there are fewer pairs than masks, principal components follow.
+    there are fewer pairs of different means than masks, principal components follow.
 
     Returns
     -------
     array, shape (masks, N)
-        Unit rows, but for classes of one mean, whose rows are 0.
+        Unit rows.
     """
     means = np.stack([x[y == label].mean(axis=0, dtype=np.float64) for label in np.unique(y)])
     first, second = np.triu_indices(len(means), k=1)
     pairs = means[first] - means[second]
     length = np.linalg.norm(pairs, axis=1)
+    pairs, length = pairs[length > 0], length[length > 0]
     order = np.argsort(length, kind="stable")[:masks]
-    rows = pairs[order] / np.where(length > 0, length, 1.0)[order, None]
+    rows = pairs[order] / length[order, None]
     if len(rows) == masks:
         return rows
     return np.concatenate([rows, principal_components(x, masks - len(rows))])

@@ -85,7 +85,7 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
 
 
 def equalise(rails: Tensor) -> Tensor:
-    """Single rails (..., 1, m, N) with every mask at equal dwell: its peak at 1 / m."""
+    """Frames (..., m, N) of one rail with every mask at equal dwell: its peak at 1 / m."""
     return rails / (_peak(rails) * rails.shape[-2])
 
 

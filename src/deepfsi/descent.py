@@ -87,8 +87,11 @@ def optimise(
     choosers = networks(inputs + 1, job.masks, 0.0) if twice else []
     replicas = Replicas(classifiers, stacked=device.type == "cuda")
     choose = Replicas(choosers, stacked=device.type == "cuda")
-    learning = [*replicas.parameters(), *choose.parameters()]
-    groups: list[dict[str, Any]] = [{"params": learning, "lr": how.lr, "weight_decay": how.decay}]
+    groups: list[dict[str, Any]] = [
+        {"params": list(network.parameters()), "lr": rate * how.lr, "weight_decay": how.decay}
+        for network, rate in ((replicas, 1.0), (choose, CHOOSER))
+        if network.networks
+    ]
     if isinstance(masks, Learned):
         groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
     batch = batch_of(how, len(scenes.labels))
@@ -333,7 +336,7 @@ def _chosen(
     gain = _Noise(scenes, jobs).gain
 
     def features(streams: Sequence[_Stream], step: int) -> Tensor:
-        rails, _ = masks()
+        rails = constraints.equalise(masks()[0])
         parts = []
         for stream in streams:
             product = project(x.index_select(0, stream.with_mean[step]), stream.part(rails))
@@ -341,7 +344,7 @@ def _chosen(
         products_of_all = _beside(parts)
         centred, centre = products_of_all[:-1], products_of_all[-1]
         light = centred + centre
-        power = centred.detach().square().mean(dim=0) + centre.detach() / gain
+        power = centred.square().mean(dim=0) + centre / gain
         if job.training.scale == "common":
             power = power.mean(dim=-1, keepdim=True).expand_as(power)
         spread = torch.where(power > 0, power, 1.0).sqrt()

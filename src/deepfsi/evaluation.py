@@ -38,7 +38,8 @@ class Result:
     confusion : list of list of int
         Rows true classes, columns predicted ones, over all draws.
     throughput : float
-        Share of the budget that the detectors count, in the training mean.
+        Share of the budget that the detectors count, in the training mean; where a schedule
+        chooses dwells, at the training's budget.
     photons_per_mask : list of float
         Expected counts of each mask's rails together, in the training mean.
     """

@@ -89,7 +89,8 @@ class Training(BaseModel):
         1,
         ge=1,
         le=64,
-        description="looks of an exposure; from 2 on, counts choose the dwells of the next",
+        description="looks of an exposure; from 2 on, counts choose the dwells of the next. Train "
+        "with `noise` poisson: a look shows many masks too shortly for MLGauss",
     )
 
     @property
@@ -128,8 +129,13 @@ readouts at one setting at most). Designs not named here, but for learned ones a
 
 
 def training_for(design: str, **settings: Any) -> Training:
-    """How a design is trained: the defaults, what suits the design, then `settings`."""
-    return Training(**{**TUNED.get(design, {}), **settings})
+    """How a design is trained: the defaults, what suits the design, then `settings`.
+
+    Masks of several looks start from `class-pairs` (0.866 on MNIST's validation images at 1e4
+    photons, 64 masks and 4 looks; 0.845 from principal components).
+    """
+    looking = {"start": "class-pairs"} if settings.get("looks", 1) != 1 else {}
+    return Training(**{**TUNED.get(design, {}), **looking, **settings})
 
 
 TrainingNoise = Literal["ml_gauss", "poisson", "gaussian", "none"]
@@ -193,6 +199,8 @@ def products(job: Job, device: torch.device) -> torch.dtype:
         if device.type == "cuda"
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
+    if job.training.looks > 1:
+        return torch.float32  # a chosen mask may have the light of all
     readouts = job.masks * (2 if job.rails == "dual" else 1)
     counts = job.photons * job.training.span / readouts
     limit = {
@@ -207,6 +215,8 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     """Raise `InputError` for whatever a job asks that cannot be had on this data."""
     coding.check_design(job.design)
     constraints.check_light(*job.optics)
+    if job.training.looks > 1:
+        _check_looks(job)
     if job.training.told and job.noise != "ml_gauss":
         raise InputError(
             "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
@@ -217,8 +227,6 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
             f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
             f"{job.masks}"
         )
-    if job.training.looks > 1:
-        _check_looks(job)
     if job.design == "hadamard" and job.rails == "single":
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
@@ -241,6 +249,11 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
 
 
 def _check_looks(job: Job) -> None:
+    if job.design in ("impulse", "control", "custom"):
+        raise InputError(
+            f"{job.design} has one look only: several looks are for deepfsi and for named designs "
+            "that one device shows"
+        )
     if job.optics != ("free-dwell", "single"):
         light, rails = job.optics
         raise InputError(
@@ -252,8 +265,6 @@ def _check_looks(job: Job) -> None:
             "several looks are for one budget under photon noise: leave a range of budgets, "
             "--nested and gaussian noise out"
         )
-    if job.design == "control":
-        raise InputError("control learns its masks under gaussian noise, which has one look only")
 
 
 @contextmanager

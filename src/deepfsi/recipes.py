@@ -278,6 +278,10 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
             )
             job = job.model_copy(update=dict(zip(("light", "rails"), job.optics, strict=True)))
             check_job(job, data, own)
+            if training.looks > 1 and "gaussian" in (recipe.test_noise or (noise,)):
+                raise InputError(
+                    "several looks are tested under photon noise: leave gaussian out of test_noise"
+                )
             trial = Trial(
                 job=job,
                 variant=variant,

@@ -2,9 +2,10 @@
 
 One device shows the same masks in every look, each for its own share of the time (`free-dwell`).
 In the first look these *dwells* are the same for all scenes; a small network then chooses those of
-each further look from the counts so far. Masks that would tell what is already known get no time.
-Given the dwells, counts of one mask in several looks are independent Poisson counts of one rate, so
-their sum and the sum of their dwells hold all that they say: they are what both networks are shown.
+each further look from the counts so far. Masks that would tell what is already known get hardly
+any time. Counts n of a look are Poisson counts given those before it, and its dwells d depend on
+these alone, so that the likelihood of a mask's rate r is a constant times r^Σn · e^(−rΣd): sums
+over the looks hold all that they say of the scene, and are what both networks are shown.
 
 The classifier learns to answer after every look, so that an exposure may end when it is sure.
 """

@@ -97,7 +97,17 @@ class Policy:
         """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop.
 
         For `Design.watch`.
+
+        Raises
+        ------
+        InputError
+            If an exposure is not judged after so many.
         """
+        if shown not in self.after:
+            raise InputError(
+                f"an exposure is not judged after {shown}: this policy is for {self.after[0]} to "
+                f"{self.after[-1]} masks or looks"
+            )
         log = np.log(np.maximum(chances, np.finfo(np.float32).tiny).astype(float))
         calibrated = np.exp(log_softmax(log / self.temperatures[self.after.index(shown)]))
         return calibrated, bool(shown == self.after[-1] or calibrated.max() > self.threshold)
@@ -122,7 +132,7 @@ class Stopped:
         Budget Φ of the whole exposure.
     policy : Policy
     used : Rate
-        Share of the budget that exposures take.
+        Share of the budget that exposures take: of looks, share of their time.
     whole, stopped, difference : Rate
         Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
     stops : list of float

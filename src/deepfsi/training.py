@@ -114,6 +114,8 @@ def train(
         classifiers, schedules = optimise(scenes, jobs, masks, report)
         if isinstance(masks, constraints.Learned):
             masks = _whole(masks, scenes.pixels(first.light))
+            if first.training.looks > 1:
+                masks = constraints.Fixed(constraints.equalise(constraints.separate(*masks())))
             if first.training.nested:
                 masks = brighten(masks, first.light)
 

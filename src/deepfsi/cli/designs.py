@@ -35,6 +35,7 @@ from deepfsi.cli.common import (
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
+    from deepfsi.artifact import Design
     from deepfsi.stopping import Stopped
 
 
@@ -116,13 +117,16 @@ def design(
     }
     if epochs is not None:
         settings["epochs"] = epochs
+    usual = TRAINING_NOISE[noise]
+    if looks > 1 and usual == "ml_gauss":
+        usual = "poisson"  # a look shows many masks too shortly for MLGauss
     with progress(f"{kind}, {count} masks", quiet=as_json) as tell:
         made = learn(
             seen,
             photons=budgets[0],
             masks=count,
             design=kind,
-            noise=train_noise or TRAINING_NOISE[noise],
+            noise=train_noise or usual,
             sigma=sigma,
             light=light,
             rails=rails,
@@ -212,7 +216,7 @@ def evaluate(
         for r in results
     ]
     heads = ("photons", "accuracy, 95 % interval", "worst class", "counted", "counts per mask")
-    print_table(f"{made.name}, {made.masks} masks, {noise} noise", heads, rows)
+    print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
     print(f"interval: {results[0].covers}")
 
 
@@ -253,10 +257,15 @@ def stop(
     if as_json:
         print_json({"design": str(file), **found.as_dict()})
         return
-    _print_stopped(found, made.masks)
+    _print_stopped(found, _size(made))
 
 
-def _print_stopped(found: "Stopped", masks: int) -> None:
+def _size(made: "Design") -> str:
+    looks = f" and {made.schedule.looks} looks" if made.schedule is not None else ""
+    return f"{made.masks} masks{looks}"
+
+
+def _print_stopped(found: "Stopped", size: str) -> None:
     rows = []
     for heading, rate in (
         ("share of photons used", found.used),
@@ -265,7 +274,7 @@ def _print_stopped(found: "Stopped", masks: int) -> None:
         ("difference, paired", found.difference),
     ):
         rows.append((heading, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]"))
-    title = f"{masks} masks, {found.photons:g} photons, stopped above {found.policy.threshold:.5g}"
+    title = f"{size}, {found.photons:g} photons, stopped above {found.policy.threshold:.5g}"
     print_table(title, ("", "mean", "95 % interval"), rows)
     kept = {round(each["accepted"], 2): each["stopped"] for each in found.rejection}
     print(
