@@ -235,3 +235,13 @@ def test_a_design_elsewhere_sees_the_same_features(digits):
     )
     own, seen = design.logits(here, 1e3), there.logits(3 * other, 3e3)
     torch.testing.assert_close(own, seen, rtol=1e-3, atol=1e-3)
+
+
+def test_the_bound_rises_with_the_budget(capsys):
+    benchmark("bound").main(
+        ["--data", "digits", "--photons", "50", "1e5", "--epochs", "12", "--batch", "50"]
+    )
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines()[2:]]
+    dim, bright = (float(row[2]) for row in rows)
+    assert 0.1 < dim < bright - 0.1
+    assert bright > 0.85

@@ -336,7 +336,7 @@ def _chosen(
     gain = _Noise(scenes, jobs).gain
 
     def features(streams: Sequence[_Stream], step: int) -> Tensor:
-        rails = constraints.equalise(masks()[0])
+        rails, _ = masks()
         parts = []
         for stream in streams:
             product = project(x.index_select(0, stream.with_mean[step]), stream.part(rails))

@@ -115,6 +115,7 @@ def train(
         if isinstance(masks, constraints.Learned):
             masks = _whole(masks, scenes.pixels(first.light))
             if first.training.looks > 1:
+                # at the end only: its gradient would take from lit mirrors what they share
                 masks = constraints.Fixed(constraints.equalise(constraints.separate(*masks())))
             if first.training.nested:
                 masks = brighten(masks, first.light)
