@@ -353,3 +353,32 @@ def test_an_exposure_says_what_it_has_seen():
     seen = Exposure(torch.tensor([2.0, 0.0]), torch.tensor([0.75, 0.25]))
     inputs = seen.inputs(torch.tensor([1.0, 2.0]), torch.tensor([0.5, 0.5]))
     assert inputs.tolist() == [1.0, -2.0, 0.5, pytest.approx(0.5 / 3)]
+
+
+def test_at_the_command_line(call, tmp_path):
+    file = tmp_path / "looks.safetensors"
+    words = ["--photons", "3e3", "--masks", 12, "--looks", 3, "--hold-out", 300, "--epochs", 2]
+    one_dmd = ["--light", "free-dwell", "--rails", "single"]
+    code, _, err = call("design", *words, "-o", file)
+    assert code == 2
+    assert "--light free-dwell" in err
+    assert not file.exists()
+    code, out, _ = call("design", *words, *one_dmd, "-o", file, "--json")
+    assert code == 0
+    job = json.loads(out)["info"]["job"]
+    assert job["noise"] == "poisson"
+    assert job["training"]["start"] == "class-pairs"
+    code, out, _ = call("evaluate", file, "--photons", "3e3")
+    assert code == 0
+    assert "12 masks and 3 looks" in out
+    code, out, _ = call("stop", file, "--photons", "3e3", "--hold-out", 300, "--json")
+    assert code == 0
+    assert json.loads(out)["policy"]["after"] == [1, 2, 3]
+    for refused in (
+        ["dmd", "export", file, "--dwell", "1ms", "-o", tmp_path / "patterns"],
+        ["export", file, "--onnx", "-o", tmp_path / "x.onnx"],
+    ):
+        code, _, err = call(*refused)
+        assert code == 2
+        assert "Design.watch" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["looks.safetensors"]
