@@ -410,3 +410,14 @@ def test_experiments_are_listed(call):
         "ovit-full",
     }
     assert "compression" in call("reproduce", "list")[1]
+
+
+def test_a_narrow_terminal_loses_nothing_of_a_table(capsys, monkeypatch):
+    from deepfsi.cli.common import print_table
+
+    monkeypatch.setenv("COLUMNS", "80")
+    heads = ("design", "rails", "photons", "masks", "accuracy, 95 % interval", "counted")
+    row = ("impulse imaging (II)", "single", "1000", "64", "0.2787 [0.2588, 0.2986]", "0.016")
+    print_table("a table", heads, [row])
+    words = capsys.readouterr().out.replace("│", " ").replace("┃", " ").split()
+    assert set(" ".join((*heads, *row)).split()) <= set(words)

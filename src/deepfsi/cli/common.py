@@ -201,7 +201,7 @@ def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]])
     table = Table(title=title, title_justify="left")
     for number, head in enumerate(heads):
         side: Literal["left", "right"] = "left" if number == 0 else "right"
-        table.add_column(head, justify=side, no_wrap=number < len(heads) - 1, overflow="fold")
+        table.add_column(head, justify=side, overflow="fold")
     for row in rows:
         table.add_row(*row)
     Console().print(table)
