@@ -150,7 +150,7 @@ def test_exposures_read_again_are_classified_as_before(digits, design):
     seen = exposures(design, digits, 1e4)
     again = design.classify(seen.features * 1e4, 1e4, dwell=seen.dwell)
     with torch.no_grad():
-        logits = design.logits(seen.features * 1e4, 1e4, seen.dwell)
+        logits = design.judged(seen)
     assert np.allclose(again, logits.softmax(-1).numpy(), atol=1e-6)
 
 

@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 import torch
+from pydantic import BaseModel
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
@@ -18,6 +19,7 @@ from torch import Tensor, nn
 from deepfsi import constraints
 from deepfsi.classifiers import Mlp
 from deepfsi.constraints import Light
+from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.hardware.sequence import Patterns
@@ -105,16 +107,12 @@ class Design:
         """The optical front end, with a noise of your choice."""
         return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
 
-    def logits(
-        self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
-    ) -> Tensor:
-        """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`.
+    def judged(self, seen: Exposure) -> Tensor:
+        """Logits (..., C) of exposures whose dwells a schedule chose."""
+        return self.classifier(seen.inputs(self.centre, self.spread))
 
-        `dwell` (..., m) is the share of the exposure that each mask had, where a schedule chose it.
-        """
-        if dwell is not None:
-            exposure = Exposure(features / photons, dwell)
-            return self.classifier(exposure.inputs(self.centre, self.spread))
+    def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
+        """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`."""
         scaled = (features / photons - self.centre) / self.spread
         if self.told:
             ratio = torch.as_tensor(photons).to(scaled) / (self.used * self.told.photons)
@@ -155,7 +153,7 @@ class Design:
         if self.schedule is None:
             return self.logits(subtract(scanner.read(rates * photons, generator)), photons)
         *_, seen = self.expose(scanner, rates, generator, photons)
-        return self.logits(seen.features * photons, photons, seen.dwell)
+        return self.judged(seen)
 
     def watch(
         self,
@@ -288,9 +286,20 @@ class Design:
                 f"{tuple(read.shape)}: give one number, or one for each exposure"
             ) from None
         with torch.no_grad():
-            had = None if shown is None else shown.to(device)
-            logits = self.logits(features.to(device), budget.to(device), had)
+            features, budget = features.to(device), budget.to(device)
+            if shown is None:
+                logits = self.logits(features, budget)
+            else:
+                logits = self.judged(Exposure(features / budget, shown.to(device)))
         return logits.softmax(dim=-1).cpu().numpy()
+
+    def check_fixed(self) -> None:
+        """Raise `InputError` if a schedule chooses dwells, for what shows or reads fixed ones."""
+        if self.schedule is not None:
+            raise InputError(
+                "this design chooses dwells while the exposure runs, which a fixed sequence of "
+                "patterns or one graph cannot: use Design.watch in a program of yours"
+            )
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
         """Counts (..., rails, m) of every rail, in the shape that `classify` takes."""
@@ -355,11 +364,7 @@ class Design:
         InputError
             If the patterns are of a design of another shape, or dwells are not fixed.
         """
-        if self.schedule is not None:
-            raise InputError(
-                "this design chooses dwells while the exposure runs, and a fixed sequence of "
-                "patterns cannot: show its masks with a program of yours that uses Design.watch"
-            )
+        self.check_fixed()
         manifest = patterns.manifest
         shape = (manifest.rails, manifest.masks, patterns.on.shape[1])
         if shape != tuple(self.rails.shape) or manifest.image_shape != self.image_shape:
@@ -432,25 +437,15 @@ class Design:
             told = Told(**header["told"]) if "told" in header else None
             masks, how = tensors["rails"].shape[1], header.get("schedule")
             inputs = 2 * masks if how else told.masks + 2 if told else masks
-            classifier = Mlp(
-                inputs,
-                len(header["classes"]),
-                network["hidden"],
-                network["dropout"],
-                torch.Generator(),
-            )
-            classifier.load_state_dict(weights_of(tensors, "classifier."))
-            classifier.generator = None
+            sizes = inputs, len(header["classes"]), network["hidden"], network["dropout"]
             schedule = None
             if how:
-                chooser = Mlp(2 * masks + 1, masks, how["hidden"], generator=torch.Generator())
-                chooser.load_state_dict(weights_of(tensors, "schedule."))
-                chooser.generator = None
-                schedule = Schedule(chooser.eval(), how["looks"])
+                chooser = _mlp(tensors, "schedule.", 2 * masks + 1, masks, how["hidden"])
+                schedule = Schedule(chooser, how["looks"])
             design = cls(
                 name=header["name"],
                 rails=torch.from_numpy(tensors["rails"]),
-                classifier=classifier.eval(),
+                classifier=_mlp(tensors, "classifier.", *sizes),
                 centre=torch.from_numpy(tensors["centre"]),
                 spread=torch.from_numpy(tensors["spread"]),
                 shares=torch.from_numpy(tensors["shares"]),
@@ -490,6 +485,36 @@ class Design:
         if not sound:
             raise damaged(path)
         return design.to(device)
+
+
+def _mlp(
+    tensors: Mapping[str, np.ndarray],
+    part: str,
+    inputs: int,
+    outputs: int,
+    hidden: Sequence[int],
+    dropout: float = 0.0,
+) -> Mlp:
+    """A network of a design file."""
+    network = Mlp(inputs, outputs, hidden, dropout, torch.Generator())
+    network.load_state_dict(weights_of(tensors, part))
+    network.generator = None
+    return network.eval()
+
+
+def provenance(
+    job: BaseModel, data: Dataset, device: torch.device, seconds: float
+) -> dict[str, Any]:
+    """How a design was trained: `Design.info`."""
+    return {
+        "job": job.model_dump(mode="json"),
+        "data": {"name": data.name, "hash": data.hash},
+        "preprocessing": data.preprocessing,
+        "deepfsi": version("deepfsi"),
+        "torch": torch.__version__,
+        "device": device.type,
+        "seconds": seconds,
+    }
 
 
 def _sound(schedule: Schedule, design: Design) -> bool:

@@ -293,8 +293,7 @@ def _told(
     """
     job, how = jobs[0], jobs[0].training
     light, _ = job.optics
-    seen_by = light if isinstance(masks, Learned) else "two-arm"  # fixed masks see every pixel
-    x = scenes.centred(seen_by, products(job, scenes.device))
+    x = _centred(scenes, job, masks)
     told = Told(job.photons, how.span, job.masks)
     likely = chances(job.masks, how.nested).to(scenes.device)
     brightened = how.nested > 0 and isinstance(masks, Learned)  # at the end, see `brighten`
@@ -326,13 +325,18 @@ def _told(
     return features
 
 
+def _centred(scenes: Scenes, job: Job, masks: Fixed | Learned) -> Tensor:
+    """`Scenes.centred` with the pixels that masks may light; fixed ones see every pixel."""
+    seen_by = job.optics[0] if isinstance(masks, Learned) else "two-arm"
+    return scenes.centred(seen_by, products(job, scenes.device))
+
+
 def _chosen(
     scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
 ) -> Callable[[Sequence["_Stream"], int], Tensor]:
     """Features and dwells (K · B, R, 2 m) after each of K looks, with masks of equal dwells."""
     job = jobs[0]
-    seen_by = "free-dwell" if isinstance(masks, Learned) else "two-arm"  # those see every pixel
-    x = scenes.centred(seen_by, products(job, scenes.device))  # type: ignore[arg-type]
+    x = _centred(scenes, job, masks)
     gain = _Noise(scenes, jobs).gain
 
     def features(streams: Sequence[_Stream], step: int) -> Tensor:

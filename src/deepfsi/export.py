@@ -49,11 +49,7 @@ def to_onnx(design: Design) -> bytes:
         raise InputError(
             f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp can"
         )
-    if design.schedule is not None:
-        raise InputError(
-            "a design that chooses dwells while the exposure runs is a loop of two networks, not "
-            "one graph: use Design.watch"
-        )
+    design.check_fixed()
     dual, masks, classes = len(design.rails) == 2, design.masks, len(design.classes)
     nodes, constants = [], []
 

@@ -15,7 +15,6 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +24,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi import coding, constraints
-from deepfsi.artifact import Design, damaged, kind_of, pack, read_design, weights_of
+from deepfsi.artifact import (
+    Design,
+    damaged,
+    kind_of,
+    pack,
+    provenance,
+    read_design,
+    weights_of,
+)
 from deepfsi.classifiers import Vit
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
@@ -35,7 +42,6 @@ from deepfsi.photons import BUDGETS, mean_light
 from deepfsi.scanner import Scanner, lit, project
 from deepfsi.scenes import find_device
 
-SCHEMA = 1
 REVISION = 1
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
@@ -331,15 +337,7 @@ def train(
         image_shape=patches.data.image_shape,
         classes=patches.data.classes,
         patch=patches.side,
-        info={
-            "job": job.model_dump(mode="json"),
-            "data": {"name": patches.data.name, "hash": patches.data.hash},
-            "preprocessing": patches.data.preprocessing,
-            "deepfsi": version("deepfsi"),
-            "torch": torch.__version__,
-            "device": device.type,
-            "seconds": time.perf_counter() - began,
-        },
+        info=provenance(job, patches.data, device, time.perf_counter() - began),
     )
 
 

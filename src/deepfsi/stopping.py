@@ -311,9 +311,7 @@ class _Exposures:
         if self.design.schedule is None:
             return subtract(scanner.read(rates * self.photons, generator))
         looks = self.design.expose(scanner, rates, generator, self.photons)
-        return torch.stack(
-            [self.design.logits(s.features * self.photons, self.photons, s.dwell) for s in looks]
-        )
+        return torch.stack([self.design.judged(seen) for seen in looks])
 
     def answers(self) -> Iterator[np.ndarray]:
         """Logits (E, C) after each number of masks or looks."""

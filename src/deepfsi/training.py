@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepfsi import coding, constraints
-from deepfsi.artifact import Design
+from deepfsi.artifact import Design, provenance
 from deepfsi.datasets import Dataset
 from deepfsi.descent import CHUNK, Progress, optimise, statistics
 from deepfsi.errors import InputError
@@ -143,15 +142,7 @@ def train(
             classes=scenes.data.classes,
             told=Told(job.photons, job.training.span, job.masks) if job.training.told else None,
             schedule=schedules[r] if schedules else None,
-            info={
-                "job": job.model_dump(mode="json"),
-                "data": {"name": scenes.data.name, "hash": scenes.data.hash},
-                "preprocessing": scenes.data.preprocessing,
-                "deepfsi": version("deepfsi"),
-                "torch": torch.__version__,
-                "device": scenes.device.type,
-                "seconds": seconds / len(jobs),
-            },
+            info=provenance(job, scenes.data, scenes.device, seconds / len(jobs)),
         )
         for r, job in enumerate(jobs)
     ]

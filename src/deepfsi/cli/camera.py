@@ -76,11 +76,7 @@ def dmd_export(
     made = Design.load(file)
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
-    if made.schedule is not None:
-        raise InputError(
-            "this design chooses dwells while the exposure runs, and a fixed sequence of patterns "
-            "cannot: show its masks with a program of yours that uses Design.watch"
-        )
+    made.check_fixed()
     check_writable(out.parent)
     with progress("patterns", quiet=as_json) as tell:
         patterns = export_patterns(
