@@ -16,8 +16,8 @@ from torch import nn
 from torch.nn import functional
 
 from deepfsi import load_dataset
-from deepfsi.evaluation import wilson
-from deepfsi.photons import mean_light, photons_per_pixel
+from deepfsi.optics.budget import mean_light, photons_per_pixel
+from deepfsi.statistics.intervals import wilson
 
 
 def network(side: int, classes: int) -> nn.Sequential:

@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepfsi import constraints
-from deepfsi.artifact import Design
 from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.photons import mean_light
-from deepfsi.training import learn
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.optics import constraints
+from deepfsi.optics.budget import mean_light
+from deepfsi.training.learning import learn
 
 STRAY = 1.0
 """Stray light over the scenes' mean light."""

@@ -33,20 +33,26 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi import coding
-from deepfsi.hardware import dmd
-from deepfsi.hardware.sequence import DEVICES, find_grid
+from deepfsi.hardware.patterns.folder import (
+    Format,
+    count_mirrors,
+    export_patterns,
+    make_frames,
+    order_mirrors,
+)
+from deepfsi.hardware.patterns.sequence import DEVICES, find_grid
+from deepfsi.optics import codes
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)
 GRID = find_grid(DEVICE, SHAPE)
-ORDER = dmd.order_mirrors(GRID.height, GRID.width)
+ORDER = order_mirrors(GRID.height, GRID.width)
 
 
 def signed(name: str, masks: int) -> np.ndarray:
     """Rails (2, masks, N) that one device can show for equal times."""
     if name == "hadamard":
-        matrix = coding.hadamard_masks(SHAPE, masks)
+        matrix = codes.hadamard_masks(SHAPE, masks)
     else:
         matrix = np.random.default_rng(0).uniform(-1, 1, (masks, SHAPE[0] * SHAPE[1]))
     return np.stack([matrix.clip(0), (-matrix).clip(0)]) / (2 * masks)
@@ -74,11 +80,11 @@ def plain_random(on: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def our_ordered(on: np.ndarray) -> Iterator[np.ndarray]:
-    return dmd.make_frames(on, DEVICE, GRID)
+    return make_frames(on, DEVICE, GRID)
 
 
 def our_random(on: np.ndarray) -> Iterator[np.ndarray]:
-    return dmd.make_frames(on, DEVICE, GRID, "random")
+    return make_frames(on, DEVICE, GRID, "random")
 
 
 def rate(make: Callable[[np.ndarray], Iterator[np.ndarray]], on: np.ndarray) -> float:
@@ -88,17 +94,17 @@ def rate(make: Callable[[np.ndarray], Iterator[np.ndarray]], on: np.ndarray) -> 
     return frames / (time.perf_counter() - began)
 
 
-def export(rails: np.ndarray, form: dmd.Format) -> int:
+def export(rails: np.ndarray, form: Format) -> int:
     """Write a folder; its number of frames."""
     with tempfile.TemporaryDirectory() as folder:
-        patterns = dmd.export_patterns(
+        patterns = export_patterns(
             rails, "equal-dwell", SHAPE, DEVICE, 1e-3, Path(folder) / "patterns",
             mean_light=1.0, format=form,
         )  # fmt: skip
     return len(patterns.manifest.frames)
 
 
-def export_rate(rails: np.ndarray, form: dmd.Format) -> float:
+def export_rate(rails: np.ndarray, form: Format) -> float:
     """Frames per second."""
     began = time.perf_counter()
     frames = export(rails, form)
@@ -154,8 +160,7 @@ def main(given: Sequence[str] | None = None) -> None:
     works = dict(zip(("hadamard", "grey"), arguments.masks, strict=True))
     rails = {name: signed(name, masks) for name, masks in works.items()}
     on = {
-        name: dmd.count_mirrors(given, "equal-dwell", GRID.mirrors)[2]
-        for name, given in rails.items()
+        name: count_mirrors(given, "equal-dwell", GRID.mirrors)[2] for name, given in rails.items()
     }
     rates: dict[tuple[str, ...], list[float]] = {}
     for _ in range(arguments.rounds):

@@ -26,15 +26,16 @@ from scipy import stats
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi import constraints
-from deepfsi.artifact import Design
-from deepfsi.classifiers import Mlp
 from deepfsi.datasets import load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.jobs import Job, Training
-from deepfsi.noise import poisson
-from deepfsi.scanner import measure, project
-from deepfsi.scenes import Scenes
+from deepfsi.design.artifact import Design
+from deepfsi.design.classifiers import Mlp
+from deepfsi.design.evaluation import evaluate
+from deepfsi.optics import constraints
+from deepfsi.optics.masks import Learned
+from deepfsi.optics.noise import poisson
+from deepfsi.optics.scanner import measure, project
+from deepfsi.training.job import Job, Training
+from deepfsi.training.training_set import Scenes
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
 """Learning rates of classifier and masks to choose from."""
@@ -231,7 +232,7 @@ def learn(
     pixels = scenes.pixels(job.light)
     matrix = scenes.matrix(how.start, job.masks, job.seed) if keep is None else keep
     start = torch.from_numpy(matrix).float()
-    masks = constraints.Learned(start[:, pixels].unsqueeze(0), job.light, job.rails)
+    masks = Learned(start[:, pixels].unsqueeze(0), job.light, job.rails)
     groups = [
         {"params": list(network.parameters()), "lr": how.lr},
         {"params": list(masks.parameters()), "lr": how.mask_lr if keep is None else 0.0},
@@ -271,7 +272,7 @@ def learn(
     return finish(scenes, job, masks, network.eval())
 
 
-def finish(scenes: Scenes, job: Job, masks: constraints.Learned, network: Mlp) -> Design:
+def finish(scenes: Scenes, job: Job, masks: Learned, network: Mlp) -> Design:
     """The design as the package would store it: masks of all pixels, statistics of all scenes."""
     with torch.no_grad():
         rails = torch.zeros(2, job.masks, scenes.data.pixels)

@@ -21,8 +21,8 @@ import onnxruntime
 import torch
 
 from deepfsi import learn, load_dataset
-from deepfsi.artifact import Design
-from deepfsi.export import to_onnx
+from deepfsi.design.artifact import Design
+from deepfsi.design.onnx_graph import to_onnx
 
 PHOTONS = 1e4
 

@@ -21,10 +21,10 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.classifiers import Vit
 from deepfsi.datasets import from_arrays
+from deepfsi.design.classifiers import Vit
 from deepfsi.experiments import find
-from deepfsi.patches import Patches, PatchJob, PatchTraining, precision, train
+from deepfsi.training.patches import Patches, PatchJob, PatchTraining, precision, train
 
 BUDGET, CLASSES = 1e4, 10
 

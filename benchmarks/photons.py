@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 import ptufile
 
-from deepfsi.hardware.ptu import Writer, count_gates, inspect, read_header, read_markers
+from deepfsi.hardware.ptu.reader import Writer, count_gates, inspect, read_header, read_markers
 
 FLUX, FRAMES, TICK_S = 1e7, 2048, 1e-12
 PART = 200_000

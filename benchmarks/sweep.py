@@ -24,14 +24,16 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepfsi.classifiers import Mlp, Replicas
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.jobs import Job, Training
-from deepfsi.recipes import PAPER_RATIOS, Recipe, plan
-from deepfsi.scenes import Scenes
-from deepfsi.sweep import run, workers_for
-from deepfsi.training import train
+from deepfsi.design.classifiers import Mlp, Replicas
+from deepfsi.design.evaluation import evaluate
+from deepfsi.sweeps.queue import workers_for
+from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
+from deepfsi.sweeps.run import run
+from deepfsi.sweeps.trial import plan
+from deepfsi.training.job import Job, Training
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import Scenes
 
 BUDGETS, SEEDS, EPOCHS, BATCH = (1e3, 1e4, 1e5, 1e6), 5, 20, 500
 PAPER_SECONDS = 2.87e4

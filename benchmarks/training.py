@@ -21,10 +21,10 @@ from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.jobs import Job, Training
-from deepfsi.scenes import Scenes
-from deepfsi.training import train
+from deepfsi.design.evaluation import evaluate
+from deepfsi.training.job import Job, Training
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import Scenes
 
 BUDGET, BATCH, LR, MASK_LR = 1e4, 500, 5e-3, 5e-2
 

@@ -16,10 +16,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from deepfsi import coding, constraints
-from deepfsi.artifact import Design
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.training import learn
+from deepfsi.design.artifact import Design
+from deepfsi.optics import codes, constraints
+from deepfsi.training.learning import learn
 
 torch.set_num_threads(1)
 
@@ -27,7 +27,7 @@ PHOTONS = 1e4
 FLOAT32 = 2e-6
 """Relative error of a sum of some tens of float32 numbers."""
 
-FIXED = [d for d, c in coding.DESIGNS.items() if not c.learned and d not in ("control", "custom")]
+FIXED = [d for d, c in codes.DESIGNS.items() if not c.learned and d not in ("control", "custom")]
 """The designs that `coding.sensing_matrix` knows."""
 
 RECIPE = {
@@ -51,7 +51,7 @@ OPTICS = [
 
 
 def _possible(design: str, light: str, rails: str) -> bool:
-    single = coding.DESIGNS[design].single_rail
+    single = codes.DESIGNS[design].single_rail
     if design == "hadamard":
         return rails == "dual"
     if single and rails == "single":
@@ -61,7 +61,7 @@ def _possible(design: str, light: str, rails: str) -> bool:
 
 CASES = [
     pytest.param(design, light, rails, id=f"{design}-{light}-{rails}")
-    for design in coding.DESIGNS
+    for design in codes.DESIGNS
     for light, rails in OPTICS
     if _possible(design, light, rails)
 ]
@@ -97,7 +97,7 @@ def own_matrix(masks: int, pixels: int, light: str, rails: str) -> np.ndarray:
 def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **settings) -> Design:
     """Train for a moment, in float32 on the processor."""
     if masks is None:
-        low, high = coding.count_allowed(design, data)
+        low, high = codes.count_allowed(design, data)
         masks = min(max(low, 7), high)
     if design == "custom":
         light, rails = settings.get("light", "column"), settings.get("rails", "dual")

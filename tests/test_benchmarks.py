@@ -14,11 +14,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from conftest import generator
-from deepfsi.classifiers import Mlp
-from deepfsi.jobs import Job, Training
-from deepfsi.noise import follow
-from deepfsi.scenes import Scenes
-from deepfsi.training import train
+from deepfsi.design.classifiers import Mlp
+from deepfsi.optics.noise import follow
+from deepfsi.training.job import Job, Training
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import Scenes
 
 DRAWS = 400_000
 RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
@@ -160,7 +160,7 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
 
 def test_frames_are_compared_on_the_same_work(capsys):
     frames = benchmark("dmd")
-    on = frames.dmd.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors)[2]
+    on = frames.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors)[2]
     for ours, plain in zip(frames.our_ordered(on), frames.plain_ordered(on), strict=True):
         assert (ours == plain).all()
     for way in (frames.our_random, frames.plain_random):
@@ -185,7 +185,7 @@ def test_the_comparison_of_photon_counting_runs(capsys):
 def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
     from deepfsi.datasets import from_arrays
-    from deepfsi.patches import Patches, PatchTraining
+    from deepfsi.training.patches import Patches, PatchTraining
 
     ovit = benchmark("ovit")
     ovit.main(["--images", "100", "--size", "16", "--rounds", "1", "--epochs", "1"])

@@ -9,32 +9,32 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deepfsi.artifact import Design as Design
-    from deepfsi.classifiers import Mlp as Mlp
     from deepfsi.datasets import Dataset as Dataset
     from deepfsi.datasets import from_arrays as from_arrays
     from deepfsi.datasets import load_dataset as load_dataset
+    from deepfsi.design.artifact import Design as Design
+    from deepfsi.design.classifiers import Mlp as Mlp
+    from deepfsi.design.evaluation import Result as Result
+    from deepfsi.design.evaluation import evaluate as evaluate
     from deepfsi.errors import InputError as InputError
-    from deepfsi.evaluation import Result as Result
-    from deepfsi.evaluation import evaluate as evaluate
-    from deepfsi.photons import photons_per_pixel as photons_per_pixel
-    from deepfsi.scanner import Scanner as Scanner
-    from deepfsi.training import learn as learn
+    from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
+    from deepfsi.optics.scanner import Scanner as Scanner
+    from deepfsi.training.learning import learn as learn
 
 __version__ = version("deepfsi")
 
 _HOMES = {
     "Dataset": "datasets",
-    "Design": "artifact",
+    "Design": "design.artifact",
     "InputError": "errors",
-    "Mlp": "classifiers",
-    "Result": "evaluation",
-    "Scanner": "scanner",
-    "evaluate": "evaluation",
+    "Mlp": "design.classifiers",
+    "Result": "design.evaluation",
+    "Scanner": "optics.scanner",
+    "evaluate": "design.evaluation",
     "from_arrays": "datasets",
-    "learn": "training",
+    "learn": "training.learning",
     "load_dataset": "datasets",
-    "photons_per_pixel": "photons",
+    "photons_per_pixel": "optics.budget",
 }
 
 __all__ = [

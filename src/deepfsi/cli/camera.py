@@ -20,9 +20,9 @@ from deepfsi.cli.common import (
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.acquisition import Counts
-    from deepfsi.hardware.camera import Camera
-    from deepfsi.hardware.sequence import Patterns
+    from deepfsi.hardware.patterns.sequence import Patterns
+    from deepfsi.hardware.recording.acquisition import Counts
+    from deepfsi.hardware.virtual.camera import Camera
 
 dmd = typer.Typer(
     no_args_is_help=True,
@@ -68,9 +68,9 @@ def dmd_export(
 
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
     """
-    from deepfsi.artifact import Design
-    from deepfsi.hardware.dmd import export_patterns
-    from deepfsi.hardware.sequence import find_device
+    from deepfsi.design.artifact import Design
+    from deepfsi.hardware.patterns.folder import export_patterns
+    from deepfsi.hardware.patterns.sequence import find_device
 
     target, mean = find_device(device), seconds("dwell", dwell)
     made = Design.load(file)
@@ -105,7 +105,7 @@ def dmd_check(
 
     Example: deepfsi dmd check patterns
     """
-    from deepfsi.hardware.dmd import check_patterns
+    from deepfsi.hardware.patterns.folder import check_patterns
 
     with progress("frames", quiet=as_json) as tell:
         patterns = check_patterns(folder, lambda share: tell(share, ""))
@@ -136,7 +136,7 @@ def camera_simulate(
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
     from deepfsi.datasets import read_display
-    from deepfsi.hardware.camera import record
+    from deepfsi.hardware.virtual.camera import record
 
     model = _camera(settings)
     images = read_display(scene)
@@ -179,7 +179,7 @@ def camera_count(
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
-    from deepfsi.hardware.acquisition import count
+    from deepfsi.hardware.recording.acquisition import count
 
     with progress("counting", quiet=as_json) as tell:
         counts = count(
@@ -225,8 +225,8 @@ def camera_classify(
 
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
-    from deepfsi.artifact import Design
-    from deepfsi.hardware.acquisition import read_acquisition, read_counts
+    from deepfsi.design.artifact import Design
+    from deepfsi.hardware.recording.acquisition import read_acquisition, read_counts
 
     acquisition, patterns = read_acquisition(folder)
     counts = read_counts(folder)
@@ -279,8 +279,8 @@ def camera_image(
 
     Example: deepfsi camera image run_0001 -o picture.png
     """
-    from deepfsi.hardware.acquisition import picture, read_acquisition
-    from deepfsi.report.hardware import pictures_figure
+    from deepfsi.experiments.camera.figures import pictures_figure
+    from deepfsi.hardware.recording.acquisition import picture, read_acquisition
 
     target = out or folder / "picture.png"
     check_picture(target)
@@ -297,7 +297,7 @@ def camera_inspect(
 
     Example: deepfsi camera inspect photons.ptu
     """
-    from deepfsi.hardware.ptu import inspect
+    from deepfsi.hardware.ptu.reader import inspect
 
     with progress("records", quiet=as_json) as tell:
         contents = inspect(file, lambda share: tell(share, ""))
@@ -334,7 +334,7 @@ def camera_spots(
     import numpy as np
 
     from deepfsi.datasets import write_pictures
-    from deepfsi.hardware.calibration import BLACK, WHITE, spot_scenes
+    from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
 
     height, width = size_of(size) or (32, 32)
     shape = (height, width)
@@ -361,8 +361,8 @@ def camera_calibrate(
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
     from deepfsi.datasets import read_display
-    from deepfsi.hardware.acquisition import picture, read_acquisition, read_counts
-    from deepfsi.hardware.calibration import calibrate_run, save_calibration
+    from deepfsi.hardware.calibration.fit import calibrate_run, save_calibration
+    from deepfsi.hardware.recording.acquisition import picture, read_acquisition, read_counts
 
     acquisition, patterns = read_acquisition(folder)
     shown = read_display(spots)
@@ -402,8 +402,8 @@ def seconds(option: str, text: str) -> float:
 
 def _camera(text: str) -> "Camera":
     from deepfsi.errors import closest
-    from deepfsi.hardware.camera import CAMERAS, Camera
-    from deepfsi.jobs import reworded
+    from deepfsi.hardware.virtual.camera import CAMERAS, Camera
+    from deepfsi.training.job import reworded
 
     if text in CAMERAS:
         return CAMERAS[text]
@@ -428,8 +428,8 @@ def _check_shown(file: Path, patterns: "Patterns") -> None:
 def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.hardware.dmd import find_cost
-    from deepfsi.hardware.sequence import longest_exposure
+    from deepfsi.hardware.patterns.folder import find_cost
+    from deepfsi.hardware.patterns.gates import longest_exposure
 
     manifest = patterns.manifest
     sentinels = len(manifest.frames) - len(manifest.shown)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from matplotlib.figure import Figure
 
-    from deepfsi.artifact import Design
     from deepfsi.datasets import Dataset
+    from deepfsi.design.artifact import Design
 
 DataOption = Annotated[
     str,
@@ -112,18 +112,18 @@ def load(
     scenes = load_dataset(data, size=size, split=split)
     if view is None:
         return scenes
-    from deepfsi.hardware.calibration import load_calibration, view_dataset
+    from deepfsi.hardware.calibration.fit import load_calibration, view_dataset
 
     return view_dataset(scenes, load_calibration(view))
 
 
 def open_design(path: Path) -> "Design":
     """A design file, or what a folder of patterns realises of the design in it."""
-    from deepfsi.artifact import Design
+    from deepfsi.design.artifact import Design
 
     if not path.is_dir():
         return Design.load(path)
-    from deepfsi.hardware.dmd import check_patterns
+    from deepfsi.hardware.patterns.folder import check_patterns
 
     return Design.load(path / "design.safetensors").as_shown(check_patterns(path))
 
@@ -150,9 +150,9 @@ def read_matrix(source: str | None) -> "np.ndarray | None":
     """A user's own sensing matrix (m, N)."""
     if source is None:
         return None
-    from deepfsi import matrices
+    from deepfsi.optics import mask_files
 
-    return matrices.read_matrix(source)
+    return mask_files.read_matrix(source)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def export(
 
     Example: deepfsi export digits.safetensors --onnx -o digits.onnx
     """
-    from deepfsi.export import to_onnx
+    from deepfsi.design.onnx_graph import to_onnx
     from deepfsi.files import write_atomically
 
     if not onnx:
@@ -97,9 +97,9 @@ def plan(
     Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
     """
     from deepfsi.files import write_atomically
-    from deepfsi.jobs import reworded
-    from deepfsi.planning import check_plan, photons_needed
-    from deepfsi.recipes import Recipe
+    from deepfsi.sweeps.planning import check_plan, photons_needed
+    from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.training.job import reworded
 
     if masks is not None and ratios is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")

@@ -35,8 +35,8 @@ from deepfsi.cli.common import (
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
-    from deepfsi.artifact import Design
-    from deepfsi.stopping import Stopped
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.stopping import Stopped
 
 
 def design(
@@ -82,10 +82,10 @@ def design(
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
-    from deepfsi import coding
-    from deepfsi.evaluation import evaluate as test
-    from deepfsi.recipes import TRAINING_NOISE
-    from deepfsi.training import learn
+    from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.optics import codes
+    from deepfsi.sweeps.recipe import TRAINING_NOISE
+    from deepfsi.training.learning import learn
 
     own = read_matrix(matrix)
     budgets = budget_range(photons)
@@ -96,13 +96,13 @@ def design(
         raise InputError(f"unknown noise {noise!r}: {closest(noise, TRAINING_NOISE)}")
     if own is not None and (masks is not None or name not in (None, "custom")):
         raise InputError("--matrix is a design with its own masks: leave --masks and --design out")
-    kind = "custom" if own is not None else coding.check_design(name or "deepfsi")
+    kind = "custom" if own is not None else codes.check_design(name or "deepfsi")
     if own is not None:
         count = len(own)
     elif masks is not None:
         count = whole_number("masks", masks)
-    elif coding.DESIGNS[kind].fixed_count:
-        count = coding.count_allowed(kind, scenes)[1]
+    elif codes.DESIGNS[kind].fixed_count:
+        count = codes.count_allowed(kind, scenes)[1]
     else:
         raise InputError(f"{kind} needs a number of masks: add --masks, for instance --masks 10")
     if out.is_dir():
@@ -183,8 +183,8 @@ def evaluate(
 
     Example: deepfsi evaluate digits.safetensors --data mnist --photons 1e2,1e3,1e4
     """
-    from deepfsi.evaluation import evaluate as test
-    from deepfsi.scenes import find_device
+    from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.training.training_set import find_device
 
     budgets = numbers("photons", photons) or []
     made = open_design(file).to(find_device(device))
@@ -243,9 +243,9 @@ def stop(
 
     Example: deepfsi stop nested.safetensors --data mnist --photons 1e5 --hold-out 10000
     """
-    from deepfsi.artifact import Design
-    from deepfsi.scenes import find_device
-    from deepfsi.stopping import stop as run
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.stopping import stop as run
+    from deepfsi.training.training_set import find_device
 
     budget = one("photons", photons)
     made = Design.load(file, find_device(device))
@@ -295,7 +295,7 @@ def show(
     Example: deepfsi show digits.safetensors -o masks.png
     """
     from deepfsi import report
-    from deepfsi.artifact import Design
+    from deepfsi.design.artifact import Design
 
     check_picture(out)
     if count < 1:

@@ -33,8 +33,8 @@ from deepfsi.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from deepfsi.recipes import Recipe
-    from deepfsi.report.study import Section
+    from deepfsi.report.study_page import Section
+    from deepfsi.sweeps.recipe import Recipe
 
 
 def compare(
@@ -73,7 +73,7 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
-    from deepfsi.recipes import Recipe
+    from deepfsi.sweeps.recipe import Recipe
 
     if masks is not None and ratios is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
@@ -102,7 +102,7 @@ def compare(
         settings.pop("masks", None)
     if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
         settings["training"] = {**settings["training"], "epochs": epochs}
-    from deepfsi.jobs import reworded
+    from deepfsi.training.job import reworded
 
     with reworded():
         chosen = Recipe.model_validate(settings)
@@ -132,9 +132,9 @@ def sweep(
 
     Example: deepfsi sweep recipes/baseline.toml -o runs/baseline --table runs/baseline.csv
     """
-    from deepfsi.jobs import reworded
-    from deepfsi.recipes import Recipe
-    from deepfsi.records import check_table
+    from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.sweeps.records import check_table
+    from deepfsi.training.job import reworded
 
     if table is not None:
         check_table(table)
@@ -272,8 +272,8 @@ def _sweep(
 ) -> None:
     from deepfsi import report
     from deepfsi.files import write_atomically
-    from deepfsi.records import write_table
-    from deepfsi.sweep import compare as run
+    from deepfsi.sweeps.records import write_table
+    from deepfsi.sweeps.run import compare as run
 
     scenes = load(recipe.data, recipe.size, split=recipe.split)
     for folder in (out, *([table.parent] if table else [])):
@@ -306,7 +306,7 @@ def _sweep(
 def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.forecast import forecast
+    from deepfsi.sweeps.forecast import forecast
 
     scenes = load(recipe.data, recipe.size, split=recipe.split)
     with progress("timing a few steps of each kind", quiet=as_json):

@@ -4,21 +4,16 @@ import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, closest
-from deepfsi.experiments import (
-    compression,
-    forgiving,
-    hardware,
-    indian_pines,
-    masks,
-    mlgauss,
-    mnist,
-    ovit,
-    quantization,
-    starts,
-)
-from deepfsi.experiments.study import Experiment
+from deepfsi.experiments import compression, mlgauss, quantization
+from deepfsi.experiments.camera import claims as camera_study
+from deepfsi.experiments.experiment import Experiment
+from deepfsi.experiments.flexible import claims as flexible
+from deepfsi.experiments.indian_pines import claims as indian_pines
+from deepfsi.experiments.mnist import claims as mnist
+from deepfsi.experiments.mnist import masks, starts
+from deepfsi.experiments.ovit import claims as ovit
 from deepfsi.files import write_atomically
-from deepfsi.report.study import write_study
+from deepfsi.report.study_page import write_study
 
 __all__ = ["STUDIES", "Experiment", "find", "is_study", "page"]
 
@@ -30,8 +25,8 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "indian-pines": (indian_pines.EXPERIMENT,),
     "ovit": (ovit.EXPERIMENT,),
     "ovit-full": (ovit.FULL,),
-    "hardware": (hardware.EXPERIMENT,),
-    "forgiving": (forgiving.EXPERIMENT,),
+    "hardware": (camera_study.EXPERIMENT,),
+    "forgiving": (flexible.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from deepfsi.experiments.contrast import Difference, above, difference, of_trials
-from deepfsi.experiments.study import Experiment, Finding, Results, budgets, points
+from deepfsi.experiments.experiment import Experiment, Finding, Results, budgets, points
 from deepfsi.report.figures import photons_text
-from deepfsi.report.studies import accuracy_grid, heat_figure
-from deepfsi.report.study import Claim, Picture
+from deepfsi.report.maps import accuracy_grid, heat_figure
+from deepfsi.report.study_page import Claim, Picture
+from deepfsi.statistics.differences import Difference, above, difference, of_trials
 
 ROBUST = 0.02
 """Loss of accuracy above the training budget that still counts as robust."""

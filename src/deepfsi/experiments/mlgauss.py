@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-from deepfsi.experiments.contrast import Difference
-from deepfsi.experiments.grids import pair
-from deepfsi.experiments.study import Experiment, Finding, Results
+from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.experiments.paired_maps import pair
 from deepfsi.report.figures import photons_text
-from deepfsi.report.study import Claim, Picture
+from deepfsi.report.study_page import Claim, Picture
+from deepfsi.statistics.differences import Difference
 
 NOTICED = 0.02
 STARVED = 0.1

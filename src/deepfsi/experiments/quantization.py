@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from deepfsi.experiments.contrast import Difference, above, of_trials
-from deepfsi.experiments.grids import pair
-from deepfsi.experiments.study import Experiment, Finding, Results, points
-from deepfsi.report.study import Claim, Picture
+from deepfsi.experiments.experiment import Experiment, Finding, Results, points
+from deepfsi.experiments.paired_maps import pair
+from deepfsi.report.study_page import Claim, Picture
+from deepfsi.statistics.differences import Difference, above, of_trials
 
 LOSS = 0.005
 

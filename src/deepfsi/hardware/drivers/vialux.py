@@ -24,9 +24,9 @@ from typing import Any, Self
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.dmd import read_frames, read_patterns
-from deepfsi.hardware.drivers import Progress
-from deepfsi.hardware.sequence import Manifest
+from deepfsi.hardware.drivers.protocols import Progress
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.sequence import Manifest
 
 __all__ = ["VialuxProjector"]
 

@@ -1,0 +1,1 @@
+"""A finished design: masks, classifier, its file, evaluation and early stopping."""

@@ -1,0 +1,182 @@
+"""How well a design does: accuracy over budgets, with intervals that say what they cover."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepfsi.datasets import Dataset
+from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
+from deepfsi.optics.budget import check_budget
+from deepfsi.optics.noise import check_noise
+from deepfsi.statistics.intervals import wilson
+
+COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
+
+
+@dataclass(frozen=True)
+class Result:
+    """One design at one budget.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    noise : str
+        Of this test.
+    accuracy, low, high : float
+        Mean over images and noise draws, and its 95 % interval.
+    covers : str
+        What the interval covers.
+    images, draws : int
+        Scenes, and independent noise draws of each.
+    rates : list of float or None
+        Accuracy of each class (recall); None where the test has no scene of it.
+    confusion : list of list of int
+        Rows true classes, columns predicted ones, over all draws.
+    throughput : float
+        Share of the budget that the detectors count, in the training mean; where a schedule
+        chooses dwells, at the training's budget.
+    photons_per_mask : list of float
+        Expected counts of each mask's rails together, in the training mean.
+    """
+
+    photons: float
+    noise: str
+    accuracy: float
+    low: float
+    high: float
+    covers: str
+    images: int
+    draws: int
+    rates: list[float | None]
+    confusion: list[list[int]]
+    throughput: float
+    photons_per_mask: list[float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return asdict(self)
+
+
+def evaluate(
+    design: Design,
+    data: Dataset,
+    photons: Sequence[float] | float,
+    *,
+    noise: str = "poisson",
+    sigma: float = 1.0,
+    draws: int = 3,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> list[Result]:
+    """Classify the test scenes of a data set under noise.
+
+    Parameters
+    ----------
+    design : Design
+    data : Dataset
+        Its test part is used; its pixels and classes must be the design's.
+    photons : float or sequence of float
+        Budgets Φ.
+    noise : {"poisson", "gaussian", "ml_gauss", "none"}
+    sigma : float
+        Read noise in counts per readout, for gaussian noise.
+    draws : int
+        Noise draws of each scene (1 is enough without noise).
+    seed : int
+        Of the noise.
+    progress : callable, optional
+        Called with the share of the scenes that are done.
+
+    Returns
+    -------
+    list of Result
+        One for each budget.
+
+    Raises
+    ------
+    InputError
+        If the data does not fit the design, or a budget is not finite and above 0.
+    """
+    budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
+    check_data(design, data)
+    if not (math.isfinite(sigma) and sigma >= 0):
+        raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
+    check_draws(draws, seed)
+    if design.schedule is not None and noise == "gaussian":
+        raise InputError(
+            "a design of several looks is for photon noise: use poisson, ml_gauss or none"
+        )
+    device = design.rails.device
+    scanner = design.scanner(check_noise(noise), sigma)
+    share = design.shares.tolist()
+    generators = [torch.Generator(device).manual_seed(seed) for _ in budgets]
+    confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
+    chunks = torch.arange(len(data.x_test)).split(1024)
+    with torch.no_grad():
+        for done, rows in enumerate(chunks, start=1):
+            scenes, truth = torch.from_numpy(data.x_test[rows]), data.y_test[rows]
+            shares = scanner.rates(design.seen(scenes.to(device)) / design.mean_light)
+            for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
+                for _ in range(draws):
+                    guess = design.answer(scanner, shares, generator, budget).argmax(dim=-1)
+                    np.add.at(confusion, (truth, guess.cpu().numpy()), 1)
+            if progress:
+                progress(done / len(chunks))
+    return [
+        _result(budget, noise, confusion, draws, share)
+        for budget, confusion in zip(budgets, confusions, strict=True)
+    ]
+
+
+def check_data(design: Design, data: Dataset) -> None:
+    """Raise `InputError` unless a design can classify the scenes of a data set."""
+    if data.pixels != design.pixels:
+        raise InputError(
+            f"{data.name} has {data.pixels} pixels and the design {design.pixels}: use the data "
+            "(and --size) that it was made for"
+        )
+    if data.classes != design.classes:
+        raise InputError(
+            f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
+        )
+    if data.image_shape != design.image_shape:
+        raise InputError(
+            f"{data.name} has scenes of shape {data.image_shape} and the design "
+            f"{design.image_shape}: use the data that it was made for"
+        )
+
+
+def check_draws(draws: int, seed: int) -> None:
+    """Raise `InputError` unless so many noise draws can be had from that seed."""
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
+    if not isinstance(draws, int) or draws < 1:
+        raise InputError(f"{draws} noise draws are not allowed: give at least 1")
+
+
+def _result(
+    budget: float, noise: str, confusion: np.ndarray, draws: int, share: list[float]
+) -> Result:
+    images = int(confusion.sum()) // draws
+    accuracy = float(confusion.trace() / confusion.sum())
+    low, high = wilson(accuracy, images)
+    return Result(
+        photons=budget,
+        noise=noise,
+        accuracy=accuracy,
+        low=low,
+        high=high,
+        covers=COVERS,
+        images=images,
+        draws=draws,
+        rates=[float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)],
+        confusion=confusion.tolist(),
+        throughput=sum(share),
+        photons_per_mask=[budget * part for part in share],
+    )

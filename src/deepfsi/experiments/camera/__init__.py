@@ -1,0 +1,1 @@
+"""The camera study, repeated with the virtual camera."""

@@ -1,0 +1,200 @@
+"""What an experiment is: a recipe, numbers beyond its accuracies, and what it shows."""
+
+import io
+import json
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import polars
+from pydantic import BaseModel
+
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.report.study_page import Claim, Picture, Section, Table
+from deepfsi.sweeps.queue import Report
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.records import rows
+from deepfsi.sweeps.run import compare
+from deepfsi.training.job import reworded
+
+Results = Mapping[str, Any]
+Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the numbers of an experiment show; a title where these decide it."""
+
+    found: str
+    pictures: tuple[Picture, ...]
+    claims: tuple[Claim, ...] = ()
+    tables: tuple[Table, ...] = ()
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment of the paper.
+
+    Attributes
+    ----------
+    name : str
+        Of its recipe and its files.
+    title : str
+    paper : str
+        What the paper found.
+    show : callable
+        Results → Finding.
+    measure : callable, optional
+        (results, data, folder of the designs, workers, report) → further numbers, kept in the
+        results as `extra`.
+    prepare : callable, optional
+        What is done to the data before anything is trained on it.
+    also : tuple of str
+        Names of further recipes whose points join the first's; each says its `recipe`.
+    adapt : callable, optional
+        What becomes of a recipe here, such as other data where those that it names are missing.
+    settings : type of BaseModel
+        What a recipe is made of.
+    """
+
+    name: str
+    title: str
+    paper: str
+    show: Callable[[Results], Finding]
+    measure: Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]] | None = field(
+        default=None
+    )
+    prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
+    also: tuple[str, ...] = ()
+    adapt: Callable[[Any], Any] = field(default=lambda recipe: recipe)
+    settings: type[BaseModel] = Recipe
+
+    def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Any:
+        """The experiment's recipe, or its coarse one, with another number of trials if given."""
+        file = f"{name or self.name}-quick.toml" if quick else f"{name or self.name}.toml"
+        text = (files("deepfsi.experiments") / "recipes" / file).read_text(encoding="utf-8")
+        given = {} if trials is None else {"trials": trials}
+        with reworded():
+            return self.adapt(self.settings.model_validate({**tomllib.loads(text), **given}))
+
+    def run(
+        self,
+        folder: Path,
+        *,
+        command: str,
+        quick: bool = False,
+        trials: int | None = None,
+        device: str = "auto",
+        workers: int | None = 1,
+        ray: str | None = None,
+        report: Report | None = None,
+    ) -> Results:
+        """Train and test what the folder does not hold yet, and write the numbers.
+
+        The experiments of a study share one folder of records, so that what one has trained
+        another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
+        figures, and `NAME-trials.csv` one for each test. Where a recipe names a split, its points
+        and the name of the data do, too.
+        """
+        parts: dict[Any, Dataset] = {}
+        results: dict[str, Any] = {}
+        records: list[dict[str, Any]] = []
+        for name in (self.name, *self.also):
+            recipe = self.recipe(quick, trials, name)
+            source = (recipe.data, recipe.size, recipe.split)
+            if source not in parts:
+                parts[source] = self.prepare(_load(recipe))
+            part, own = compare(
+                recipe,
+                parts[source],
+                folder,
+                command=command,
+                device=device,
+                workers=workers,
+                ray=ray,
+                report=report,
+            )
+            records += own
+            where = {"recipe": name}
+            if recipe.split:
+                where |= {"data": recipe.data, "split": recipe.split}
+            points = [{**where, **point} for point in part["points"]]
+            results = {**part, **results, "points": [*results.get("points", []), *points]}
+        if self.measure:
+            tell = report or (lambda share, now: None)
+            first = next(iter(parts.values()))
+            results["extra"] = self.measure(results, first, folder / "designs", workers, tell)
+        self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
+        return results
+
+    def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
+        """Write the results, a row for each point, and one for each test of a trial."""
+        averaged = [
+            {name: value for name, value in point.items() if not isinstance(value, list)}
+            for point in results["points"]
+        ]
+        for table, name in (
+            (polars.DataFrame(averaged, infer_schema_length=None), self.name),
+            (trials, f"{self.name}-trials"),
+        ):
+            text = io.BytesIO()
+            table.write_csv(text)
+            write_atomically(folder / f"{name}.csv", text.getvalue())
+        write_atomically(folder / f"{self.name}.json", json.dumps(results, indent=1).encode())
+
+    def section(self, folder: Path) -> Section | None:
+        """The experiment's part of the page, or None where it was not run."""
+        path = folder / f"{self.name}.json"
+        if not path.is_file():
+            return None
+        try:
+            results = json.loads(path.read_text(encoding="utf-8"))
+            shown = self.show(results)
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                f"{path} does not hold the results of this version: run the experiment again"
+            ) from error
+        return Section(
+            name=self.name,
+            title=shown.title or self.title,
+            found=shown.found,
+            paper=self.paper,
+            pictures=shown.pictures,
+            claims=shown.claims,
+            tables=shown.tables,
+            files=(f"{self.name}.csv", f"{self.name}-trials.csv"),
+            command=results["command"],
+            facts={key: results[key] for key in ("data", "recipe", "provenance")},
+        )
+
+
+def _load(recipe: Recipe) -> Dataset:
+    data = load_dataset(recipe.data, size=recipe.size, split=recipe.split)
+    return replace(data, name=f"{data.name}, {recipe.split} split") if recipe.split else data
+
+
+def points(results: Results, **fields: Any) -> list[Mapping[str, Any]]:
+    """Points of results that have these values."""
+    return [
+        point
+        for point in results["points"]
+        if all(point[name] == value for name, value in fields.items())
+    ]
+
+
+def best(results: Results, **fields: Any) -> dict[tuple[str, float], Mapping[str, Any]]:
+    """Points at their chosen number of masks, by design and budget."""
+    return {
+        (point["design"], point["photons"]): point for point in points(results, best=True, **fields)
+    }
+
+
+def budgets(chosen: Iterable[Mapping[str, Any]]) -> list[float]:
+    """Budgets of points, rising."""
+    return sorted({point["photons"] for point in chosen})

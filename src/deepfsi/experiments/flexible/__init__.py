@@ -1,0 +1,1 @@
+"""Designs for several budgets and numbers of masks, and several looks."""

@@ -1,0 +1,1 @@
+"""Indian Pines: spectra classified from few photons."""

@@ -1,0 +1,269 @@
+"""Figures of a hyperspectral study: the scene, maps of its classes, masks as curves over bands."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from scipy.ndimage import distance_transform_edt
+
+from deepfsi.report.figures import (
+    COLOURS,
+    GRID,
+    INK,
+    MUTED,
+    Point,
+    noise_text,
+    photons_text,
+    styled,
+)
+from deepfsi.report.maps import AXIS_NOISES, GREYS, ON_DARK, ON_LIGHT, PAGE_WIDTH, SMALL
+
+NO_CLASS = "#e9ecef"
+CLASS_COLOURS = (
+    "#ff0000", "#0000ff", "#bfea15", "#15bfaa", "#552a00", "#80aaff", "#95aa55", "#005555",
+    "#556aff", "#004080", "#558055", "#80eaaa", "#40eaff", "#1515aa", "#6a80aa", "#bfea6a",
+)  # fmt: skip
+"""Sixteen colours at least 23 apart in CIE L*a*b*, to eyes without red or green cones as well.
+
+Maps number their classes all the same.
+"""
+
+USES = (
+    (NO_CLASS, "no label"),
+    ("#9ec9e6", "training"),
+    ("#cc5500", "test"),
+    (ON_LIGHT, "left out beside test"),
+)
+USE_MAP = ListedColormap([colour for colour, _ in USES])
+MAPS_WIDTH = 9.6  # inches
+CURVES: tuple[dict[str, Any], ...] = (
+    {"color": COLOURS["pca"], "linestyle": "-"},
+    {"color": COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
+    {"color": INK, "linestyle": (0, (1.2, 1.2))},
+    {"color": COLOURS["truncated-hadamard"], "linestyle": (0, (6, 1.6, 1.2, 1.6))},
+)
+PAIR: tuple[dict[str, Any], ...] = (CURVES[0], CURVES[1])
+
+
+@styled
+def overview_figure(
+    band: np.ndarray,
+    labels: np.ndarray,
+    names: Sequence[str],
+    spectra: Mapping[str, np.ndarray],
+    wavelengths: np.ndarray | None,
+    water: Sequence[Sequence[float]] = (),
+    *,
+    title: str,
+    band_name: str,
+) -> Figure:
+    """One band of a scene, its classes, how many pixels each has, and spectra of some.
+
+    Parameters
+    ----------
+    band : array, shape (H, W)
+        Values of the band, on any scale.
+    labels : array, shape (H, W)
+        Class of each pixel from 1, 0 for none.
+    names : sequence of str
+        Of the classes, sixteen at most.
+    spectra : mapping of str to array, shape (3, B)
+        For some classes a low, middle and high value of each band, in [0, 1].
+    wavelengths : array, shape (B,), optional
+        Centre of each band in nm, in any order; band numbers are drawn without.
+    water : sequence of pairs
+        Shortest and longest wavelength of what is shaded, nm.
+    title : str
+        What the scene is called.
+    band_name : str
+    """
+    figure = Figure(figsize=(PAGE_WIDTH, 6.4), layout="constrained")
+    figure.suptitle(title, fontsize=10, fontweight="bold")
+    panels = figure.subplots(2, 2, height_ratios=(1.15, 1))
+    ax = panels[0, 0]
+    ax.imshow(band, cmap=GREYS, interpolation="none")
+    ax.set_title(band_name)
+    _bare(ax)
+    ax = panels[0, 1]
+    _class_map(ax, labels)
+    ax.set_title("classes")
+    _number_fields(ax, labels, len(names))
+    ax = panels[1, 0]
+    places = np.arange(1, len(names) + 1)
+    counts = np.bincount(labels.ravel(), minlength=len(names) + 1)[1:]
+    ax.barh(places, counts, color=CLASS_COLOURS[: len(names)], edgecolor=INK, linewidth=0.4)
+    ax.set_yticks(places, [f"{k} {name}" for k, name in zip(places, names, strict=True)])
+    ax.tick_params(axis="y", labelsize=SMALL, length=0)
+    ax.set_ylim(len(names) + 0.6, 0.4)
+    ax.set_xlim(0, 1.2 * counts.max())
+    for place, count in zip(places, counts, strict=True):
+        ax.annotate(
+            str(count), (count, place), (3, 0), textcoords="offset points",
+            verticalalignment="center", fontsize=SMALL,
+        )  # fmt: skip
+    ax.set_xlabel("labelled pixels")
+    ax = panels[1, 1]
+    x, order = _bands(wavelengths, next(iter(spectra.values())).shape[1])
+    for (name, (low, middle, high)), look in zip(spectra.items(), PAIR, strict=False):
+        ax.fill_between(x, low[order], high[order], color=look["color"], alpha=0.2, linewidth=0)
+        ax.plot(x, middle[order], label=name, linewidth=1.2, **look)
+    _shade(ax, water)
+    ax.set_ylim(bottom=0)
+    ax.set_xlim(x[0], x[-1])
+    ax.legend(frameon=False, fontsize=SMALL)
+    ax.set_xlabel(_band_label(wavelengths))
+    ax.set_ylabel("value, scaled to [0, 1]")
+    return figure
+
+
+@styled
+def class_maps_figure(
+    truth: np.ndarray,
+    names: Sequence[str],
+    rows: Sequence[Point],
+    uses: Mapping[str, np.ndarray],
+    *,
+    title: str,
+) -> Figure:
+    """Maps of predicted classes, a row for each split, beside the truth and the test pixels.
+
+    Parameters
+    ----------
+    truth : array, shape (H, W)
+        Class of each pixel from 1, 0 for none.
+    names : sequence of str
+        Of the classes, sixteen at most.
+    rows : sequence of mapping
+        `split`; `photons`, the budget; `map`, the classes as in `truth`; `test` and `train`, the
+        accuracy on the pixels of each.
+    uses : mapping of str to array, shape (H, W)
+        For each split what pixels are for: 0 nothing, 1 training, 2 test, 3 neither.
+    title : str
+        What the scene is called.
+    """
+    budgets = sorted({row["photons"] for row in rows})
+    columns = 2 + len(budgets)
+    height = len(uses) * (MAPS_WIDTH / columns + 0.25) + 0.16 * -(-len(names) // 5) + 0.6
+    figure = Figure(figsize=(MAPS_WIDTH, height), layout="constrained")
+    figure.suptitle(title, fontsize=10, fontweight="bold")
+    panels = figure.subplots(len(uses), columns, squeeze=False)
+    for line, (split, use) in zip(panels, uses.items(), strict=True):
+        _class_map(line[0], truth)
+        line[0].set_title("truth")
+        line[1].imshow(use, cmap=USE_MAP, vmin=0, vmax=len(USES) - 1, interpolation="none")
+        line[1].set_title(f"{split} split")
+        _bare(line[1])
+        for ax, photons in zip(line[2:], budgets, strict=True):
+            _bare(ax)
+            for row in rows:
+                if (row["split"], row["photons"]) == (split, photons):
+                    _class_map(ax, row["map"])
+                    ax.set_title(
+                        f"{photons_text(photons)} photons\n"
+                        f"test {row['test']:.2f}, training {row['train']:.2f}",
+                        fontsize=8,
+                    )
+    _number_fields(panels[0, 0], truth, len(names))
+    classes = [
+        Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=f"{number} {name}")
+        for number, (colour, name) in enumerate(zip(CLASS_COLOURS, names, strict=False), start=1)
+    ]
+    parts = [Patch(facecolor=colour, label=f"pixels: {name}") for colour, name in USES]
+    figure.legend(
+        handles=[*classes, *parts], loc="outside lower center", ncols=5, frameon=False,
+        fontsize=SMALL, handlelength=1.2, handleheight=0.9,
+    )  # fmt: skip
+    return figure
+
+
+@styled
+def spectral_masks_figure(
+    rows: Sequence[Point],
+    wavelengths: np.ndarray | None,
+    water: Sequence[Sequence[float]] = (),
+    *,
+    title: str,
+) -> Figure:
+    """Masks learned under both noises as curves over wavelength, by photon budget.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        `photons`, the budget; `gaussian` and `poisson`, some masks under each noise, array of shape
+        (k, B); and `gaussian_masks` and `poisson_masks`, how many there are.
+    wavelengths : array, shape (B,), optional
+        Centre of each band in nm, in any order; band numbers are drawn without.
+    water : sequence of pairs
+        Shortest and longest wavelength of what is shaded, nm.
+    title : str
+        What the masks were learned on.
+
+    Returns
+    -------
+    Figure
+        Each panel has a scale of its own.
+    """
+    figure = Figure(figsize=(PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
+    figure.suptitle(title, fontsize=10, fontweight="bold")
+    panels = figure.subplots(len(rows), len(AXIS_NOISES), squeeze=False, sharex=True)
+    for line, row in zip(panels, rows, strict=True):
+        for ax, noise in zip(line, AXIS_NOISES, strict=True):
+            x, order = _bands(wavelengths, row[noise].shape[1])
+            for mask, look in zip(row[noise], CURVES, strict=False):
+                ax.plot(x, mask[order], linewidth=1.1, **look)
+            ax.axhline(0, color=MUTED, linewidth=0.6)
+            _shade(ax, water)
+            count = min(len(row[noise]), len(CURVES))
+            ax.set_title(
+                f"{photons_text(row['photons'])} photons, {noise_text(noise)}: "
+                f"{count} of {row[f'{noise}_masks']} masks",
+                fontsize=SMALL + 0.5,
+            )
+            ax.set_xlim(x[0], x[-1])
+    figure.supxlabel(_band_label(wavelengths), fontsize=9)
+    figure.supylabel("share of a band's photons, Mᵢⱼ", fontsize=9)
+    return figure
+
+
+def _bands(wavelengths: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places of bands on an axis, rising, and the order of the bands."""
+    if wavelengths is None:
+        return np.arange(1, count + 1), np.arange(count)
+    order = np.argsort(wavelengths, kind="stable")
+    return wavelengths[order], order
+
+
+def _band_label(wavelengths: np.ndarray | None) -> str:
+    return "band" if wavelengths is None else "wavelength (nm)"
+
+
+def _shade(ax: Axes, spans: Sequence[Sequence[float]]) -> None:
+    for low, high in spans:
+        ax.axvspan(low, high, color=GRID, zorder=0, linewidth=0)
+
+
+def _bare(ax: Axes) -> None:
+    ax.set(xticks=[], yticks=[])
+    ax.spines[:].set_visible(False)
+
+
+def _class_map(ax: Axes, labels: np.ndarray) -> None:
+    colours = ListedColormap([NO_CLASS, *CLASS_COLOURS])
+    ax.imshow(labels, cmap=colours, vmin=0, vmax=len(CLASS_COLOURS), interpolation="none")
+    _bare(ax)
+
+
+def _number_fields(ax: Axes, labels: np.ndarray, classes: int) -> None:
+    """Write each class's number where its largest field is widest."""
+    for number in range(1, classes + 1):
+        depth = distance_transform_edt(np.pad(labels == number, 1))[1:-1, 1:-1]
+        if depth.any():
+            y, x = np.unravel_index(depth.argmax(), depth.shape)
+            text = ax.text(x, y, str(number), fontsize=SMALL, color=ON_LIGHT)
+            text.set(horizontalalignment="center", verticalalignment="center")
+            text.set_path_effects([withStroke(linewidth=1.5, foreground=ON_DARK)])

@@ -1,0 +1,1 @@
+"""MNIST: the accuracy of every design, the masks, and where masks start from."""

@@ -1,0 +1,76 @@
+"""The effect of the matrix that learned masks start from."""
+
+from typing import Any
+
+from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.report.figures import photons_text
+from deepfsi.report.maps import starts_figure
+from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.statistics.differences import CONFIDENCE, Difference, difference
+
+PAPER = (
+    "The initial matrix of DeepFSI can affect its performance in the presence of noise; it was "
+    "therefore started from the principal components of the training data."
+)
+MATTERS = 0.005
+"""Difference in accuracy that counts as an effect."""
+
+
+def show(results: Results) -> Finding:
+    """Accuracies by start, and paired differences to the start from principal components."""
+    points = [
+        {**point, "start": point["variant"].removeprefix("start ")} for point in results["points"]
+    ]
+    at = {(point["start"], point["photons"]): point for point in points}
+    compared = {
+        (start, photons): difference(point, at[("pca", photons)])
+        for (start, photons), point in at.items()
+        if start != "pca"
+    }
+    rows: list[dict[str, Any]] = [
+        {
+            "noise": at[place].get("noise"),
+            "start": place[0],
+            "photons": place[1],
+            "difference": each.mean,
+            "low": each.low if at[place]["trials"] > 1 else None,
+            "high": each.high if at[place]["trials"] > 1 else None,
+        }
+        for place, each in compared.items()
+    ]
+    most = max(compared, key=lambda place: abs(compared[place].mean))
+    said = f"{compared[most]}, {most[0]} at {photons_text(most[1])} photons"
+    clear = [place for place, each in compared.items() if _matters(each, len(compared))]
+    found = (
+        f"The largest difference to the start from principal components is {said}. {len(clear)} of "
+        f"{len(compared)} differences are clearly beyond {MATTERS}, by intervals widened for as "
+        "many looks."
+    )
+    claim = Claim(
+        f"The initial matrix changes accuracy by more than {MATTERS} somewhere",
+        True if clear else None,
+        f"largest: {said}; {len(clear)} clearly beyond {MATTERS}",
+    )
+    heads = ("start", "photons", "difference to pca", "low", "high")
+    fields = ("start", "photons", "difference", "low", "high")
+    table = Table(
+        "Accuracy less that of the start from principal components, paired by seed",
+        heads,
+        tuple(tuple(row[field] for field in fields) for row in rows),
+    )
+    picture = Picture(
+        starts_figure({**results, "points": points, "differences": rows}),
+        "Accuracy by the matrix that masks start from, and differences to pca. Bars: 95 % "
+        "intervals.",
+        "Accuracy of learned masks from three initial matrices; numbers in the table.",
+    )
+    return Finding(found, (picture,), (claim,), (table,))
+
+
+def _matters(each: Difference, looks: int) -> bool:
+    """Whether a difference is beyond `MATTERS`, judged among that many (Bonferroni)."""
+    low, high = each.interval(1 - (1 - CONFIDENCE) / looks)
+    return low > MATTERS or high < -MATTERS
+
+
+EXPERIMENT = Experiment(name="starts", title="Where the masks start from", paper=PAPER, show=show)

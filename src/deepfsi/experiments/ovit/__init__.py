@@ -1,0 +1,1 @@
+"""The vision transformer with an optical front end."""

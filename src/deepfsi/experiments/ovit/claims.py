@@ -1,0 +1,495 @@
+"""The paper's vision transformer with an optical front end, on CIFAR-10 in grey.
+
+Images of 64 x 64 pixels are cut in 8 x 8 patches. The same 64 masks of 64 pixels are shown on every
+patch, one after another, with one detector for each patch: nothing is compressed, and the masks do
+what a transformer's patch projection does. Noise is added to the counts, and a transformer
+classifies what is left.
+"""
+
+import hashlib
+import json
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from deepfsi.datasets import Dataset, list_datasets, load_dataset
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.optics.budget import BUDGETS
+from deepfsi.optics.measures import effective_directions
+from deepfsi.report.comparison_page import listed, read_masks
+from deepfsi.report.figures import accuracy_figure, photons_text
+from deepfsi.report.maps import patch_masks_figure
+from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.statistics.differences import Difference, above, difference, of_trials
+from deepfsi.sweeps.queue import Report, workers_for
+from deepfsi.sweeps.records import Records
+from deepfsi.sweeps.summary import origin, point
+from deepfsi.sweeps.workers import processes
+from deepfsi.training.patches import (
+    REVISION,
+    PatchedDesign,
+    Patches,
+    PatchJob,
+    PatchTraining,
+    train,
+)
+from deepfsi.training.training_set import find_device
+
+SCHEMA = 1
+LEARNED, LABEL = "deepfsi", "OViT"
+RIVALS = ("raster", "hadamard", "pca")
+SHOWN = (1e2, 1e4, 1e6)
+NOTICED = 0.01
+"""Difference of two shares of light that counts as one."""
+
+PAPER = (
+    "With as many masks as a patch has pixels, OViT outperforms all unsupervised codes on CIFAR-10 "
+    "under photon noise, though its scanner is a single small layer before a large classifier: "
+    "software cannot make up for unsuitable optics. Its masks are frugal, counting less light than "
+    "there is, and where photons are few they repeat similar measurements instead of adding new "
+    "features."
+)
+
+
+class OvitRecipe(BaseModel):
+    """What to compare: every design at every budget, with every seed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    data: str = Field(description="name of a data set of images")
+    instead: str | None = Field(None, description="taken where it is here and the first is not")
+    size: tuple[int, int] = (64, 64)
+    images: int | None = Field(None, description="training images, those of validation included")
+    validation: int = Field(ge=1, description="how many of them are not trained on")
+    patch: int = Field(8, ge=2, description="side of a patch in pixels")
+    designs: tuple[PatchedDesign, ...] = Field(min_length=1)
+    photons: tuple[float, ...] = Field(min_length=1, description="of the whole image")
+    trials: int = Field(3, ge=1, description="training seeds for each point")
+    draws: int = Field(1, ge=1, description="noise draws of each test image")
+    training: PatchTraining = PatchTraining()
+    tuned: dict[PatchedDesign, dict[str, Any]] = Field({}, description="for single designs")
+
+    @field_validator("photons")
+    @classmethod
+    def _allowed(cls, budgets: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(BUDGETS[0] <= budget <= BUDGETS[1] for budget in budgets):
+            raise ValueError(f"give budgets from {BUDGETS[0]:g} to {BUDGETS[1]:g} photons")
+        return budgets
+
+    def training_of(self, design: PatchedDesign) -> PatchTraining:
+        """How a design is trained."""
+        own = {**self.training.model_dump(), **self.tuned.get(design, {})}
+        return PatchTraining.model_validate(own)
+
+    def load(self) -> Dataset:
+        """The images."""
+        here = {each.name for each in list_datasets() if each.where != "not here"}
+        name = self.instead if self.data not in here and self.instead in here else self.data
+        return load_dataset(name or self.data, size=self.size, images=self.images)
+
+
+class OvitTrial(BaseModel):
+    """One training and its test, with all that the result depends on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    job: PatchJob
+    data: str
+    data_hash: str
+    validation: int
+    draws: int
+
+    @property
+    def key(self) -> str:
+        """Content hash that names the record."""
+        return self._hash(exclude={"data"})
+
+    @property
+    def design_key(self) -> str:
+        """Content hash that names the design: of what the training depends on."""
+        return self._hash(exclude={"data", "draws"})
+
+    def _hash(self, exclude: set[str]) -> str:
+        settings = self.model_dump(mode="json", exclude=exclude)
+        whole = {"ovit": SCHEMA, "revision": REVISION, **settings}
+        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def plan(recipe: OvitRecipe, data: Dataset) -> list[OvitTrial]:
+    """All trials, seed by seed, so that what a stopped study has done is whole for some seeds."""
+    return [
+        OvitTrial(
+            job=PatchJob(
+                design=design,
+                photons=photons,
+                patch=recipe.patch,
+                seed=seed,
+                training=recipe.training_of(design),
+            ),
+            data=data.name,
+            data_hash=data.hash,
+            validation=recipe.validation,
+            draws=recipe.draws,
+        )
+        for seed, photons, design in product(range(recipe.trials), recipe.photons, recipe.designs)
+    ]
+
+
+class Bench:
+    """What every trial needs; sent once to each process."""
+
+    def __init__(self, data: Dataset, recipe: OvitRecipe, device: str) -> None:
+        self.data, self.device = data, device
+        self.held_out, self.side = recipe.validation, recipe.patch
+
+    @cached_property
+    def parts(self) -> Dataset:
+        """The data, its validation part as test part."""
+        return self.data.hold_out(self.held_out)
+
+    @cached_property
+    def patches(self) -> Patches:
+        """What is trained on."""
+        return Patches(self.parts, self.side, self.device)
+
+    def __getstate__(self) -> dict[str, Any]:
+        made_there = ("parts", "patches")
+        return {name: value for name, value in vars(self).items() if name not in made_there}
+
+
+Done = tuple[OvitTrial, dict[str, Any], bytes]
+
+
+def work(bench: Bench, trial: OvitTrial, report: Report | None = None) -> Done:
+    """Train and test one design."""
+    job = trial.job
+    tell = report or (lambda share, now: None)
+    design = train(bench.patches, job, lambda share: tell(share, title(trial)))
+    tests = [
+        evaluate(design, data, job.photons, draws=trial.draws, seed=job.seed)
+        for data in (bench.parts, bench.data)
+    ]
+    validation, test = ([result.as_dict() for result in results] for results in tests)
+    record = {
+        "schema": SCHEMA,
+        "key": trial.key,
+        "design": trial.design_key,
+        "trial": trial.model_dump(mode="json"),
+        "validation": validation,
+        "test": test,
+        "info": design.info,
+    }
+    return trial, record, design.to_bytes()
+
+
+def title(trial: OvitTrial) -> str:
+    """What is being trained, in words."""
+    job = trial.job
+    return f"{job.design}, {photons_text(job.photons)} photons, seed {job.seed}"
+
+
+def run_trials(
+    trials: Sequence[OvitTrial], bench: Bench, folder: Path, workers: int | None, report: Report
+) -> list[dict[str, Any]]:
+    """Train and test what the folder does not hold yet; the records, in the order of `trials`.
+
+    May be stopped at any moment and started again; several processes may work on one folder.
+    """
+    records = Records(folder)
+    count = workers or workers_for(find_device(bench.device))
+    finished = 0
+
+    def missing() -> list[OvitTrial]:
+        return [trial for trial in trials if records.read(trial) is None]
+
+    def claimed(wanted: Sequence[OvitTrial]) -> Iterator[OvitTrial]:
+        for trial in wanted:
+            if records.claim([trial]):
+                if records.read(trial) is None:
+                    yield trial
+                else:
+                    records.release([trial])
+
+    def inside(share: float, now: str) -> None:
+        report((finished + share) / len(trials), now)
+
+    try:
+        while todo := missing():
+            before = finished = len(trials) - len(todo)
+            inside(0.0, f"{len(todo)} trainings")
+            if count > 1 and len(todo) > 1:
+                done = processes(work, bench, claimed(todo), min(count, len(todo)))
+            else:
+                done = (work(bench, trial, inside) for trial in claimed(todo))
+            with closing(done) as arriving:
+                for trial, record, design in arriving:
+                    records.write(trial, record, design)
+                    finished += 1
+                    inside(0.0, title(trial))
+            if finished == before:
+                time.sleep(1)  # another process has them
+    finally:
+        records.release_all()
+    return [found for trial in trials if (found := records.read(trial))]
+
+
+@dataclass(frozen=True)
+class PatchExperiment(Experiment):
+    """An experiment on patches, with a transformer as classifier."""
+
+    settings: type[BaseModel] = OvitRecipe
+
+    def run(
+        self,
+        folder: Path,
+        *,
+        command: str,
+        quick: bool = False,
+        trials: int | None = None,
+        device: str = "auto",
+        workers: int | None = 1,
+        ray: str | None = None,
+        report: Report | None = None,
+    ) -> Results:
+        """Train and test what the folder does not hold yet, and write the numbers."""
+        if ray is not None:
+            raise InputError(f"{self.name} takes no Ray cluster: use --workers")
+        began = time.perf_counter()
+        recipe: OvitRecipe = self.recipe(quick, trials)
+        tell = report or (lambda share, now: None)
+        tell(0.0, "reading images")
+        data = recipe.load()
+        bench = Bench(data, recipe, device)
+        records = run_trials(plan(recipe, data), bench, folder, workers, tell)
+        results = {
+            "schema": SCHEMA,
+            "title": f"{data.name}, patch by patch",
+            "command": command,
+            "recipe": recipe.model_dump(mode="json"),
+            **origin(data, recipe.validation, records, time.perf_counter() - began),
+            "chosen_on": "validation",
+            "points": summarise(records),
+            "extra": {"masks": learned_masks(records, folder / "designs")},
+        }
+        self.keep(folder, results, polars.DataFrame([_row(record) for record in records]))
+        return results
+
+
+def summarise(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Points of the figure, each the mean of its trials."""
+    groups = defaultdict(list)
+    for record in records:
+        job = record["trial"]["job"]
+        groups[(job["design"], job["photons"])].append((record, 0))
+    found = []
+    for (design, photons), members in groups.items():
+        masks = members[0][0]["trial"]["job"]["patch"] ** 2
+        axes = {
+            "design": design,
+            "photons": photons,
+            "noise": "poisson",
+            "light": "column",
+            "rails": "dual",
+            "masks": masks,
+        }
+        made = point(axes, members, masks)
+        label = LABEL if design == LEARNED else made["label"]
+        found.append({**made, "label": label, "best": True})
+    return found
+
+
+def learned_masks(records: Sequence[Mapping[str, Any]], designs: Path) -> list[dict[str, Any]]:
+    """Light and directions of the learned masks of every trial, and the first trial's masks."""
+    rows: dict[float, dict[str, Any]] = {}
+    for record in records:
+        job = record["trial"]["job"]
+        if job["design"] != LEARNED:
+            continue
+        rails, _ = read_masks(designs / f"{record['design']}.safetensors")
+        matrix = rails[0] - rails[1]
+        row = rows.setdefault(
+            job["photons"],
+            {
+                "photons": job["photons"],
+                "side": job["patch"],
+                "light": [],
+                "directions": [],
+                "matrix": np.round(matrix, 6).tolist(),
+            },
+        )
+        row["light"].append(record["test"][0]["throughput"])
+        row["directions"].append(effective_directions(matrix))
+    return [rows[photons] for photons in sorted(rows)]
+
+
+def _row(record: Mapping[str, Any]) -> dict[str, Any]:
+    job, test = record["trial"]["job"], record["test"][0]
+    return {
+        "key": record["key"],
+        "data": record["trial"]["data"],
+        **{name: value for name, value in job.items() if name != "training"},
+        **job["training"],
+        "validation": record["validation"][0]["accuracy"],
+        **{name: test[name] for name in ("accuracy", "low", "high", "throughput")},
+        "seconds": record["info"]["seconds"],
+    }
+
+
+def show(results: Results) -> Finding:
+    """Figures, claims and tables."""
+    at = {(each["design"], each["photons"]): each for each in results["points"]}
+    budgets = sorted({photons for _, photons in at})
+    masks = results["extra"]["masks"]
+    claims = [_ahead(at, rival, budgets) for rival in RIVALS if (rival, budgets[0]) in at]
+    dim, bright = masks[0], masks[-1]
+    light, span = (
+        of_trials(np.subtract(bright[name], dim[name]).tolist()) for name in ("light", "directions")
+    )
+    ends = f"{photons_text(dim['photons'])} and {photons_text(bright['photons'])} photons"
+    claims += [
+        _grows(
+            f"{LABEL} counts less light where photons are few, by {NOTICED} or more",
+            "light",
+            dim,
+            bright,
+            light,
+            NOTICED,
+            "With light split freely among readouts, what is not wanted may go to readouts that "
+            "the classifier disregards: leaving it out gains nothing.",
+        ),
+        _grows(
+            f"{LABEL}'s masks repeat where photons are few, spanning fewer directions",
+            "directions",
+            dim,
+            bright,
+            span,
+            0.0,
+        ),
+    ]
+    highest = max(each["high"] for each in at.values())
+    patch, size = results["recipe"]["patch"], results["data"]["image_shape"]
+    middle = min(budgets, key=lambda budget: abs(np.log10(budget) - 4))
+    ranks = sorted(
+        (each for (_, photons), each in at.items() if photons == middle),
+        key=lambda each: -each["accuracy"],
+    )
+    found = (
+        f"{results['data']['name']} in grey, {size[0]} x {size[1]} pixels, in {patch} x {patch} "
+        f"patches. The same {patch * patch} masks are shown on every patch in sequence, with one "
+        "detector for each patch; a budget is of the whole image, and is shared by the patches as "
+        "their light is. "
+        f"Trained on {results['data']['train']} images, tested on {results['data']['test']} under "
+        f"exact photon noise. At {photons_text(middle)} photons: "
+        + ", ".join(f"{each['label']} {each['accuracy']:.3f}" for each in ranks)
+        + "."
+    )
+    pictures = (
+        Picture(
+            accuracy_figure(results, top=0.5 if highest < 0.49 else 1.0),
+            "Accuracy against the photons of a whole image, photon noise. Bars: 95 % intervals "
+            "over training seeds (of a single one, over test images).",
+            "Accuracy of all designs against the photon budget; numbers in the table.",
+        ),
+        Picture(
+            patch_masks_figure(
+                [
+                    {**row, "matrix": np.asarray(row["matrix"])}
+                    for row in masks
+                    if row["photons"] in SHOWN or len(masks) <= len(SHOWN)
+                ]
+            ),
+            f"The {patch * patch} masks of {LABEL}, the brightest first, row by row. Black is "
+            "−peak, mid-grey 0, white peak, for each budget its own.",
+            f"Masks learned by {LABEL} at several budgets.",
+        ),
+    )
+    heads = (
+        "design", "photons", "accuracy", "low", "high", "validation", "light counted", "trials",
+        "interval over",
+    )  # fmt: skip
+    rows = tuple(
+        (
+            each["label"],
+            each["photons"],
+            each["accuracy"],
+            each["low"],
+            each["high"],
+            each["validation"],
+            each["throughput"],
+            each["trials"],
+            each["covers"],
+        )
+        for each in results["points"]
+    )
+    lights = tuple(
+        (
+            row["photons"],
+            float(np.mean(row["light"])),
+            float(np.mean(row["directions"])),
+        )
+        for row in masks
+    )
+    tables = (
+        Table("Accuracy and light", heads, rows),
+        Table(
+            f"{LABEL}'s masks, at {ends} and between",
+            ("photons", "share of the light counted", "independent directions"),
+            lights,
+        ),
+    )
+    return Finding(found, pictures, tuple(claims), tables)
+
+
+def _ahead(at: Mapping[tuple[str, float], Any], rival: str, budgets: Sequence[float]) -> Claim:
+    """Claim that the learned design is above another at every budget."""
+    compared: dict[float, Difference] = {
+        budget: difference(at[(LEARNED, budget)], at[(rival, budget)])
+        for budget in budgets
+        if (LEARNED, budget) in at and (rival, budget) in at
+    }
+    label = at[(rival, budgets[0])]["label"]
+    said = "; ".join(f"{each} at {photons_text(budget)}" for budget, each in compared.items())
+    unclear = [photons_text(budget) for budget, each in compared.items() if each.low <= 0]
+    return Claim(
+        f"{LABEL} is above {label} at every budget",
+        above(compared.values()),
+        f"{LABEL} − {label}: {said} photons",
+        f"not clearly above at {listed(unclear)} photons" if unclear else "",
+    )
+
+
+def _grows(
+    text: str,
+    name: str,
+    dim: Mapping[str, Any],
+    bright: Mapping[str, Any],
+    each: Difference,
+    limit: float,
+    otherwise: str = "",
+) -> Claim:
+    """Claim that a measure of the masks grows with the light, by more than a limit."""
+    said = " and ".join(
+        f"{float(np.mean(row[name])):#.3g} at {photons_text(row['photons'])}"
+        for row in (dim, bright)
+    )
+    holds = above([each], limit)
+    return Claim(text, holds, f"{said} photons: {each}", otherwise if holds is False else "")
+
+
+TITLE = "A vision transformer with an optical front end (OViT)"
+EXPERIMENT = PatchExperiment(name="ovit", title=TITLE, paper=PAPER, show=show)
+FULL = PatchExperiment(
+    name="ovit-full", title=f"{TITLE}, all images and a larger transformer", paper=PAPER, show=show
+)

@@ -1,0 +1,95 @@
+"""What shows patterns and what counts photons, so that a laboratory can bring its own.
+
+Both are context managers that let go of their device on every way out, Ctrl-C included. A lab
+whose counter has its own software needs a `PatternProjector` only: its PTU file and the pattern
+folder are all that `hardware.acquisition` reads. `scan` records scene after scene with both.
+"""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+__all__ = ["PatternProjector", "PhotonCounter", "scan"]
+
+Progress = Callable[[float], None]
+
+
+class PatternProjector(Protocol):
+    """A micromirror device that shows a folder of patterns, and marks the start of each frame."""
+
+    def __enter__(self) -> Self:
+        """Take hold of the device."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop showing and let go of the device."""
+
+    def load(self, folder: Path, progress: Progress | None = None) -> None:
+        """Bring the frames of a pattern folder into the device, in place of earlier ones."""
+
+    def run(self) -> None:
+        """Start one pass over all frames; it may end after this returns."""
+
+    def wait(self) -> None:
+        """Return when the pass has ended."""
+
+    def halt(self) -> None:
+        """Stop the pass where it is."""
+
+
+class PhotonCounter(Protocol):
+    """Photon-counting electronics that record photons and frame markers into a PTU file."""
+
+    def __enter__(self) -> Self:
+        """Take hold of the device."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop recording and let go of the device; a file that was not finished is removed."""
+
+    def start(self, path: Path) -> None:
+        """Begin to record into a new file."""
+
+    def stop(self) -> None:
+        """End the recording; its file is then whole."""
+
+
+def scan(
+    projector: PatternProjector,
+    counter: PhotonCounter,
+    scenes: Iterable[np.ndarray],
+    show: Callable[[np.ndarray], None],
+    path: Path,
+) -> None:
+    """Record one pass over the loaded patterns for each scene, into one file.
+
+    Parameters
+    ----------
+    projector : PatternProjector
+        Open, with patterns loaded.
+    counter : PhotonCounter
+        Open.
+    scenes : iterable of array
+        Reflectance (h, w).
+    show : callable
+        Displays a scene; returns when the display has settled.
+    path : path
+        The PTU file.
+    """
+    counter.start(path)
+    for scene in scenes:
+        show(scene)
+        projector.run()
+        projector.wait()
+    counter.stop()

@@ -1,0 +1,85 @@
+"""Gates: the time windows in which the photons of each frame are counted."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.sequence import LONGEST_S, SHORTEST_S, Manifest
+
+
+@dataclass(frozen=True)
+class Gates:
+    """When the masks' frames are counted, in seconds after each frame's start.
+
+    Attributes
+    ----------
+    settle_s : float
+        Before the first gate of each frame.
+    length_s : array, shape (f,)
+        Duration of a gate: share times exposure.
+    repeats : int
+        R, gates that follow each other in every frame; gate r of all frames is one exposure.
+    """
+
+    settle_s: float
+    length_s: np.ndarray
+    repeats: int
+
+    @property
+    def starts_s(self) -> np.ndarray:
+        """When each gate opens, shape (f, R)."""
+        return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
+
+
+def longest_exposure(manifest: Manifest, settle_s: float) -> float:
+    """Longest exposure, seconds, whose gates fit all frames after the time to settle."""
+    room = (manifest.picture_s[manifest.shown] - settle_s) / manifest.shares
+    return float(room.min())
+
+
+def find_gates(
+    manifest: Manifest,
+    exposure_s: float,
+    settle_s: float | None = None,
+    repeats: int | None = None,
+) -> Gates:
+    """Gates of an exposure, as many of them in a frame as fit all frames.
+
+    Parameters
+    ----------
+    manifest : Manifest
+    exposure_s : float
+        Total exposure, seconds: the sum over frames is at most this.
+    settle_s : float, optional
+        The device's unless given.
+    repeats : int, optional
+        Fewer than fit.
+
+    Raises
+    ------
+    InputError
+        If the exposure is not above 0, or a gate does not fit its frame.
+    """
+    settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
+    if not (math.isfinite(exposure_s) and exposure_s > 0):
+        raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
+    if not 0 <= settle <= LONGEST_S:
+        raise InputError(f"settle time {settle!r} is not allowed: give 0 to {LONGEST_S:g} seconds")
+    length = manifest.shares * exposure_s
+    if not (len(length) and length.min() > SHORTEST_S):
+        raise InputError(
+            f"an exposure of {exposure_s:g} s leaves a frame less than {SHORTEST_S:g} s: give a "
+            "longer one"
+        )
+    longest = longest_exposure(manifest, settle)
+    fit = int(np.floor(longest / exposure_s * (1 + 1e-9)))
+    if fit < 1:
+        raise InputError(
+            f"an exposure of {exposure_s:g} s does not fit frames with {settle:g} s to settle: "
+            f"give at most {max(longest, 0):.3g} s, or export with a longer --dwell"
+        )
+    if repeats is not None and not 1 <= repeats <= fit:
+        raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")
+    return Gates(settle, length, repeats or fit)

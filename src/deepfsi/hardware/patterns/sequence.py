@@ -1,0 +1,298 @@
+"""What a micromirror device shows, in what order and for how long, and when its light is counted.
+
+A *frame* is one binary pattern. A mask is shown as one frame for each of its rails that is not
+dark; on two arms one frame serves both rails. A frame is brought to its own peak: cell j has
+`k` of its `K` mirrors ON, k/K of the peak, and the frame's light is counted during a *gate* of
+
+    share · exposure,    share = the frame's peak in the sensing matrix,
+
+within the longer *picture time* for which the device holds it. So every light constraint that one
+device can realise is shown in the same way, at full contrast, and the realised matrix is
+share · k / K. The shares sum to at most 1: the budget Φ of an exposure is the flux on the device
+times the exposure, whatever time mirrors take to settle.
+
+Each pass over the masks begins and ends with two *sentinel* frames, all mirrors of the cells ON and
+all OFF.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from deepfsi.errors import InputError, closest
+
+SCHEMA: Literal[1] = 1
+
+MOST_FRAMES = 2**20
+"""Of one pass, sentinels among them."""
+
+Role = Literal["mask", "on", "off"]
+Rail = Literal["plus", "minus", "both"]
+
+
+class Device(BaseModel):
+    """A micromirror device.
+
+    Attributes
+    ----------
+    name : str
+    columns, rows : int
+        Mirrors across and down.
+    shortest_us : int
+        Shortest picture time, µs.
+    settle_us : float
+        Time after the start of a frame in which mirrors still move, µs.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    columns: int = Field(ge=1, le=2**14)
+    rows: int = Field(ge=1, le=2**14)
+    shortest_us: int = Field(44, ge=1)
+    settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame at one bit a mirror; each row begins a new byte."""
+        return self.rows * -(-self.columns // 8)
+
+
+DEVICES = {"dlp7000": Device(name="dlp7000", columns=1024, rows=768)}
+
+
+def find_device(name: str) -> Device:
+    """Device of that name, or one of COLUMNSxROWS mirrors, or `InputError`."""
+    if name.lower() in DEVICES:
+        return DEVICES[name.lower()]
+    sides = name.lower().split("x")
+    if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
+        columns, rows = map(int, sides)
+        if 1 <= columns <= 2**14 and 1 <= rows <= 2**14:
+            return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
+    raise InputError(
+        f"unknown device {name!r}: {closest(name, DEVICES)}; or COLUMNSxROWS, such as 1920x1080"
+    )
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the cells of a mask lie on a device: as large as fit, centred; mirrors beyond are OFF.
+
+    Attributes
+    ----------
+    down, across : int
+        Cells.
+    height, width : int
+        Mirrors of a cell.
+    top, left : int
+        Mirrors before the first cell.
+    """
+
+    down: int
+    across: int
+    height: int
+    width: int
+    top: int
+    left: int
+
+    @property
+    def mirrors(self) -> int:
+        """K, mirrors of a cell."""
+        return self.height * self.width
+
+
+def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
+    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device.
+
+    Raises
+    ------
+    InputError
+        If the device has fewer mirrors than the mask has cells.
+    """
+    if len(image_shape) not in (1, 2) or min(image_shape) < 1:
+        raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
+    down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)
+    height, width = device.rows // down, device.columns // across
+    if not (height and width):
+        raise InputError(
+            f"{down} x {across} cells do not fit {device.name} with {device.rows} x "
+            f"{device.columns} mirrors: use a larger device or fewer pixels"
+        )
+    top, left = (device.rows - down * height) // 2, (device.columns - across * width) // 2
+    return Grid(down, across, height, width, top, left)
+
+
+class Frame(BaseModel):
+    """One pattern.
+
+    Attributes
+    ----------
+    role : {"mask", "on", "off"}
+    mask : int or None
+        Which row of the sensing matrix.
+    rail : {"plus", "minus", "both"} or None
+        "both" on two arms: the other arm sees the mirrors that are OFF.
+    share : float
+        Share of the exposure for which it is counted: its peak in the realised matrix. 0 for
+        sentinels.
+    picture_us : int
+        Time for which the device holds it, µs.
+    sha256 : str
+        Of its packed bits.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    role: Role
+    mask: int | None = Field(None, ge=0)
+    rail: Rail | None = None
+    share: float = Field(0.0, ge=0, le=1, allow_inf_nan=False)
+    picture_us: int = Field(ge=1, le=10**10)
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Frame":
+        if (self.role == "mask") != (self.mask is not None and self.rail is not None):
+            raise ValueError("a mask's frame names its mask and rail, and a sentinel neither")
+        if (self.role == "mask") != (self.share > 0):
+            raise ValueError("a mask's frame has a share of the exposure, and a sentinel none")
+        return self
+
+
+class Manifest(BaseModel):
+    """A folder of patterns: device, frames in the order in which they are shown, provenance.
+
+    Attributes
+    ----------
+    device : Device
+    image_shape : tuple of int
+        Cells of a mask.
+    masks, rails : int
+        m, and 2 for signed masks or 1: the shape of what is counted.
+    light : str
+        Light constraint of the design.
+    dimmed : float
+        Realised matrix over designed one. Below 1 where one device cannot realise the design
+        (`column`): each exposure then gives this share of its counts.
+    mean_light : float
+        s, the training scenes' mean summed reflectance.
+    selection : {"ordered", "random"}
+        How the mirrors of a cell are chosen.
+    seed : int
+        Of the random selection.
+    format : {"npy", "png", "raw"}
+    design_sha256 : str or None
+        Of the design file.
+    frames : tuple of Frame
+    sha256 : str or None
+        Of all else in the manifest's file, so that a change of it is found; taken as it is
+        without.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = SCHEMA
+    deepfsi: str
+    device: Device
+    image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
+    masks: int = Field(ge=1, le=MOST_FRAMES)
+    rails: Literal[1, 2]
+    light: str
+    dimmed: float = Field(gt=0, le=1)
+    mean_light: float = Field(gt=0, allow_inf_nan=False)
+    selection: Literal["ordered", "random"]
+    seed: int = 0
+    format: Literal["npy", "png", "raw"]
+    design_sha256: str | None = None
+    frames: tuple[Frame, ...] = Field(min_length=1, max_length=MOST_FRAMES)
+    sha256: str | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Manifest":
+        seen = [(frame.mask, frame.rail) for frame in self.frames if frame.role == "mask"]
+        if len(set(seen)) < len(seen):
+            raise ValueError("a rail of a mask is shown twice")
+        if any(mask is not None and mask >= self.masks for mask, _ in seen):
+            raise ValueError("a frame shows a mask that does not exist")
+        if {rail for _, rail in seen} - ({"plus"} if self.rails == 1 else set(_RAILS)):
+            raise ValueError("a frame shows a rail that does not exist")
+        if sum(frame.share for frame in self.frames) > 1 + 1e-4:
+            raise ValueError("the frames' shares of the exposure sum to more than 1")
+        return self
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Where the cells lie."""
+        return find_grid(self.device, self.image_shape)
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """Places of the masks' frames among all, shape (f,)."""
+        return np.flatnonzero([frame.role == "mask" for frame in self.frames])
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """Share of the exposure of each mask's frame, shape (f,)."""
+        return np.array([self.frames[place].share for place in self.shown])
+
+    @cached_property
+    def picture_s(self) -> np.ndarray:
+        """Picture times of all frames in seconds, shape (F,)."""
+        return np.array([frame.picture_us for frame in self.frames]) * 1e-6
+
+    @cached_property
+    def starts_s(self) -> np.ndarray:
+        """When each frame starts after the first of its pass, seconds, shape (F,)."""
+        return np.concatenate([[0.0], np.cumsum(self.picture_s)[:-1]])
+
+    @property
+    def pass_s(self) -> float:
+        """Duration of one pass over all frames, seconds."""
+        return float(self.picture_s.sum())
+
+    @property
+    def two_arm(self) -> bool:
+        """Whether a second detector sees the mirrors that are OFF."""
+        return any(frame.rail == "both" for frame in self.frames)
+
+
+_RAILS = ("plus", "minus", "both")
+SHORTEST_S = 1e-15
+LONGEST_S = 1e4
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """What a folder of patterns shows.
+
+    Attributes
+    ----------
+    manifest : Manifest
+    on : array, shape (f, N)
+        Mirrors ON in each cell of each mask's frame, in the order of `Manifest.shown`.
+    """
+
+    manifest: Manifest
+    on: np.ndarray
+
+    @property
+    def fractions(self) -> np.ndarray:
+        """Share of each cell's mirrors that are ON, k / K, float64 (f, N)."""
+        return self.on / self.manifest.grid.mirrors
+
+    @property
+    def rails(self) -> np.ndarray:
+        """The realised rails, float64 (rails, m, N): share of each pixel's photons."""
+        manifest = self.manifest
+        out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
+        for place, share, part in zip(manifest.shown, manifest.shares, self.fractions, strict=True):
+            frame = manifest.frames[place]
+            if frame.rail in ("plus", "both"):
+                out[0, frame.mask] = share * part
+            if frame.rail in ("minus", "both"):
+                out[1, frame.mask] = share * (1 - part if frame.rail == "both" else part)
+        return out

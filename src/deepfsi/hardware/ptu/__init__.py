@@ -1,0 +1,1 @@
+"""PicoQuant PTU files: photon timestamps read, counted and written."""

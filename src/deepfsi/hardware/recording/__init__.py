@@ -1,0 +1,1 @@
+"""A recorded acquisition: its folder, and photon timestamps turned into counts."""

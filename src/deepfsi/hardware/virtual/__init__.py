@@ -1,0 +1,1 @@
+"""The virtual camera: detector, optics and devices simulated."""

@@ -1,0 +1,422 @@
+"""The virtual camera: scenes on a monitor to a photon file, as the laboratory would write it.
+
+    scene -> perspective -> blur -> vignetting -> mirrors -> detectors (`hardware.detector`) -> file
+
+Places are (across, down) in a unit square each: the displayed image, and the area of the device
+that the cells of a mask fill. A display is an area of given brightness, so what moves or enlarges
+its image on the device does not change the light on a mirror that still sees it. A stop hides the
+mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
+others.
+
+It shares nothing with `deepfsi.noise` and the scanner, so that each checks the other: with the
+ideal camera a gate's counts are Poisson, with the scanner's mean.
+"""
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from deepfsi.errors import InputError
+from deepfsi.files import new_folder
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns, unpack
+from deepfsi.hardware.patterns.gates import Gates, find_gates
+from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest
+from deepfsi.hardware.ptu.reader import Writer
+from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, Scene, prepare
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
+
+MARKER = 1
+"""Bits of the marker at the start of each frame."""
+
+MOST_FLUX = 1e12
+
+_SCENES = 64
+_FRAMES = 16
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Row = tuple[Number, Number, Number]
+Progress = Callable[[float], None]
+
+
+class Camera(Detector):
+    """Optics and detector; the default is ideal. The attributes of `Detector` are its too.
+
+    Attributes
+    ----------
+    view : 3 x 3 numbers
+        Homography display -> device in unit squares, (across, down, 1).
+    blur : float
+        Standard deviation of a Gaussian on the device, mirrors.
+    vignetting : float
+        Share of the light that the corners of the area lose; it grows with the squared distance
+        from the centre.
+    ambient : float
+        Stray light spread evenly over the whole device, photons/s.
+    """
+
+    view: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    blur: float = Field(0.0, ge=0, le=1000)
+    vignetting: float = Field(0.0, ge=0, le=1)
+    ambient: float = Field(0.0, ge=0, le=1e12)
+
+    @field_validator("view")
+    @classmethod
+    def _invertible(cls, view: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
+        if abs(np.linalg.det(np.array(view))) < 1e-9:
+            raise ValueError("the view cannot be inverted")
+        return view
+
+
+CAMERAS = {
+    "ideal": Camera(),
+    "pmt": Camera(
+        efficiency=0.2,
+        dark=100.0,
+        dead_time_s=20e-9,
+        paralysable=True,
+        afterpulse_probability=0.01,
+        afterpulse_s=500e-9,
+        jitter_s=85e-12,
+    ),
+    "spad": Camera(
+        efficiency=0.73,
+        dark=500.0,
+        dead_time_s=28.5e-9,
+        afterpulse_probability=0.01,
+        afterpulse_s=50e-9,
+        jitter_s=64e-12,
+    ),
+}
+"""Cameras by name. Optics are ideal in all of them; put in those of your own.
+
+pmt
+    A photomultiplier as the paper's (PicoQuant PMA series). Its data sheet was not at hand, and
+    all values are typical ones, assumed: photocathode in the blue-green 0.2, 100 dark counts/s,
+    200 ps of jitter (full width at half maximum), 1 % of afterpulses within microseconds (ions).
+    The dead time is of the order that PicoQuant's MultiHarp 150 manual (version 3.1, section 2.1)
+    gives for detector and electronics together, "some tens of nanoseconds". The same manual
+    (2.3.4) says of hybrid detectors (PMA Hybrid) that they have virtually no afterpulses.
+spad
+    A silicon avalanche diode: peak efficiency 0.73 at 560 nm and 150 ps of jitter (full width)
+    from M. Stipčević et al., J. Lightwave Technol. 31 (2013) 3591, doi:10.1109/JLT.2013.2286422;
+    dead time 28.5 ns, the shortest of the module of M. Chen et al., Electronics 9 (2020) 1131.
+    500 dark counts/s and 1 % of afterpulses within 50 ns are typical values, assumed.
+"""
+
+
+def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -> np.ndarray:
+    """Relative light on each mirror.
+
+    Parameters
+    ----------
+    scenes : array, shape (S, h, w)
+        Reflectance, 0 or more, of images of any size; pixels are squares.
+    camera : Camera
+    device : Device
+    grid : Grid
+
+    Returns
+    -------
+    float32 array, shape (S, rows, columns)
+        In units in which a pixel of the scene as large as a cell sends its reflectance to the
+        cell's mirrors together: the ideal camera gives x_j / K to each of the K mirrors of cell j.
+        0 beyond the cells. Light at a mirror's centre stands for its whole.
+    """
+    from scipy.fft import irfft2, rfft2
+    from scipy.ndimage import fourier_gaussian
+
+    height, width = grid.down * grid.height, grid.across * grid.width
+    edge = math.ceil(4 * camera.blur)
+    down = (np.arange(-edge, height + edge) + 0.5) / height
+    across = (np.arange(-edge, width + edge) + 0.5) / width
+    place, inside = _look(camera, down, across, scenes.shape[1:])
+    kept = slice(edge, edge + height), slice(edge, edge + width)
+    x, y = across[kept[1]] - 0.5, down[kept[0]] - 0.5
+    corner = 2 * (x**2 + y[:, None] ** 2)  # 1 in the corners
+    share = ((1 - camera.vignetting * corner) / grid.mirrors).astype(np.float32)
+    out = np.zeros((len(scenes), device.rows, device.columns), dtype=np.float32)
+    for scene, mirrors in zip(scenes, out, strict=True):
+        light = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
+        if camera.blur:
+            spectrum = fourier_gaussian(rfft2(light), camera.blur, n=light.shape[1])
+            light = np.maximum(irfft2(spectrum, light.shape), 0)
+        mirrors[_area(grid)] = light[kept] * share
+    return out
+
+
+def _area(grid: Grid) -> tuple[slice, slice]:
+    return (
+        slice(grid.top, grid.top + grid.down * grid.height),
+        slice(grid.left, grid.left + grid.across * grid.width),
+    )
+
+
+def _look(
+    camera: Camera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which pixel of a scene each place sees (down, across), and whether it sees the scene."""
+    back = np.linalg.inv(np.array(camera.view))
+    x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
+    ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
+    depth = np.where(ahead, depth, np.inf)
+    column, row = np.floor(x / depth * shape[1]), np.floor(y / depth * shape[0])
+    inside = ahead & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
+
+
+def rates(
+    patterns_folder: str | os.PathLike[str],
+    scenes: np.ndarray,
+    camera: Camera,
+    flux: float,
+    progress: Progress | None = None,
+) -> np.ndarray:
+    """Arrivals/s at each detector while each frame is shown, before dead time.
+
+    Parameters
+    ----------
+    patterns_folder : path
+        Read frame by frame.
+    scenes : array, shape (S, h, w), or (S, N) for masks of one axis
+        Reflectance, 0 or more.
+    camera : Camera
+    flux : float
+        Photons/s on the device for a scene of the mean light of the training scenes.
+    progress : function, optional
+        Called with the share done.
+
+    Returns
+    -------
+    array, shape (S, F, arms)
+        Photons that are detected and dark counts, 1/s. The second of two arms is the one that
+        sees the mirrors that are OFF.
+
+    Raises
+    ------
+    InputError
+        If scenes are no images of numbers 0 or more, or the flux is not allowed.
+    """
+    manifest = read_patterns(patterns_folder).manifest
+    images = _check_scenes(scenes, manifest)
+    _check_flux(flux)
+    arms = 2 if manifest.two_arm else 1
+    frames = len(manifest.frames)
+    out = np.empty((len(images), frames, arms))
+    device = manifest.device
+    stray = camera.ambient / (device.rows * device.columns)
+    for first in range(0, len(images), _SCENES):
+        part = images[first : first + _SCENES]
+        light = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
+        for place, on in _blocks(patterns_folder, device):
+            for arm in range(arms):
+                seen = on if arm == 0 else 1 - on
+                area = seen.reshape(-1, device.rows, device.columns)[:, *_area(manifest.grid)]
+                signal = (seen @ light.T).astype(np.float64) * (flux / manifest.mean_light)
+                photons = signal + area.sum(axis=(1, 2))[:, None] * stray
+                out[first : first + len(part), place : place + len(on), arm] = photons.T
+            if progress is not None:
+                done = first * frames + (place + len(on)) * len(part)
+                progress(done / (len(images) * frames))
+    return out * camera.efficiency + camera.dark
+
+
+def _check_flux(flux: float) -> None:
+    if not 0 <= flux <= MOST_FLUX:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
+
+
+def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
+    images = np.asarray(scenes)
+    if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
+        images = images[:, None, :]
+    if images.ndim != 3 or not images.size:
+        raise InputError(f"scenes of shape {np.shape(scenes)} are no images: give (S, h, w)")
+    if images.dtype.kind not in "fiub" or not np.isfinite(images).all() or images.min() < 0:
+        raise InputError("scenes hold what is no reflectance: give finite numbers, 0 or more")
+    return images
+
+
+def _blocks(folder: str | os.PathLike[str], device: Device) -> Iterator[tuple[int, np.ndarray]]:
+    """Some frames at a time: place of the first, mirrors ON as float32 (frames, mirrors)."""
+    place, frames = 0, read_frames(folder)
+    while some := list(islice(frames, _FRAMES)):
+        yield place, np.stack([unpack(frame, device).ravel() for frame in some]).astype(np.float32)
+        place += len(some)
+
+
+def draw_counts(
+    rates: np.ndarray,
+    manifest: Manifest,
+    gates: Gates,
+    camera: Camera,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Draw what `acquisition.count` would count, without a file.
+
+    Parameters
+    ----------
+    rates : array, shape (S, F, arms)
+        Of the function of that name.
+    manifest : Manifest
+    gates : Gates
+        Any number of repeats: they are drawn independently.
+    camera : Camera
+        Its detector; `detector.draw` says how exact.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    int64 array, shape (S, R, rails, m)
+        0 for rails that are dark and not shown.
+    """
+    shown = [manifest.frames[place] for place in manifest.shown]
+    flow = np.broadcast_to(
+        rates[:, None, manifest.shown], (len(rates), gates.repeats, len(shown), rates.shape[2])
+    )
+    counts = draw(camera, flow, gates.length_s[:, None], rng)
+    out = np.zeros((*counts.shape[:2], manifest.rails, manifest.masks), dtype=np.int64)
+    mask = [frame.mask for frame in shown]
+    out[:, :, [int(frame.rail == "minus") for frame in shown], mask] = counts[..., 0]
+    if manifest.two_arm:
+        out[:, :, 1, mask] = counts[..., 1]
+    return out
+
+
+def record(
+    patterns_folder: str | os.PathLike[str],
+    scenes: np.ndarray,
+    names: Sequence[str],
+    labels: Sequence[str] | None,
+    out: str | os.PathLike[str],
+    *,
+    camera: Camera,
+    flux: float,
+    exposure_s: float,
+    settle_s: float | None = None,
+    repeats: int | None = None,
+    seed: int,
+    progress: Progress | None = None,
+) -> Acquisition:
+    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn.
+
+    Parameters
+    ----------
+    patterns_folder : path
+    scenes : array, shape (S, h, w), or (S, N) for masks of one axis
+        Reflectance, 0 or more.
+    names : sequence of str
+        One for each scene.
+    labels : sequence of str, optional
+        Class of each scene.
+    out : path
+        New. It appears when it is whole.
+    camera : Camera
+    flux : float
+        Photons/s on the device for a scene of the mean light of the training scenes.
+    exposure_s, settle_s, repeats
+        As for `sequence.find_gates`, and not more repeats than can be counted at once; noted for
+        who counts, the file holds all light.
+    seed : int
+        The same one gives the same file.
+    progress : function, optional
+        Called with the share done.
+
+    Returns
+    -------
+    Acquisition
+
+    Raises
+    ------
+    InputError
+        If `out` exists, or scenes, names, labels, flux or gates cannot be used.
+    """
+    target = Path(out)
+    manifest = read_patterns(patterns_folder).manifest
+    scenes = _check_scenes(scenes, manifest)
+    if target.exists():
+        raise InputError(f"'{target}' exists: name a folder that does not")
+    if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
+        raise InputError(
+            f"{len(scenes)} scenes, {len(names)} names and "
+            f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
+        )
+    _check_flux(flux)
+    gates = find_gates(manifest, exposure_s, settle_s, repeats)
+    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
+    countable = max(MOST_READOUTS // readouts, 1)
+    wanted = Acquisition(
+        scenes=tuple(
+            Scene(name=name, label=None if labels is None else labels[place])
+            for place, name in enumerate(names)
+        ),
+        exposure_s=exposure_s,
+        settle_s=gates.settle_s,
+        repeats=repeats or min(gates.repeats, countable),
+        marker_bit=MARKER,
+        inputs=(0, 1) if manifest.two_arm else (0,),
+        flux=flux or None,
+        camera=camera.model_dump(mode="json"),
+        seed=seed,
+    )
+    with new_folder(target) as draft:
+        acquisition = prepare(draft, patterns_folder, wanted)
+        part = None if progress is None else lambda share: progress(share / 2)
+        flow = rates(patterns_folder, scenes, camera, flux, part)
+        part = None if progress is None else lambda share: progress(0.5 + share / 2)
+        rng = np.random.default_rng(seed)
+        write_photons(draft / "photons.ptu", manifest, flow, camera, rng, part)
+    return acquisition
+
+
+def write_photons(
+    path: Path,
+    manifest: Manifest,
+    rates: np.ndarray,
+    camera: Camera,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> None:
+    """Write the photons and markers of one pass for each scene, one right after another.
+
+    Parameters
+    ----------
+    path : path
+    manifest : Manifest
+    rates : array, shape (S, F, arms)
+        Of the function of that name.
+    camera : Camera
+    rng : numpy.random.Generator
+    progress : function, optional
+        Called with the share done.
+    """
+    picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
+    durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))
+    ends = np.cumsum(durations)
+    marks = ends - durations
+    streams = [Stream(camera, rng) for _ in range(rates.shape[2])]
+    times, codes = np.empty(0, np.int64), np.empty(0, np.int16)
+    start = 0
+    with Writer(path, tick_s=TICK_S) as writer:
+        for pieces, flow in divide(durations, rates.reshape(len(durations), -1)):
+            end = start + int(pieces.sum())
+            marked = marks[slice(*np.searchsorted(marks, [start, end]))]
+            events = [
+                stream.events(start, pieces, flow[:, arm]) for arm, stream in enumerate(streams)
+            ]
+            kinds = [np.full(len(marked), -MARKER), codes]
+            kinds += [np.full(len(some), arm) for arm, some in enumerate(events)]
+            times = np.maximum(np.concatenate([marked, times, *events]), 0)
+            order = np.argsort(times, kind="stable")
+            times, codes = times[order], np.concatenate(kinds).astype(np.int16)[order]
+            last = end == ends[-1]
+            ready = np.searchsorted(times, end if last else end - streams[0].reach)
+            writer.write(times[:ready], codes[:ready])
+            times, codes, start = times[ready:], codes[ready:], end
+            if progress is not None:
+                progress(end / int(ends[-1]))

@@ -1,0 +1,118 @@
+"""A projector and a counter that share one light: the virtual camera behind the two protocols.
+
+The projector notes what the display shows whenever a pass starts; the counter writes, when it is
+stopped, the photon file of these passes, as `camera.record` would.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.drivers.protocols import Progress
+from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
+
+__all__ = ["VirtualCounter", "VirtualProjector"]
+
+
+class VirtualProjector:
+    """Shows pattern folders to nobody but a `VirtualCounter`.
+
+    Parameters
+    ----------
+    display : callable
+        Gives the scene that the display shows now, reflectance (h, w).
+    """
+
+    def __init__(self, display: Callable[[], np.ndarray]) -> None:
+        self.display = display
+        self.folder: Path | None = None
+        self.passes: list[np.ndarray] = []
+
+    def __enter__(self) -> Self:
+        """Nothing to open."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Nothing to close."""
+
+    def load(self, folder: Path, progress: Progress | None = None) -> None:
+        """Check every frame of a pattern folder, as a real device must read them."""
+        check_patterns(folder, progress)
+        self.folder = folder
+
+    def run(self) -> None:
+        """Note the scene; a virtual pass takes no time."""
+        if self.folder is None:
+            raise InputError("no patterns are loaded: load a pattern folder first")
+        self.passes.append(np.array(self.display()))
+
+    def wait(self) -> None:
+        """The pass has ended."""
+
+    def halt(self) -> None:
+        """The pass has ended."""
+
+
+class VirtualCounter:
+    """Counts the photons of a virtual projector's passes.
+
+    Parameters
+    ----------
+    projector : VirtualProjector
+    camera : Camera
+    flux : float
+        Photons/s on the device for a scene of the mean light of the training scenes.
+    seed : int
+        The same one gives the same files.
+    """
+
+    def __init__(
+        self, projector: VirtualProjector, camera: Camera, flux: float, seed: int = 0
+    ) -> None:
+        self.projector, self.camera, self.flux = projector, camera, flux
+        self._rng = np.random.default_rng(seed)
+        self._path: Path | None = None
+        self._first = 0
+
+    def __enter__(self) -> Self:
+        """Nothing to open."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Forget a recording that was not stopped: no file is begun before."""
+        self._path = None
+
+    def start(self, path: Path) -> None:
+        """Begin with the next pass."""
+        self._path, self._first = path, len(self.projector.passes)
+
+    def stop(self) -> None:
+        """Write the file.
+
+        Raises
+        ------
+        InputError
+            If nothing was started, or no pass has run since.
+        """
+        path, self._path = self._path, None
+        scenes = self.projector.passes[self._first :]
+        if path is None or self.projector.folder is None or not scenes:
+            raise InputError("nothing is recorded: start the counter, then run a pass")
+        manifest = read_patterns(self.projector.folder).manifest
+        flow = rates(self.projector.folder, np.stack(scenes), self.camera, self.flux)
+        write_photons(path, manifest, flow, self.camera, self._rng)

@@ -1,0 +1,206 @@
+"""Light constraints: what a set of masks may do with a pixel's photons, and what realises it.
+
+    column       max_j Σ_i |M_ij| ≤ 1            optics that split each pixel's light (paper)
+    equal-dwell  M⁺_ij, M⁻_ij ≤ 1/F              one DMD, one detector, equal times for F frames
+    free-dwell   Σ_frames max_j(frame) ≤ 1       one DMD, one detector, each frame its own time
+    two-arm      M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1  one DMD, a detector on each arm
+
+A set of masks is its *rails*: an array (..., 2, m, N) of M⁺ and M⁻ for signed masks, or
+(..., 1, m, N) where there is one rail. The physics needs two combinations of them, the difference
+M⁺ − M⁻ (which gives the mean of a feature) and the total M⁺ + M⁻ (which gives its photon noise).
+"""
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from deepfsi.errors import InputError, closest
+
+Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
+Rails = Literal["dual", "single"]
+
+SLACK = 1e-5
+"""Relative excess that float32 rounding may cause and `check` forgives."""
+
+
+def check_light(light: str, rails: str) -> None:
+    """Raise `InputError` unless the constraint exists and can be had with these rails."""
+    if light not in get_args(Light):
+        raise InputError(f"unknown light constraint {light!r}: {closest(light, get_args(Light))}")
+    if rails not in get_args(Rails):
+        raise InputError(f"unknown rails {rails!r}: {closest(rails, get_args(Rails))}")
+    if light == "two-arm" and rails == "single":
+        raise InputError(
+            "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "
+            "not raster or s-matrix, which have one"
+        )
+
+
+def split(matrix: Tensor) -> Tensor:
+    """Rails (..., 2, m, N) of a signed matrix (..., m, N): its positive and its negative part."""
+    return torch.stack([matrix.clamp(min=0), (-matrix).clamp(min=0)], dim=-3)
+
+
+def frames(rails: Tensor) -> Tensor:
+    """Frames of a design (F, N): every rail of every mask that is not dark, mask by mask."""
+    every = rails.transpose(0, 1).flatten(0, 1)
+    return every[every.amax(dim=-1) > 0]
+
+
+def arms(matrix: Tensor) -> Tensor:
+    """Rails of a signed matrix shown on a two-arm camera, each mask for the time t_i of its peak.
+
+    What one arm does not get, the other does: M⁺ = (t + M) / 2 and M⁻ = (t − M) / 2.
+    """
+    time = matrix.abs().amax(dim=-1, keepdim=True)
+    return torch.stack([time + matrix, time - matrix], dim=-3) / 2
+
+
+def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
+    """Bring a matrix to a light constraint, using as much light as it allows.
+
+    `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
+    `two-arm` each mask's own peak.
+
+    Parameters
+    ----------
+    matrix : tensor, shape (m, N)
+        Any scale; non-negative if `rails` is "single".
+
+    Returns
+    -------
+    tensor, shape (2 or 1, m, N)
+        Rails that obey the constraint.
+    """
+    check_light(light, rails)
+    if light == "two-arm":
+        return arms(matrix / (peak(matrix.abs()) * len(matrix)))
+    parts = split(matrix) if rails == "dual" else matrix.unsqueeze(0)
+    if light == "column":
+        return parts / parts.sum(dim=(0, 1)).max()
+    if light == "free-dwell":
+        return parts / parts.amax(dim=-1).sum()
+    return parts / (peak(parts) * len(frames(parts)))
+
+
+def equalise(rails: Tensor) -> Tensor:
+    """Frames (..., m, N) of one rail with every mask at equal dwell: its peak at 1 / m."""
+    return rails / (peak(rails) * rails.shape[-2])
+
+
+def quantise(rails: Tensor, light: Light, steps: int) -> Tensor:
+    """Rails as a device shows them: each frame in steps of its own peak / `steps`.
+
+    Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two
+    arms the positive rail is the pattern, and the other gets what is left of the time.
+
+    Parameters
+    ----------
+    rails : tensor, shape (..., 2 or 1, m, N)
+        Leading axes are replicas, each by itself.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    steps : int
+        From dark to the peak, at least 1: one less than the grey levels, of which dark is one.
+
+    Returns
+    -------
+    tensor
+        Of the shape of `rails`.
+    """
+    if steps < 1:
+        raise InputError(f"{steps} steps from dark to the peak are not allowed: give at least 1")
+    if light == "two-arm":
+        time = rails.sum(dim=-3).amax(dim=-1, keepdim=True)
+        plus = (rails[..., 0, :, :] / _or_one(time) * steps).round() / steps * time
+        return torch.stack([plus, time - plus], dim=-3)
+    step = peak(rails) / steps
+    shown = (rails / step).round() * step
+    if light != "column":
+        return shown
+    return shown / shown.sum(dim=(-3, -2), keepdim=True).amax(dim=-1, keepdim=True).clamp(min=1)
+
+
+def excess(rails: Tensor, light: Light) -> float:
+    """How far rails (2 or 1, m, N) break a constraint: 0 or less if they obey it."""
+    if light == "column":
+        return float(rails.sum(dim=(0, 1)).max()) - 1
+    if light == "free-dwell":
+        return float(rails.amax(dim=-1).sum()) - 1
+    if light == "equal-dwell":
+        return float(rails.max()) * max(len(frames(rails)), 1) - 1
+    dwell = rails.sum(dim=0)
+    return max(
+        float(dwell.amax(dim=-1).sum()) - 1,
+        float((dwell.amax(dim=-1) - dwell.amin(dim=-1)).max()) * len(dwell),
+    )
+
+
+def used(rails: Tensor, light: Light) -> Tensor:
+    """How much of a constraint the first masks use: by the first k of them, for every k.
+
+    Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
+    beginning of all, on one device, they have taken this share of its time.
+
+    Parameters
+    ----------
+    rails : tensor, shape (..., 2 or 1, m, N)
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+
+    Returns
+    -------
+    tensor, shape (..., m)
+        Rising, at most 1; 0 while masks are dark.
+    """
+    if light == "column":
+        return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)
+    peaks = rails.amax(dim=-1)
+    if light == "free-dwell":
+        return peaks.sum(dim=-2).cumsum(dim=-1)
+    if light == "two-arm":
+        return rails.sum(dim=-3).amax(dim=-1).cumsum(dim=-1)
+    shown = (peaks > 0).sum(dim=-2).cumsum(dim=-1)
+    return shown / shown[..., -1:].clamp(min=1)
+
+
+def check(rails: Tensor, light: Light) -> Tensor:
+    """Return rails, or raise `InputError` if not finite, negative or beyond their constraint."""
+    if not bool(torch.isfinite(rails).all()):
+        raise InputError("the matrix holds NaN or infinity: give finite numbers")
+    if float(rails.min()) < 0:
+        raise InputError("the matrix has negative entries: use --rails dual, or give frames ≥ 0")
+    over = excess(rails, light)
+    if over > SLACK:
+        raise InputError(
+            f"the matrix breaks the {light} constraint by {over:.3g} of its limit: scale it down, "
+            "or choose another constraint with --light"
+        )
+    return rails
+
+
+def combine(rails: Tensor) -> tuple[Tensor, Tensor]:
+    """Difference and total, each (..., m, N), of rails (..., 2 or 1, m, N)."""
+    if rails.shape[-3] == 1:
+        single = rails[..., 0, :, :]
+        return single, single
+    plus, minus = rails.unbind(dim=-3)
+    return plus - minus, plus + minus
+
+
+def separate(difference: Tensor, total: Tensor) -> Tensor:
+    """Rails (..., 2 or 1, m, N) of a difference and a total; inverse of `combine`.
+
+    A single rail is one tensor given as both.
+    """
+    if difference is total:
+        return difference.unsqueeze(-3)
+    return torch.stack([total + difference, total - difference], dim=-3) / 2
+
+
+def peak(parts: Tensor) -> Tensor:
+    """Largest entry of each frame (..., m, 1), 1 where it is dark."""
+    return _or_one(parts.amax(dim=-1, keepdim=True))
+
+
+def _or_one(divisor: Tensor) -> Tensor:
+    return torch.where(divisor > 0, divisor, 1.0)

@@ -1,0 +1,143 @@
+"""Masks as modules: fixed ones, and learned ones that cannot break their light constraint."""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, quantise, separate
+
+
+class Fixed(nn.Module):
+    """Masks that do not learn; `forward` gives difference and total, each (..., m, N)."""
+
+    difference: Tensor
+    total: Tensor | None
+
+    def __init__(self, rails: Tensor) -> None:
+        super().__init__()
+        difference, total = combine(rails)
+        self.register_buffer("difference", difference)
+        self.register_buffer("total", None if total is difference else total)
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        """Difference M⁺ − M⁻ and total M⁺ + M⁻, one and the same tensor for a single rail."""
+        return self.difference, self.difference if self.total is None else self.total
+
+
+class Learned(nn.Module):
+    """Masks as a differentiable function of free weights that cannot break their constraint.
+
+    Parameters
+    ----------
+    start : tensor, shape (..., m, N)
+        Matrix to start from, any scale; leading axes are replicas that learn side by side. For a
+        single rail it must be non-negative.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    rails : {"dual", "single"}
+    steps : int
+        Of `quantise`, for masks as a device with grey levels shows them; 0 for continuous ones.
+
+    Notes
+    -----
+    `column` divides each pixel's column by its sum where that exceeds 1. The others write a frame
+    as its dwell (a share of the time) times a pattern in [0, 1]: dwells are equal or, for
+    `free-dwell` and `two-arm`, a softmax. Weights are in units of the start's own rms, so that one
+    learning rate serves any number of masks.
+
+    Quantised masks have the gradient of the continuous ones that they are rounded from: it goes
+    straight through the rounding, whose own is 0.
+    """
+
+    unit: Tensor
+
+    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual", steps: int = 0) -> None:
+        super().__init__()
+        check_light(light, rails)
+        self.light, self.rails, self.steps = light, rails, steps
+        *replicas, masks, _ = start.shape
+        if light == "column":
+            fitted = start / start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
+            unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+            self.weight = nn.Parameter(fitted / unit)
+            self.register_buffer("unit", unit)
+            return
+        pattern = 0.9 * start / peak(start.abs())
+        self.weight = nn.Parameter(
+            torch.atanh(pattern) if rails == "dual" else torch.logit(pattern.clamp(min=0.05))
+        )
+        if light != "equal-dwell":
+            per_mask = 2 if (light, rails) == ("free-dwell", "dual") else 1
+            self.dwell = nn.Parameter(start.new_zeros(*replicas, per_mask, masks))
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        """Difference M⁺ − M⁻ and total M⁺ + M⁻, each (..., m, N)."""
+        matrix = self.matrix()
+        if self.rails == "single":
+            matrix = self._shown(matrix, matrix)[0]
+            return matrix, matrix
+        if self.light == "two-arm":
+            return self._shown(matrix, self._dwell()[..., 0, :, None].expand_as(matrix))
+        return self._shown(matrix, matrix.abs())
+
+    def rails_to_measure(self) -> Tensor:
+        """What `scanner.measure` needs: M alone, or difference and total (2, ..., m, N)."""
+        if self.disjoint:
+            return self.matrix()
+        difference, total = self()
+        return difference if self.rails == "single" else torch.stack([difference, total])
+
+    def lit(self, difference: Tensor, total: Tensor) -> Tensor:
+        """How many rails of each mask are not dark, (..., m)."""
+        time = total[..., 0].detach() if self.light == "two-arm" else 0
+        least, most = difference.detach().aminmax(dim=-1)
+        return (most > -time).int() + (least < time).int()
+
+    @property
+    def disjoint(self) -> bool:
+        """Whether the total is |M|, and its gradient that of |M|.
+
+        So it is where there are two rails of which each pixel is on one, and no rounding.
+        """
+        return self.rails == "dual" and self.light != "two-arm" and not self.steps
+
+    def matrix(self) -> Tensor:
+        """Difference M⁺ − M⁻ before it is quantised, (..., m, N)."""
+        if self.light == "column":
+            sums = self.weight.abs().sum(dim=-2, keepdim=True)
+            matrix = self.weight * (self.unit / (sums * self.unit).clamp(min=1))
+            return matrix if self.rails == "dual" else matrix.abs()
+        dwell = self._dwell()
+        time = dwell[..., 0, :, None]
+        if self.rails == "single":
+            return torch.sigmoid(self.weight) * time
+        pattern = torch.tanh(self.weight)
+        if self.light == "free-dwell":
+            time = torch.where(pattern > 0, time, dwell[..., 1, :, None])
+        return pattern * time
+
+    def _shown(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+        if not self.steps:
+            return difference, total
+        with torch.no_grad():
+            shown = combine(quantise(separate(difference, total), self.light, self.steps))
+        return _Through.apply(difference, shown[0]), _Through.apply(total, shown[1])  # type: ignore[no-untyped-call]
+
+    def _dwell(self) -> Tensor:
+        if self.light == "equal-dwell":
+            masks = self.weight.shape[-2]
+            count = 2 * masks if self.rails == "dual" else masks
+            return self.weight.new_full((1, masks), 1 / count)
+        return self.dwell.flatten(-2).softmax(dim=-1).view_as(self.dwell)
+
+
+class _Through(torch.autograd.Function):
+    """The second tensor, exactly, with the gradient of the first."""
+
+    @staticmethod
+    def forward(ctx: Any, continuous: Tensor, shown: Tensor) -> Tensor:
+        return shown
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        return gradient, None

@@ -1,0 +1,190 @@
+"""The optical front end as a layer: photons per pixel in, noisy features out."""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi.optics import constraints
+from deepfsi.optics.masks import Fixed
+from deepfsi.optics.noise import Noise, check_noise, follow, readout, root, variance
+
+
+class Scanner(nn.Module):
+    """Masks, detectors and their noise: (..., N) photons → (..., m) feature counts y⁺ − y⁻.
+
+    An ordinary module: put it in front of any network and train both.
+
+    Parameters
+    ----------
+    masks : constraints.Fixed or constraints.Learned
+        Gives the difference and the total of the rails, each ([replicas,] m, N).
+    noise : {"poisson", "gaussian", "ml_gauss", "none"}
+        Under photon noise `poisson` to test, and either it or `ml_gauss` to train.
+    sigma : float
+        Read noise in counts per readout, for gaussian noise.
+    """
+
+    def __init__(self, masks: nn.Module, noise: Noise = "poisson", sigma: float = 1.0) -> None:
+        super().__init__()
+        self.masks = masks
+        self.noise = check_noise(noise)
+        self.sigma = sigma
+
+    @classmethod
+    def from_rails(cls, rails: Tensor, noise: Noise = "poisson", sigma: float = 1.0) -> "Scanner":
+        """Scanner with fixed rails (2 or 1, m, N)."""
+        return cls(Fixed(rails), noise, sigma)
+
+    def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy features.
+
+        Parameters
+        ----------
+        photons : tensor, shape (..., N)
+            λ, expected photons of each pixel.
+        generator : torch.Generator, optional
+
+        Returns
+        -------
+        tensor, shape (..., [replicas,] m)
+            y⁺ − y⁻ in counts, differentiable in the masks. Under every noise but `poisson` the two
+            rails' noise is drawn at once, which is the same in distribution.
+        """
+        if self.noise == "poisson":
+            rates = self.rates(photons)
+            counts = subtract(self.read(rates.detach(), generator))
+            return follow(counts, subtract(rates), rates.sum(dim=-2))
+        difference, total = self.masks()
+        if self.noise == "none":
+            return project(photons, difference)
+        mean, light = project_pair(photons, difference, total, self.noise == "ml_gauss")
+        power = variance(light, lit(difference, total), self.noise, self.sigma)
+        return mean + root(power) * torch.randn(
+            mean.shape, generator=generator, device=mean.device, dtype=mean.dtype
+        )
+
+    def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy counts of each rail, as detectors report them.
+
+        Parameters
+        ----------
+        photons : tensor, shape (..., N)
+
+        Returns
+        -------
+        tensor, shape (..., [replicas,] rails, m)
+            A rail that is dark by construction reads 0.
+        """
+        return self.read(self.rates(photons), generator)
+
+    def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
+        shown = torch.stack(rails_lit(*self.masks()), dim=-2)[..., : rates.shape[-2], :]
+        return torch.where(shown, readout(rates, self.noise, self.sigma, generator), 0.0)
+
+    def rates(self, photons: Tensor) -> Tensor:
+        """Expected counts of each rail; shapes as `counts`."""
+        difference, total = self.masks()
+        return project(photons, constraints.separate(difference, total))
+
+
+def project(photons: Tensor, masks: Tensor) -> Tensor:
+    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m).
+
+    Multiplies in the type of the scenes and returns the wider of theirs and the masks'.
+    """
+    product = photons @ masks.flatten(0, -2).to(photons.dtype).T
+    wider = torch.promote_types(photons.dtype, masks.dtype)
+    return product.to(wider).unflatten(-1, masks.shape[:-1])
+
+
+def project_pair(
+    photons: Tensor, difference: Tensor, total: Tensor, both: bool
+) -> tuple[Tensor, Tensor]:
+    """Products with difference and total; the second is left out (the first twice) if not `both`.
+
+    A single rail's difference is its total, and so is their product.
+    """
+    if difference is total or not both:
+        mean = project(photons, difference)
+        return mean, mean
+    pair = torch.stack([difference.to(photons.dtype), total.to(photons.dtype)])
+    wider = torch.promote_types(photons.dtype, difference.dtype)
+    mean, light = project(photons, pair).to(wider).unbind(-difference.ndim)
+    return mean, light
+
+
+def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> Tensor:
+    """Features of centred scenes under MLGauss noise, as one differentiable step of training.
+
+    With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
+    less the constant x̄ D.
+
+    Parameters
+    ----------
+    scenes : tensor, shape (B + 1, N)
+        x_c, and x̄ as the last row. The products have its type; the rest that of the masks.
+    rails : tensor, shape (*lead, m, N) or (2, *lead, m, N)
+        From `Learned.rails_to_measure`: D and S, or D alone where S follows from it.
+    epsilon : tensor, shape (B, *lead, m)
+        Normal draws, times the root of the noise's variance for unit x S.
+    disjoint : bool
+        Whether S = |D|.
+
+    Returns
+    -------
+    tensor, shape (B, *lead, m)
+    """
+    return _Measure.apply(scenes, rails, epsilon, disjoint)  # type: ignore[no-untyped-call]
+
+
+class _Measure(torch.autograd.Function):
+    """Written out because autograd's own graph of it takes twice the time of its products."""
+
+    @staticmethod
+    def forward(ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, signed: bool) -> Tensor:
+        low = masks.to(scenes.dtype)
+        if signed:
+            ctx.sign = low.sgn()
+            low = torch.stack([low, low.abs()])
+        products = project(scenes, low).to(epsilon.dtype)
+        single = products.ndim == epsilon.ndim
+        mean, light = (products, products) if single else products.unbind(1)
+        deviation = (light[:-1] + light[-1]).clamp_(min=0).sqrt_()
+        ctx.save_for_backward(scenes, epsilon, deviation)
+        ctx.signed, ctx.shape = signed, low.shape
+        return torch.addcmul(mean[:-1], deviation, epsilon)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None]:
+        scenes, epsilon, deviation = ctx.saved_tensors
+        by_light = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
+        back = gradient.new_zeros(len(scenes), *ctx.shape[:-1])
+        mean, light = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
+        mean[:-1] = gradient
+        light[:-1] += by_light
+        light[-1] = by_light.sum(dim=0)
+        product = (back.flatten(1).to(scenes.dtype).T @ scenes).view(ctx.shape)
+        if ctx.signed:
+            product = torch.addcmul(product[0], product[1], ctx.sign)
+        by_draw = gradient * deviation if ctx.needs_input_grad[2] else None
+        return None, product.to(gradient.dtype), by_draw, None
+
+
+def rails_lit(difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+    """Which masks have a positive and which a negative rail that is not dark, each (..., m)."""
+    return (total + difference > 0).any(dim=-1), (total - difference > 0).any(dim=-1)
+
+
+def lit(difference: Tensor, total: Tensor) -> Tensor:
+    """Number of rails that are read out for each mask, (..., m)."""
+    plus, minus = rails_lit(difference, total)
+    return plus.int() + minus.int()
+
+
+def subtract(counts: Tensor) -> Tensor:
+    """Feature y⁺ − y⁻ (..., m) of rail counts (..., 2 or 1, m)."""
+    if counts.shape[-2] == 1:
+        return counts[..., 0, :]
+    return counts[..., 0, :] - counts[..., 1, :]

@@ -1,0 +1,1 @@
+"""Many trials: recipes, records on disk, worker processes, summaries and plans."""

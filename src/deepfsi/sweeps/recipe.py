@@ -1,0 +1,189 @@
+"""Recipes name axes; a trial is a point of them: one training and its tests.
+
+A recipe is a TOML file or `Recipe(...)`. Every list in it is an axis, in its training settings too,
+and `plan` gives the trials of their product.
+"""
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.optics import codes
+from deepfsi.optics.budget import BUDGETS
+from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.noise import Noise
+from deepfsi.training.job import Training, TrainingNoise, reworded, training_for
+
+PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
+"""1, 4, 9, … 100 %."""
+
+Physical = Literal["poisson", "gaussian", "none"]
+TRAINING_NOISE: dict[Physical, TrainingNoise] = {
+    "poisson": "ml_gauss",
+    "gaussian": "gaussian",
+    "none": "none",
+}
+
+
+OF_MASKS = ("start", "mask_lr", "precision")
+"""Settings of the training that only learned masks have."""
+
+
+def _axis(value: Any) -> Any:
+    if not isinstance(value, (list, tuple)):
+        return (value,)
+    return tuple(each for place, each in enumerate(value) if each not in value[:place])
+
+
+def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
+    """Fields of `Training`, each an axis, all of whose values are allowed."""
+    axes = {}
+    for name, value in given.items():
+        one = not isinstance(value, (list, tuple)) or (
+            name == "hidden" and not any(isinstance(part, (list, tuple)) for part in value)
+        )
+        axes[name] = (value,) if one else tuple(value)
+    faults = []
+    for name, values in axes.items():
+        if not values:
+            faults.append(f"{name} is empty: give one value or more")
+        for value in values:
+            try:
+                with reworded():
+                    Training.model_validate({name: value})
+            except InputError as error:
+                faults.append(str(error))
+    if faults:
+        raise ValueError("; ".join(faults))
+    return axes
+
+
+def _tuned(given: dict[str, dict[str, Any]]) -> dict[str, dict[str, tuple[Any, ...]]]:
+    return {codes.check_design(design): _settings(own) for design, own in given.items()}
+
+
+Name = Annotated[str, AfterValidator(codes.check_design)]
+Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
+Ratio = Annotated[float, Field(gt=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+Steps = Annotated[int, Field(ge=0, le=2**24)]
+Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
+
+
+class Resources(BaseModel):
+    """What each task takes of a cluster."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cpus: float = Field(1, gt=0, allow_inf_nan=False)
+    gpus: float = Field(0, ge=0, allow_inf_nan=False)
+
+
+class Recipe(BaseModel):
+    """What to compare. Each tuple is an axis; a single value stands for an axis of one."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    data: str = Field("digits", description="name, folder of images or .npz file")
+    size: tuple[int, int] | None = Field(None, description="height, width of folder images")
+    split: Literal["random", "blocks"] | None = Field(
+        None, description="how a hyperspectral image is divided for testing; random unless given"
+    )
+    designs: Annotated[tuple[Name, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+        "impulse",
+        "raster",
+        "hadamard",
+        "truncated-hadamard",
+        "pca",
+        "deepfsi",
+        "control",
+    )
+    photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+        1e2,
+        1e3,
+        1e4,
+        1e5,
+    )
+    gaussian_photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis)] = Field(
+        (), description="budgets under gaussian noise, if others"
+    )
+    ratios: Annotated[tuple[Ratio, ...], BeforeValidator(_axis)] = Field(
+        (), description="m / N; the paper's unless given"
+    )
+    masks: Annotated[tuple[Count, ...], BeforeValidator(_axis)] = Field(
+        (), description="mask counts, instead of ratios"
+    )
+    noise: Annotated[tuple[Physical, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+        "poisson",
+    )
+    train_noise: Annotated[tuple[TrainingNoise, ...], BeforeValidator(_axis)] = Field(
+        (), description="noises of the training, if others: photon noise is trained by ml_gauss"
+    )
+    sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    light: Annotated[tuple[Light, ...], BeforeValidator(_axis), Field(min_length=1)] = ("column",)
+    rails: Annotated[tuple[Rails, ...], BeforeValidator(_axis), Field(min_length=1)] = ("dual",)
+    trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
+    validation: int | None = Field(
+        None, ge=0, description="training scenes held out to choose on; a sixth unless given"
+    )
+    draws: int = Field(3, ge=1, description="noise draws of each test scene")
+    test_photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis)] = Field(
+        (), description="budgets of the tests; that of the training unless given"
+    )
+    test_noise: Annotated[tuple[Noise, ...], BeforeValidator(_axis)] = Field(
+        (), description="noises of the tests; that of the training unless given"
+    )
+    test_levels: Annotated[tuple[Steps, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
+        (0,),
+        description="steps from dark to a frame's peak of the masks shown in the tests, one less "
+        "than the grey levels that `training.levels` counts; 0 for continuous",
+    )
+    training: Axes = Field({}, description="fields of Training, for every design")
+    tuned: Annotated[dict[str, dict[str, Any]], AfterValidator(_tuned)] = Field(
+        {}, description="the same for single designs"
+    )
+    resources: Resources = Resources()
+
+    @model_validator(mode="after")
+    def _one_or_the_other(self) -> "Recipe":
+        if self.ratios and self.masks:
+            raise ValueError("give ratios or masks, not both")
+        return self
+
+    def trainings(self, design: str) -> Iterator[tuple[str, Training]]:
+        """Every setting of the training of a design, with a name where there are several."""
+        axes = {**self.training, **self.tuned.get(design, {})}
+        if not (codes.DESIGNS[design].learned or design == "control"):
+            axes = {name: axes[name] for name in axes if name not in OF_MASKS}
+        several = [name for name, values in axes.items() if len(values) > 1]
+        for values in product(*axes.values()):
+            chosen = dict(zip(axes, values, strict=True))
+            variant = ", ".join(f"{name} {chosen[name]}" for name in several)
+            yield variant, training_for(design, **chosen)
+
+    def train_noises(self, noise: Physical) -> tuple[TrainingNoise, ...]:
+        """Noises to train under where tests are under `noise`."""
+        return self.train_noise or (TRAINING_NOISE[noise],)
+
+    def budgets(self, noise: Physical) -> tuple[float, ...]:
+        """Budgets to train at under a noise."""
+        return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
+
+    def mask_counts(self, design: str, data: Dataset) -> list[int]:
+        """Mask counts of one design: those asked for that it can have, else the most it can have.
+
+        Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper.
+        """
+        low, high = codes.count_allowed(design, data)
+        asked = self.masks or [
+            codes.mask_count(ratio, data.pixels) for ratio in self.ratios or PAPER_RATIOS
+        ]
+        return sorted({count for count in asked if low <= count <= high}) or [high]
+
+    def held_out(self, data: Dataset) -> int:
+        """How many training scenes are kept for validation."""
+        return len(data.x_train) // 6 if self.validation is None else self.validation

@@ -1,0 +1,173 @@
+"""Trials that are done, as files that any process may read, and claims on those that are not.
+
+A folder holds
+
+    trials/KEY.json           one record: settings, validation and test results
+    designs/KEY.safetensors   the design itself; KEY is of what its training depends on
+
+KEY is a hash of everything that the result depends on, the data included, so a record is valid for
+whoever finds it. Files are written whole or not at all, the record after its design.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from filelock import FileLock, Timeout
+
+from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+
+
+class Trial(Protocol):
+    """What is recorded: any training and its tests that have names."""
+
+    @property
+    def key(self) -> str:
+        """Content hash that names the record."""
+
+    @property
+    def design_key(self) -> str:
+        """Content hash that names the design: of what the training depends on."""
+
+
+class Records:
+    """The records of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if need be.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._claims: dict[str, FileLock] = {}
+
+    def read(self, trial: Trial) -> dict[str, Any] | None:
+        """Record of a trial, or None if it or its design is missing or damaged."""
+        if not self._design_path(trial).is_file():
+            return None
+        try:
+            record = json.loads(self._record_path(trial).read_bytes())
+        except (FileNotFoundError, ValueError):
+            return None
+        whole = isinstance(record, dict) and record.get("key") == trial.key
+        return record if whole else None
+
+    def design(self, trial: Trial) -> Design | None:
+        """Design of a trial that was trained already, perhaps for other tests."""
+        try:
+            return Design.load(self._design_path(trial))
+        except InputError:
+            return None
+
+    def write(self, trial: Trial, record: Mapping[str, Any], design: bytes | None) -> None:
+        """Keep what a trial gave, and give up the claim on it."""
+        if design is not None:
+            write_atomically(self._design_path(trial), design)
+        write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())
+        self.release([trial])
+
+    def claim(self, trials: Iterable[Trial]) -> bool:
+        """Claim trials for this process, all or none; False where another one has any of them."""
+        taken: list[Trial] = []
+        for trial in trials:
+            path = self._design_path(trial).with_suffix(".lock")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock = FileLock(path, thread_local=False)
+            try:
+                lock.acquire(blocking=False)
+            except Timeout:
+                self.release(taken)
+                return False
+            self._claims[trial.key] = lock
+            taken.append(trial)
+        return True
+
+    def release(self, trials: Iterable[Trial]) -> None:
+        """Give up claims. A process that dies gives up its own."""
+        for trial in trials:
+            lock = self._claims.pop(trial.key)
+            Path(lock.lock_file).unlink(missing_ok=True)
+            lock.release()
+
+    def release_all(self) -> None:
+        """Give up every claim of this process."""
+        for lock in self._claims.values():
+            lock.release()
+        self._claims.clear()
+
+    def _record_path(self, trial: Trial) -> Path:
+        return self.folder / "trials" / f"{trial.key}.json"
+
+    def _design_path(self, trial: Trial) -> Path:
+        return self.folder / "designs" / f"{trial.design_key}.safetensors"
+
+
+def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Records as the rows of one table: settings of the trial, then one test."""
+    table = []
+    for record in records:
+        trial = record["trial"]
+        settings = {**trial["job"], **trial["job"]["training"]}
+        settings["training_noise"] = settings.pop("noise")
+        settings["training_levels"] = settings.pop("levels", 0)
+        settings["hidden"] = "-".join(map(str, settings["hidden"]))
+        del settings["training"]
+        for index, test in enumerate(record["test"]):
+            validation = record["validation"][index] if record["validation"] else None
+            table.append(
+                {
+                    "key": record["key"],
+                    "data": trial["data"],
+                    "variant": trial["variant"],
+                    **settings,
+                    "test_noise": test["noise"],
+                    "test_photons": test["photons"],
+                    "levels": test["levels"],
+                    "validation": validation and validation["accuracy"],
+                    "accuracy": test["accuracy"],
+                    "low": test["low"],
+                    "high": test["high"],
+                    "throughput": test["throughput"],
+                    "seconds": record["info"]["seconds"],
+                }
+            )
+    return table
+
+
+def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
+    """Write records as one table.
+
+    Parameters
+    ----------
+    records : sequence of dict
+        From `run.run`.
+    path : Path
+        Ends in .csv or .parquet.
+
+    Raises
+    ------
+    InputError
+        If it ends in something else.
+    """
+    import io
+
+    import polars
+
+    table, whole = polars.DataFrame(rows(records), infer_schema_length=None), io.BytesIO()
+    if check_table(path) == ".csv":
+        table.write_csv(whole)
+    else:
+        table.write_parquet(whole)
+    return write_atomically(path, whole.getvalue())
+
+
+def check_table(path: Path) -> str:
+    """End of a table's name, or `InputError` if it is not one that can be written."""
+    if path.suffix not in (".csv", ".parquet"):
+        raise InputError(f"no table can be written to {path}: end the name in .csv or .parquet")
+    return path.suffix

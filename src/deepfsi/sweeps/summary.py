@@ -1,0 +1,155 @@
+"""Points of a comparison: trials averaged, mask counts chosen on validation data."""
+
+import platform
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from deepfsi.datasets import Dataset
+from deepfsi.design.evaluation import COVERS
+from deepfsi.optics import codes
+from deepfsi.sweeps.recipe import Recipe
+
+SCHEMA = 1
+TRAINED = ("noise", "light", "rails", "design", "photons")
+AXES = (
+    "trained_under",
+    "light",
+    "rails",
+    "design",
+    "trained_at",
+    "variant",
+    "noise",
+    "photons",
+    "levels",
+    "masks",
+)
+"""Fields that tell the points of a summary apart."""
+
+
+def summarise(
+    recipe: Recipe,
+    data: Dataset,
+    records: Sequence[Mapping[str, Any]],
+    *,
+    command: str,
+    seconds: float,
+) -> dict[str, Any]:
+    """Points of a comparison: trials averaged, mask counts chosen on validation data.
+
+    The interval of a point is Student's over its trials (training seeds); of a single trial, the
+    one over its test images.
+
+    Returns
+    -------
+    dict
+        What `results.json` holds, JSON types only.
+    """
+    held_out = recipe.held_out(data)
+    groups = defaultdict(list)
+    for record in records:
+        for index, test in enumerate(record["test"]):
+            job = record["trial"]["job"]
+            trained = (*(job[axis] for axis in TRAINED), record["trial"]["variant"])
+            key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
+            groups[key].append((record, index))
+    points = [
+        point(dict(zip(AXES, key, strict=True)), members, data.pixels)
+        for key, members in groups.items()
+    ]
+    chosen = defaultdict(list)
+    for each in points:
+        chosen[tuple(each[axis] for axis in AXES if axis != "masks")].append(each)
+    for rivals in chosen.values():
+        for each in rivals:
+            each["best"] = not held_out or each is max(rivals, key=lambda p: p["validation"])
+    return {
+        "schema": SCHEMA,
+        "title": f"{data.name} under {' and '.join(recipe.noise)} noise",
+        "command": command,
+        "recipe": recipe.model_dump(mode="json"),
+        **origin(data, held_out, records, seconds),
+        "chosen_on": "validation" if held_out else "nothing",
+        "points": points,
+    }
+
+
+def origin(
+    data: Dataset,
+    held_out: int,
+    records: Sequence[Mapping[str, Any]],
+    seconds: float,
+) -> dict[str, Any]:
+    """What a `results.json` says of its data, and of what made it."""
+    train = len(data.x_train) - held_out
+    return {
+        "data": {
+            "name": data.name,
+            "hash": data.hash,
+            "image_shape": list(data.image_shape),
+            "classes": list(data.classes),
+            "train": train,
+            "validation": held_out,
+            "test": len(data.x_test),
+            "preprocessing": data.preprocessing,
+            "mean_reflectance": float(data.x_train[:train].mean(dtype=np.float64)),
+        },
+        "provenance": {
+            **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
+            "python": platform.python_version(),
+            "device": ", ".join(sorted({record["info"]["device"] for record in records})),
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            "seconds": round(seconds, 1),
+            "training_seconds": round(sum(record["info"]["seconds"] for record in records), 1),
+        },
+    }
+
+
+def point(
+    axes: Mapping[str, Any], members: Sequence[tuple[Mapping[str, Any], int]], pixels: int
+) -> dict[str, Any]:
+    """One point of a summary: trials averaged.
+
+    Parameters
+    ----------
+    axes : mapping
+        What tells the point apart; `design` and `masks` at least.
+    members : sequence of tuple
+        Records, each with the place of the test in it that belongs here.
+    pixels : int
+        N, of one mask.
+    """
+    from scipy import stats
+
+    tests = [record["test"][index] for record, index in members]
+    accuracy = np.array([test["accuracy"] for test in tests])
+    if len(tests) > 1:
+        half = stats.t.ppf(0.975, len(tests) - 1) * stats.sem(accuracy)
+        low, high = float(accuracy.mean() - half), float(accuracy.mean() + half)
+        covers = f"training seeds (Student's t over {len(tests)} trials)"
+    else:
+        low, high, covers = tests[0]["low"], tests[0]["high"], COVERS
+    validated = [record["validation"][index] for record, index in members if record["validation"]]
+    code = codes.DESIGNS[axes["design"]]
+    return {
+        **axes,
+        "label": code.label,
+        "title": code.title,
+        "specific": code.specific,
+        "learned": code.learned,
+        "ratio": axes["masks"] / pixels,
+        "trials": len(tests),
+        "validation": float(np.mean([v["accuracy"] for v in validated])) if validated else None,
+        "accuracy": float(accuracy.mean()),
+        "low": max(low, 0.0),
+        "high": min(high, 1.0),
+        "covers": covers,
+        "throughput": float(np.mean([test["throughput"] for test in tests])),
+        "seconds": float(np.mean([record["info"]["seconds"] for record, _ in members])),
+        "accuracies": [float(value) for value in accuracy],
+        "keys": [record["design"] for record, _ in members],
+    }

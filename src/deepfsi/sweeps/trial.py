@@ -1,0 +1,137 @@
+"""A trial, one training and its tests, and the trials of a recipe."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from itertools import product
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.optics import codes
+from deepfsi.optics.noise import Noise
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.training.job import REVISION, Job, check_job
+
+SCHEMA = 2
+
+
+class Trial(BaseModel):
+    """One training and its tests, with all that the result depends on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    job: Job
+    variant: str = Field("", description="which of several training settings, in words")
+    data: str = Field(description="name")
+    data_hash: str
+    matrix_hash: str = ""
+    validation: int
+    draws: int
+    test_photons: tuple[float, ...]
+    test_noise: tuple[Noise, ...]
+    test_levels: tuple[int, ...] = (0,)
+
+    @property
+    def key(self) -> str:
+        """Content hash that names the record."""
+        return _hash(self.model_dump(mode="json", exclude={"data", "variant"}))
+
+    @property
+    def design_key(self) -> str:
+        """Content hash that names the design: of what the training depends on."""
+        fields = {"job", "data_hash", "matrix_hash", "validation"}
+        return _hash(self.model_dump(mode="json", include=fields))
+
+
+def _hash(settings: Mapping[str, Any]) -> str:
+    whole = {"schema": SCHEMA, "revision": REVISION, **settings}
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
+    """All trials of a recipe, each once.
+
+    Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
+    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail.
+
+    Raises
+    ------
+    InputError
+        If a trial asks for what its data or constraint does not allow.
+    """
+    for count in recipe.masks:
+        if count > data.pixels:
+            raise InputError(
+                f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
+            )
+    trials = {}
+    for design, noise, light, rails in product(
+        recipe.designs, recipe.noise, recipe.light, recipe.rails
+    ):
+        if not _possible(design, noise, light, rails):
+            continue
+        own = matrix if design == "custom" else None
+        counts = recipe.mask_counts(design, data) if own is None else [len(own)]
+        for masks, train_noise, (variant, training), seed, photons in product(
+            counts,
+            recipe.train_noises(noise),
+            recipe.trainings(design),
+            range(recipe.trials),
+            recipe.budgets(noise),
+        ):
+            job = Job(
+                design=design,
+                masks=masks,
+                photons=photons,
+                noise=train_noise,
+                sigma=recipe.sigma,
+                light=light,
+                rails=rails,
+                seed=seed,
+                training=training,
+            )
+            job = job.model_copy(update=dict(zip(("light", "rails"), job.optics, strict=True)))
+            check_job(job, data, own)
+            if training.looks > 1 and "gaussian" in (recipe.test_noise or (noise,)):
+                raise InputError(
+                    "several looks are tested under photon noise: leave gaussian out of test_noise"
+                )
+            trial = Trial(
+                job=job,
+                variant=variant,
+                data=data.name,
+                data_hash=data.hash,
+                matrix_hash=_matrix_hash(own),
+                validation=recipe.held_out(data),
+                draws=recipe.draws,
+                test_photons=recipe.test_photons or (photons,),
+                test_noise=recipe.test_noise or (noise,),
+                test_levels=recipe.test_levels,
+            )
+            trials[trial.key] = trial
+    if not trials:
+        raise InputError(
+            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
+            f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
+            f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
+        )
+    return list(trials.values())
+
+
+def _possible(design: str, noise: str, light: str, rails: str) -> bool:
+    one_rail = codes.DESIGNS[design].single_rail and design != "impulse"
+    return not (
+        (design == "control" and noise != "poisson")
+        or (light == "two-arm" and (one_rail or rails == "single"))
+        or (design == "hadamard" and rails == "single")
+    )
+
+
+def _matrix_hash(matrix: np.ndarray | None) -> str:
+    if matrix is None:
+        return ""
+    return hashlib.sha256(np.ascontiguousarray(matrix, dtype=np.float32).tobytes()).hexdigest()

@@ -1,0 +1,1 @@
+"""Learn masks and classifier together."""

@@ -1,0 +1,281 @@
+"""What is to be trained: one design with its light, noise and settings, checked before any work."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.optics import codes, constraints
+from deepfsi.optics.budget import BUDGETS
+from deepfsi.optics.constraints import Light, Rails
+
+Precision = Literal["auto", "float32", "bfloat16"]
+REVISION = 2
+"""Raised whenever a change makes the same job end in another design: old records then expire."""
+
+BFLOAT16_COUNTS = 2.0**14
+"""Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.
+
+Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
+"""
+
+
+Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+def _start(name: str) -> str:
+    if codes.DESIGNS[codes.check_design(name)].learned or name in ("control", "custom"):
+        raise InputError(f"masks cannot start from {name}: name a fixed design")
+    return name
+
+
+Start = Annotated[str, AfterValidator(_start)]
+
+
+def _levels(count: int) -> int:
+    if count == 1:
+        raise InputError("one grey level is dark alone: give 2 or more, or 0 for continuous masks")
+    return count
+
+
+Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
+
+
+class Training(BaseModel):
+    """How a design is trained; all that do so together share one."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    epochs: int = Field(40, ge=1)
+    batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
+    lr: Rate = Field(1e-2, description="peak of the one-cycle schedule")
+    mask_lr: Rate = Field(1e-1, description="the same for masks, relative to their rms")
+    hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
+    dropout: float = Field(0.0, ge=0, lt=1)
+    scale: Literal["each", "common"] = Field("common", description="spread of features")
+    decay: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
+    )
+    start: Start = Field("pca", description="design that learned masks start from")
+    precision: Precision = "auto"
+    levels: Levels = Field(
+        0, description="grey levels of the device, dark included, that masks are made of; 0: any"
+    )
+
+    span: float = Field(
+        1.0,
+        ge=1,
+        le=1e12,
+        description="budgets of the training range log-uniformly from `photons` to span times that",
+    )
+    nested: int = Field(
+        0, ge=0, description="fewest masks, first ones, that must do for a class; 0: all are needed"
+    )
+
+    looks: int = Field(
+        1,
+        ge=1,
+        le=64,
+        description="looks of an exposure; from 2 on, counts choose the dwells of the next. Train "
+        "with `noise` poisson: a look shows many masks too shortly for MLGauss",
+    )
+
+    @property
+    def told(self) -> bool:
+        """Whether the classifier is told the budget and how many masks were shown."""
+        return self.span > 1 or self.nested > 0
+
+    @property
+    def steps(self) -> int:
+        """Grey steps from dark to the peak; 0 for continuous masks."""
+        return max(self.levels - 1, 0)
+
+    @model_serializer(mode="wrap")
+    def _without_what_has_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # so that records made before there were these fields keep their keys
+        fields = dump(self).items()
+        return {name: value for name, value in fields if (name, value) not in LATER.items()}
+
+
+LATER = {"levels": 0, "span": 1.0, "nested": 0, "looks": 1}
+"""Fields of `Training` that came after the first records, with the value of no effect."""
+
+
+TUNED: dict[str, dict[str, Any]] = {
+    "impulse": {"lr": 5e-3},
+    "truncated-hadamard": {"lr": 5e-3},
+    "raster": {"lr": 5e-3, "scale": "each"},
+    "hadamard": {"lr": 5e-3, "scale": "each"},
+}
+"""Where a design does better with other settings than the defaults of `Training`.
+
+Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, each design from
+the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
+readouts at one setting at most). Designs not named here, but for learned ones and PCA, are untuned.
+"""
+
+
+def training_for(design: str, **settings: Any) -> Training:
+    """How a design is trained: the defaults, what suits the design, then `settings`.
+
+    Masks of several looks start from `class-pairs` (0.866 on MNIST's validation images at 1e4
+    photons, 64 masks and 4 looks; 0.845 from principal components).
+    """
+    looking = {"start": "class-pairs"} if settings.get("looks", 1) != 1 else {}
+    return Training(**{**TUNED.get(design, {}), **looking, **settings})
+
+
+TrainingNoise = Literal["ml_gauss", "poisson", "gaussian", "none"]
+
+
+class Job(BaseModel):
+    """One design to be trained: what it is, and the light and noise it is trained under."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    design: str = "deepfsi"
+    masks: int = Field(ge=1)
+    photons: float = Field(ge=BUDGETS[0], le=BUDGETS[1])
+    noise: TrainingNoise = "ml_gauss"
+    sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    light: Light = "column"
+    rails: Rails = "dual"
+    seed: int = Field(0, ge=0, lt=2**32)
+    training: Training = Training()
+
+    @property
+    def code(self) -> codes.Code:
+        """What is known of the named design."""
+        return codes.DESIGNS[self.design]
+
+    @property
+    def drawn_from(self) -> str:
+        """The named design whose matrix the masks are or start from."""
+        return self.training.start if self.masks_from().code.learned else self.design
+
+    @property
+    def optics(self) -> tuple[Light, Rails]:
+        """Constraint and rails in force: designs with one rail by definition keep it.
+
+        Impulse imaging has a detector for each pixel, which is `column` whatever else is compared.
+        """
+        light: Light = "column" if self.design == "impulse" else self.light
+        return light, "single" if self.code.single_rail else self.rails
+
+    def companions(self, device: torch.device) -> tuple[Any, ...]:
+        """What jobs must have in common to be trained together: all but budget, sigma and seed."""
+        apart = {"photons", "sigma", "seed"}
+        return (self.model_dump_json(exclude=apart), products(self.masks_from(), device))
+
+    def masks_from(self) -> "Job":
+        """The job that makes the masks: for the control group DeepFSI under gaussian noise."""
+        if self.design != "control":
+            return self
+        return self.model_copy(update={"design": "deepfsi", "noise": "gaussian"})
+
+
+def products(job: Job, device: torch.device) -> torch.dtype:
+    """Type of the products of learned masks: bfloat16 where that stays under the readout noise.
+
+    See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise.
+    """
+    if job.training.precision != "auto":
+        return getattr(torch, job.training.precision)
+    fast = (
+        torch.cuda.is_bf16_supported(including_emulation=False)
+        if device.type == "cuda"
+        else torch.cpu.get_capabilities().get("avx512_bf16", False)
+    )
+    if job.training.looks > 1:
+        return torch.float32  # a chosen mask may have the light of all
+    readouts = job.masks * (2 if job.rails == "dual" else 1)
+    counts = job.photons * job.training.span / readouts
+    limit = {
+        "ml_gauss": BFLOAT16_COUNTS,
+        "poisson": BFLOAT16_COUNTS,
+        "gaussian": job.sigma * BFLOAT16_COUNTS**0.5,
+    }
+    return torch.bfloat16 if fast and counts <= limit.get(job.noise, 0) else torch.float32
+
+
+def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
+    """Raise `InputError` for whatever a job asks that cannot be had on this data."""
+    codes.check_design(job.design)
+    constraints.check_light(*job.optics)
+    if job.training.looks > 1:
+        _check_looks(job)
+    if job.training.told and job.noise != "ml_gauss":
+        raise InputError(
+            "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
+            "--train-noise out"
+        )
+    if job.training.nested > job.masks:
+        raise InputError(
+            f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
+            f"{job.masks}"
+        )
+    if job.design == "hadamard" and job.rails == "single":
+        raise InputError("hadamard is signed: use dual rails, or the s-matrix")
+    if (matrix is not None) != (job.design == "custom"):
+        raise InputError(
+            "a matrix goes with the design `custom`, and only with it: compare and design take "
+            "--matrix"
+        )
+    if matrix is None:
+        codes.check_count(job.design, job.masks, data)
+        return
+    matrix = np.asarray(matrix)
+    if matrix.shape != (job.masks, data.pixels):
+        raise InputError(
+            f"a matrix of shape {matrix.shape} does not fit: give ({job.masks}, {data.pixels})"
+        )
+    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
+        raise InputError("the matrix holds something else than finite real numbers")
+    if not matrix.any():
+        raise InputError("the matrix is zero everywhere: give at least one lit entry")
+
+
+def _check_looks(job: Job) -> None:
+    if job.design in ("impulse", "control", "custom"):
+        raise InputError(
+            f"{job.design} has one look only: several looks are for deepfsi and for named designs "
+            "that one device shows"
+        )
+    if job.optics != ("free-dwell", "single"):
+        light, rails = job.optics
+        raise InputError(
+            f"several looks choose how long one device shows each frame, not {light} with {rails} "
+            "rails: use --light free-dwell --rails single"
+        )
+    if job.training.told or job.noise not in ("ml_gauss", "poisson"):
+        raise InputError(
+            "several looks are for one budget under photon noise: leave a range of budgets, "
+            "--nested and gaussian noise out"
+        )
+
+
+@contextmanager
+def reworded() -> Iterator[None]:
+    """Turn pydantic's errors into one `InputError` that names every bad field."""
+    try:
+        yield
+    except ValidationError as error:
+        faults = [
+            (f"{'.'.join(map(str, fault['loc']))} = {fault['input']!r}: " if fault["loc"] else "")
+            + f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
+            for fault in error.errors()
+        ]
+        raise InputError("; ".join(faults)) from None

@@ -1,0 +1,94 @@
+"""A data set on a device, with what the trainings on it share."""
+
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.optics import codes
+from deepfsi.optics.budget import mean_light
+from deepfsi.optics.constraints import Light
+
+Matrices = dict[tuple[str, int, int], np.ndarray]
+
+
+class Scenes:
+    """A data set on a device, with what several trainings on it share.
+
+    Parameters
+    ----------
+    data : Dataset
+    device : str
+        "auto" (a GPU if there is one), "cpu" or "cuda".
+    matrices : dict, optional
+        Sensing matrices that another `Scenes` of the same data has made, to be shared.
+    """
+
+    def __init__(
+        self, data: Dataset, device: str = "auto", matrices: Matrices | None = None
+    ) -> None:
+        self.data = data
+        self.device = find_device(device)
+        self.light = mean_light(data.x_train)
+        labels = np.require(data.y_train, requirements="W")
+        self.labels = torch.from_numpy(labels).to(self.device)
+        x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only
+        self.full = torch.from_numpy(x).to(self.device)
+        self.matrices = {} if matrices is None else matrices
+        self._centred: dict[tuple[torch.dtype, bool], Tensor] = {}
+
+    @cached_property
+    def varying(self) -> Tensor:
+        """Which pixels (N,) differ anywhere in the training set; the first if none does."""
+        varying = (self.full != self.full[0]).any(dim=0)
+        varying[0] |= not varying.any()
+        return varying
+
+    def pixels(self, light: Light) -> Tensor:
+        """Which pixels (N,) learned masks may light.
+
+        The light of one that never varies is noise and no information, so it stays dark, except
+        on two arms, where what one does not get the other does.
+        """
+        return torch.ones_like(self.varying) if light == "two-arm" else self.varying
+
+    def centred(self, light: Light, kind: torch.dtype) -> Tensor:
+        """Those pixels of the training scenes, less their mean, and the mean as the last row.
+
+        The products of the last row with the masks, added to those of a scene, give the scene's
+        own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
+        moves no mask through rounding.
+        """
+        pixels = self.pixels(light)
+        key = (kind, bool(pixels.all()))
+        if key not in self._centred:
+            mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
+            centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
+            self._centred[key] = centred[:, pixels].to(kind)
+        return self._centred[key]
+
+    def prepare(self, name: str) -> None:
+        """Compute what the trainings of a design share, so that processes need not each do it."""
+        if name == "pca":
+            self.matrix(name, 1, 0)
+
+    def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
+        """Sensing matrix of a fixed design; principal components are computed once for all m."""
+        codes.check_count(name, masks, self.data)
+        whole = self.data.pixels if name == "pca" else masks
+        key = (name, whole, seed if name == "random" else 0)
+        if key not in self.matrices:
+            self.matrices[key] = codes.sensing_matrix(name, whole, self.data, seed)
+        return self.matrices[key][:masks]
+
+
+def find_device(name: str) -> torch.device:
+    """Device of that name, or `InputError` if it is not one or is not here."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"unknown device {name!r}: choose auto, cpu or cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda is not here: use --device cpu or auto")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -1,0 +1,270 @@
+"""The camera on the command line: what it prints, and one clear line for bad input."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conftest import quick
+from deepfsi.cli.camera import seconds
+from deepfsi.datasets import load_dataset, read_display, write_display
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import read_patterns
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, made):
+    """A design, its patterns on a small device, and three scenes."""
+    folder = tmp_path_factory.mktemp("lab")
+    design = made("deepfsi", "equal-dwell", "dual")
+    design.save(folder / "design.safetensors")
+    data = load_dataset("digits")
+    for label in "037":
+        place = int(np.flatnonzero(data.y_test == int(label))[0])
+        image = np.rint(data.x_test[place].reshape(8, 8) * 255).astype(np.uint8)
+        (folder / "images" / label).mkdir(parents=True)
+        Image.fromarray(image).save(folder / "images" / label / "one.png")
+    return folder
+
+
+def exported(call, lab, out, *words):
+    return call("dmd", "export", lab / "design.safetensors", "--device", "64x48", "-o", out, *words)
+
+
+def test_patterns_are_exported_and_checked(call, lab, tmp_path):
+    code, out, _ = exported(call, lab, tmp_path / "p", "--json")
+    said = json.loads(out)
+    assert code == 0
+    assert said["mask_frames"] + 4 == said["frames"]
+    assert call("dmd", "check", tmp_path / "p")[0] == 0
+    frames = bytearray((tmp_path / "p" / "frames.npy").read_bytes())
+    frames[-1000] ^= 1
+    (tmp_path / "p" / "frames.npy").write_bytes(frames)
+    code, _, err = call("dmd", "check", tmp_path / "p")
+    assert code == 2
+    assert "frame" in err
+
+
+def test_patterns_are_evaluated_as_they_are_realised(call, lab, tmp_path, digits):
+    exported(call, lab, tmp_path / "p")
+    code, out, _ = call("evaluate", tmp_path / "p", "--photons", "1e4", "--json")
+    assert code == 0
+    design = Design.load(lab / "design.safetensors").as_shown(read_patterns(tmp_path / "p"))
+    expected = evaluate(design, digits, 1e4)[0].accuracy
+    assert json.loads(out)["results"][0]["accuracy"] == expected
+
+
+def test_a_dimmed_design_reads_its_own_counts(made, lab, tmp_path, call, digits):
+    """One device shows a column design with less light: as if at so much smaller a budget."""
+    column = made("deepfsi", "column", "dual")
+    column.save(tmp_path / "column.safetensors")
+    code, out, _ = call(
+        "dmd", "export", tmp_path / "column.safetensors", "--device", "64x48", "-o", tmp_path / "p"
+    )
+    assert code == 0
+    assert "cost" in out
+    patterns = read_patterns(tmp_path / "p")
+    dimmed = patterns.manifest.dimmed
+    shown = column.as_shown(patterns)
+    counts = np.full((1, 2, column.masks), 30.0)
+    np.testing.assert_allclose(
+        shown.classify(counts, 1e4), column.classify(counts, 1e4 * dimmed), rtol=1e-4, atol=1e-6
+    )
+    np.testing.assert_allclose(shown.rails.sum(), dimmed * column.rails.sum(), rtol=0.01)
+
+
+def test_from_photons_to_classes(call, lab, tmp_path):
+    exported(call, lab, tmp_path / "p")
+    run = tmp_path / "run"
+    code, out, _ = call(
+        "camera", "simulate", tmp_path / "p", "--scene", lab / "images", "--flux", 1e7,
+        "--exposure", "5ms", "--camera", "ideal", "-o", run, "--json",
+    )  # fmt: skip
+    assert code == 0
+    assert len(json.loads(out)["acquisition"]["scenes"]) == 3
+    code, out, _ = call("camera", "count", run, "--exposure", "1ms", "--json")
+    counted = json.loads(out)
+    assert code == 0
+    assert np.shape(counted["counts"])[0] == 3
+    assert counted["faults"] == []
+    assert counted["photons"] == pytest.approx(1e4, rel=0.1)
+    code, out, _ = call("camera", "classify", lab / "design.safetensors", run, "--json")
+    scenes = json.loads(out)["scenes"]
+    assert [scene["label"] for scene in scenes] == ["0", "3", "7"]
+    assert all(scene["exposures"] == np.shape(counted["counts"])[1] for scene in scenes)
+    assert call("camera", "image", run)[0] == 0
+    with Image.open(run / "picture.png") as picture:
+        assert picture.width > 200
+    code, out, _ = call("camera", "inspect", run / "photons.ptu", "--json")
+    contents = json.loads(out)
+    assert contents["markers"]["1"] == 3 * len(read_patterns(tmp_path / "p").manifest.frames)
+
+
+def test_another_design_is_not_taken_for_the_one_that_was_shown(call, lab, tmp_path, digits):
+    exported(call, lab, tmp_path / "p")
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    call("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    call("camera", "count", tmp_path / "run")
+    quick(digits, light="equal-dwell", seed=1).save(tmp_path / "other.safetensors")
+    code, out, err = call("camera", "classify", tmp_path / "other.safetensors", tmp_path / "run")
+    assert code == 2
+    assert "not the design" in err
+    assert not out
+
+
+def test_the_cost_in_time_is_stated(call, lab, tmp_path):
+    code, out, _ = exported(call, lab, tmp_path / "p", "--dwell", "44us", "--json")
+    said = json.loads(out)
+    manifest = read_patterns(tmp_path / "p").manifest
+    counted = said["longest_exposure_s"] * manifest.shares.sum() / said["pass_s"]
+    assert code == 0
+    assert sum(said["uncounted"].values()) == pytest.approx(1 - counted)
+    assert said["uncounted"]["settling"] == pytest.approx(
+        10e-6 * said["mask_frames"] / said["pass_s"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["dmd", "export", "{design}", "-o", "x", "--device", "dlp70"], "dlp7000"),
+        (["dmd", "export", "{design}", "-o", "x", "--dwell", "soon"], "--dwell"),
+        (["dmd", "export", "{design}", "-o", "x", "--selection", "some"], "some"),
+        (["dmd", "export", "{design}", "-o", "x", "--format", "jpg"], "jpg"),
+        (["dmd", "export", "{design}", "-o", "x", "--device", "4x4"], "4"),
+        (["dmd", "check", "nowhere"], "nowhere"),
+        (["camera", "count", "nowhere"], "nowhere"),
+        (["camera", "classify", "{design}", "nowhere"], "nowhere"),
+        (["camera", "image", "nowhere", "-o", "x.txt"], "x.txt"),
+        (["camera", "inspect", "{design}"], "PTU"),
+        (["data", "export", "digits", "-o", "x", "--per-class", "5000"], "5000"),
+        (["evaluate", ".", "--photons", "1e3"], "design"),
+    ],
+)
+def test_bad_input_is_one_line(call, lab, tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(*(word.format(design=lab / "design.safetensors") for word in words))
+    assert code == 2
+    assert err.startswith("deepfsi: ")
+    assert err.count("\n") == 1
+    assert said in err
+    assert not out
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--exposure", "10s"], "--dwell"),
+        (["--exposure", "1ms", "--flux", "-1"], "flux"),
+        (["--exposure", "1ms", "--camera", "eye"], "pmt"),
+        (["--exposure", "1ms", "--scene", "nothing.png"], "nothing.png"),
+    ],
+)
+def test_a_recording_that_cannot_be_leaves_nothing(call, lab, tmp_path, words, said):
+    exported(call, lab, tmp_path / "p")
+    given = {"--flux": 1e6, "--scene": lab / "images"} | dict(
+        zip(words[::2], words[1::2], strict=True)
+    )
+    options = [word for pair in given.items() for word in pair]
+    code, _, err = call("camera", "simulate", tmp_path / "p", *options, "-o", tmp_path / "run")
+    assert code == 2
+    assert said in err
+    assert [path.name for path in tmp_path.iterdir()] == ["p"]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("0.01", 0.01), ("10ms", 0.01), ("44us", 44e-6), ("44 µs", 44e-6), ("1e-3s", 1e-3)],
+)
+def test_times_have_units(text, value):
+    assert seconds("dwell", text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["", "ms", "-1", "nan", "inf", "1 hour"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(InputError, match="--dwell"):
+        seconds("dwell", text)
+
+
+def test_scenes_are_written_and_read_back(digits, tmp_path):
+    write_display(digits, tmp_path / "images", per_class=2, seed=3)
+    shown = read_display(tmp_path / "images")
+    assert shown.labels == tuple(c for c in digits.classes for _ in range(2))
+    assert shown.x.shape == (20, 8, 8)
+    places = [int(name.split("/")[1].removesuffix(".png")) for name in shown.names]
+    truth = digits.x_test[places].reshape(-1, 8, 8)
+    assert np.abs(shown.x - truth).max() <= 0.5 / 255 + 1e-6
+    assert [digits.classes[k] for k in digits.y_test[places]] == list(shown.labels)
+    again = write_display(digits, tmp_path / "again", per_class=2, seed=3)
+    assert [path.name for path in again] == [name.split("/")[1] for name in shown.names]
+    with pytest.raises(InputError, match="new folder"):
+        write_display(digits, tmp_path / "again", per_class=1)
+
+
+def test_one_picture_or_a_plain_folder_is_read(digits, tmp_path):
+    for number in range(2):
+        Image.fromarray(np.full((4, 6), 51 * number, np.uint8)).save(tmp_path / f"{number}.png")
+    shown = read_display(tmp_path)
+    assert shown.names == ("0.png", "1.png")
+    assert shown.labels is None
+    assert shown.x[1, 0, 0] == pytest.approx(0.2)
+    assert read_display(tmp_path / "1.png").x.shape == (1, 4, 6)
+    with pytest.raises(InputError, match="no picture"):
+        read_display(tmp_path / "2.png")
+
+
+def test_a_camera_is_calibrated_by_files_alone(call, made, tmp_path):
+    """A tilted view is found to a third of a cell with 8 x 8 of them, and trained on."""
+    made("hadamard", "equal-dwell", "dual").save(tmp_path / "hadamard.safetensors")
+    camera = tmp_path / "tilted.toml"
+    camera.write_text(
+        "view = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]\ndark = 1e3\n"
+    )
+    spots, run, out = tmp_path / "spots", tmp_path / "run", tmp_path / "calibration"
+    device = ["--device", "64x64", "--dwell", "20ms"]
+    assert (
+        call("dmd", "export", tmp_path / "hadamard.safetensors", *device, "-o", tmp_path / "p")[0]
+        == 0
+    )
+    assert call("camera", "spots", "--size", "32x32", "-o", spots)[0] == 0
+    code, _, _ = call(
+        "camera", "simulate", tmp_path / "p", "--scene", spots, "--flux", 1e7, "--exposure", "2s",
+        "--repeats", 1, "--camera", camera, "-o", run,
+    )  # fmt: skip
+    assert code == 0
+    assert call("camera", "count", run)[0] == 0
+    code, text, _ = call("camera", "calibrate", run, "--spots", spots, "-o", out, "--json")
+    found = json.loads(text)
+    assert code == 0
+    assert found["spots"] >= 16  # the others fall between the large cells or beside them
+    truth = np.array([[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]])
+    for corner in ((0.2, 0.2, 1), (0.8, 0.2, 1), (0.5, 0.5, 1), (0.8, 0.8, 1)):
+        ours, theirs = (np.array(h) @ corner for h in (found["homography"], truth))
+        assert np.abs(ours[:2] / ours[2] - theirs[:2] / theirs[2]).max() < 1 / 3 / 8
+    assert found["dark"] == pytest.approx(1e3, rel=0.5)
+    words = ["--photons", "1e4", "--masks", 4, "--epochs", 1, "--view", out]
+    assert call("design", *words, "-o", tmp_path / "seen.safetensors")[0] == 0
+    design = Design.load(tmp_path / "seen.safetensors")
+    assert "calibration" in design.info["preprocessing"]
+    assert (
+        call("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)[0] == 0
+    )
+
+
+def test_a_run_of_other_pictures_does_not_calibrate(call, lab, tmp_path):
+    exported(call, lab, tmp_path / "p")
+    words = ["--scene", lab / "images", "--flux", 1e6, "--exposure", "1ms", "--camera", "ideal"]
+    call("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    call("camera", "count", tmp_path / "run")
+    call("camera", "spots", "-o", tmp_path / "spots")
+    words = [tmp_path / "run", "--spots", tmp_path / "spots", "-o", tmp_path / "c"]
+    code, _, err = call("camera", "calibrate", *words)
+    assert code == 2
+    assert "0/one.png" in err
+    assert not (tmp_path / "c").exists()

@@ -1,0 +1,423 @@
+"""The command line: what it prints, and one clear line with exit code 2 for bad input."""
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepfsi.design.artifact import Design
+
+COMMANDS = [
+    "compare",
+    "sweep",
+    "reproduce",
+    "report",
+    "design",
+    "evaluate",
+    "stop",
+    "show",
+    "plan",
+    "export",
+    "data list",
+    "data download",
+    "data check",
+    "data export",
+    "dmd export",
+    "dmd check",
+    "camera simulate",
+    "camera count",
+    "camera classify",
+    "camera image",
+    "camera inspect",
+    "camera spots",
+    "camera calibrate",
+]
+
+
+@pytest.fixture(scope="module")
+def design_file(tmp_path_factory):
+    from deepfsi import learn, load_dataset
+
+    path = tmp_path_factory.mktemp("design") / "digits.safetensors"
+    learn(load_dataset("digits"), photons=1e3, masks=4, epochs=2).save(path)
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(call, command):
+    code, out, _ = call(*command.split(), "--help")
+    assert code == 0
+    assert f"Example: deepfsi {command}" in " ".join(out.split())
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys; sys.argv = ['deepfsi', '--help']\n"
+        "from deepfsi.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'torch', 'numpy', 'scipy', 'sklearn', 'matplotlib', 'pydantic', 'PIL'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def test_module_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "deepfsi", "--help"], capture_output=True)
+    assert done.returncode == 0
+    assert b"compare" in done.stdout
+
+
+def test_design_evaluate_show(call, tmp_path):
+    file, picture = tmp_path / "one.safetensors", tmp_path / "masks.png"
+    code, out, _ = call("design", "--photons", "1e3", "--masks", 5, "--epochs", 2, "-o", file)
+    assert code == 0
+    assert "accuracy" in out
+    code, out, _ = call("evaluate", file, "--photons", "1e2,1e3", "--json")
+    assert code == 0
+    assert [result["photons"] for result in json.loads(out)["results"]] == [100, 1000]
+    code, out, _ = call("evaluate", file, "--photons", "1e2,1e3")
+    assert "95 % interval" in out
+    assert call("show", file, "-o", picture)[0] == 0
+    with Image.open(picture) as image:
+        assert image.width > 200
+
+
+def test_one_dmd_design(call, tmp_path):
+    file = tmp_path / "one-dmd.safetensors"
+    words = ["--light", "free-dwell", "--rails", "single", "--epochs", 2, "--masks", 6]
+    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    design = Design.load(file)
+    assert design.light == "free-dwell"
+    assert design.rails.shape == (1, 6, 64)
+
+
+def test_a_design_that_forgives(call, tmp_path):
+    file = tmp_path / "nested.safetensors"
+    words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
+    words += ["--light", "equal-dwell", "--rails", "single", "--hold-out", 300, "-o", file]
+    code, out, _ = call("design", *words, "--json")
+    assert code == 0
+    made = json.loads(out)
+    assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
+    training = made["info"]["job"]["training"]
+    assert [training[key] for key in ("span", "nested", "levels")] == [1e3, 2, 2]
+    assert [len(frame.unique()) for frame in Design.load(file).rails[0]] == [2] * 6
+    code, out, _ = call("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
+    assert code == 0
+    assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
+    code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["policy"]["after"] == [2, 3, 4, 5, 6]
+    code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1)
+    assert code == 0
+    assert "1.0000" in out
+    assert "the surest 90 %" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["design", "--photons", "1e6:1e3", "--masks", 3], "LOW:HIGH"),
+        (["design", "--photons", "1e2:1e3:1e4", "--masks", 3], "LOW:HIGH"),
+        (["design", "--photons", "1e3:inf", "--masks", 3], "span"),
+        (["design", "--photons", "1e3", "--masks", 3, "--nested", 4], "at most 3"),
+        (["design", "--photons", "1e3", "--masks", 3, "--levels", 1], "dark alone"),
+        (["design", "--photons", "1e3", "--masks", 3, "--hold-out", 5000], "hold out at least 1"),
+    ],
+)
+def test_ranges_and_nests_that_cannot_be(call, tmp_path, words, hint):
+    code, out, err = call(*words, "-o", tmp_path / "d.safetensors")
+    assert (code, out) == (2, "")
+    assert hint in err
+
+
+def test_a_plain_design_cannot_stop(call, design_file):
+    code, _, err = call("stop", design_file, "--photons", "1e3")
+    assert code == 2
+    assert "--nested" in err
+
+
+def test_compare_writes_report_and_json(call, tmp_path):
+    words = ["--designs", "pca,raster", "--photons", "1e3", "--masks", "4", "--trials", "1"]
+    words += ["--epochs", 2, "-o", tmp_path]
+    code, out, _ = call("compare", *words)
+    assert code == 0
+    assert "raster scan (RS)" in out
+    assert "<svg" in (tmp_path / "report.html").read_text()
+    code, out, _ = call("compare", *words, "--json")
+    assert json.loads(out) == json.loads((tmp_path / "results.json").read_text())
+
+
+def test_options_override_a_recipe(call, tmp_path):
+    recipe = tmp_path / "own.toml"
+    recipe.write_text(
+        'data = "digits"\ndesigns = "raster"\nphotons = 1e3\n[training]\nepochs = 9\n'
+    )
+    out = tmp_path / "out"
+    code, text, _ = call(
+        "compare", "--recipe", recipe, "--designs", "pca", "--masks", 2, "--epochs", 1, "-o", out,
+        "--json",
+    )  # fmt: skip
+    used = json.loads(text)["recipe"]
+    assert code == 0
+    assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": [1]})
+
+
+def test_own_matrix(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.eye(64)[:8] / 8)
+    words = ["--matrix", tmp_path / "m.npy", "--epochs", 1, "-o", tmp_path / "own.safetensors"]
+    assert call("design", "--photons", "1e3", *words)[0] == 0
+    assert np.allclose(Design.load(tmp_path / "own.safetensors").matrix, np.eye(64)[:8] / 8)
+
+
+def test_own_masks_as_images(call, tmp_path):
+    masks = np.random.default_rng(0).integers(0, 256, (4, 8, 8), dtype=np.uint8)
+    pages = [Image.fromarray(mask) for mask in masks]
+    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
+    words = ["--matrix", tmp_path / "m.tif", "--epochs", 1, "--light", "free-dwell"]
+    file = tmp_path / "own.safetensors"
+    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    assert np.allclose(Design.load(file).matrix, masks.reshape(4, 64) / 255 / 4)
+
+
+@pytest.mark.parametrize("budget", ["0", "-1", "nan", "inf", "many", "", "1e3,,x"])
+@pytest.mark.parametrize("command", ["compare", "design", "evaluate"])
+def test_bad_budgets(call, tmp_path, design_file, command, budget):
+    words = {
+        "compare": ["compare", "-o", tmp_path / "out"],
+        "design": ["design", "--masks", 3, "-o", tmp_path / "out"],
+        "evaluate": ["evaluate", design_file],
+    }[command]
+    expect_refusal(call, tmp_path, *words, f"--photons={budget}")
+
+
+@pytest.mark.parametrize("masks", ["0", "1.5", "65", "-3", "x"])
+def test_bad_mask_counts(call, tmp_path, masks):
+    words = ["design", "--photons", "1e3", f"--masks={masks}", "-o", tmp_path / "out.safetensors"]
+    expect_refusal(call, tmp_path, *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["--data", "mnits"], "mnist"),
+        (["--designs", "pac"], "pca"),
+        (["--light", "colum"], "column"),
+        (["--noise", "poison"], "poisson"),
+        (["--ratios", "0"], "ratio"),
+        (["--ratios", "1.5"], "ratio"),
+        (["--masks", "0"], "masks"),
+        (["--masks", "1.5"], "masks"),
+        (["--masks", "100"], "64"),
+        (["--photons", "1e39"], "photons"),
+        (["--masks", "3", "--ratios", "0.1"], "not both"),
+        (["--trials", "0"], "trials"),
+        (["--trials", "two"], "trials"),
+        (["--size", "big"], "size"),
+        (["--device", "tpu"], "cpu"),
+        (["--recipe", "nowhere.toml"], "nowhere.toml"),
+        (["--matrix", "nowhere.npy"], "nowhere.npy"),
+        (["--colour", "red"], "colour"),
+    ],
+)
+def test_bad_settings_name_what_is_allowed(call, tmp_path, words, hint):
+    error = expect_refusal(call, tmp_path, "compare", "-o", tmp_path / "out", *words)
+    assert hint in error
+
+
+@pytest.mark.parametrize("damage", ["truncated", "random", "pickle", "empty", "missing", "folder"])
+def test_bad_design_files(call, tmp_path, design_file, damage):
+    bad = tmp_path / "bad.safetensors"
+    whole = design_file.read_bytes()
+    content = {
+        "truncated": whole[: len(whole) // 2],
+        "random": bytes(range(256)) * 8,
+        "pickle": pickle.dumps({"rails": 1}),
+        "empty": b"",
+    }
+    if damage in content:
+        bad.write_bytes(content[damage])
+    elif damage == "folder":
+        bad.mkdir()
+    for words in (["evaluate", bad, "--photons", "1e3"], ["show", bad, "-o", tmp_path / "x.png"]):
+        assert "bad.safetensors" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_matrix_that_breaks_its_constraint(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.ones((4, 64)))
+    words = ["design", "--photons", "1e3", "--matrix", tmp_path / "m.npy", "-o", tmp_path / "d"]
+    assert "column" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_matrix_of_the_wrong_kind(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.array(["a", "b"], dtype=object), allow_pickle=True)
+    words = ["design", "--photons", "1e3", "--matrix", tmp_path / "m.npy", "-o", tmp_path / "d"]
+    expect_refusal(call, tmp_path, *words)
+
+
+def test_data_that_does_not_fit_the_design(call, tmp_path, design_file):
+    np.savez(tmp_path / "d.npz", x=np.random.default_rng(0).random((60, 9)), y=np.arange(60) % 2)
+    words = ["evaluate", design_file, "--data", tmp_path / "d.npz", "--photons", "1e3"]
+    assert "64" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_folder_where_a_file_belongs(call, tmp_path):
+    words = ["design", "--photons", "1e3", "--masks", 2, "-o", tmp_path]
+    assert "folder" in expect_refusal(call, tmp_path, *words)
+
+
+def test_a_matrix_has_its_own_masks(call, tmp_path):
+    np.save(tmp_path / "m.npy", np.eye(64)[:2] / 2)
+    words = ["design", "--photons", "1e3", "--matrix", tmp_path / "m.npy", "--masks", 5]
+    assert "--masks" in expect_refusal(call, tmp_path, *words, "-o", tmp_path / "d")
+
+
+def test_empty_image_folder(call, tmp_path):
+    (tmp_path / "images").mkdir()
+    words = ["compare", "--data", tmp_path / "images", "-o", tmp_path / "out"]
+    expect_refusal(call, tmp_path, *words)
+
+
+def test_output_that_cannot_be_written(call, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    words = ["compare", "--designs", "pca", "--masks", 2, "-o", tmp_path / "file" / "out"]
+    expect_refusal(call, tmp_path, *words)
+
+
+def test_full_disk_is_one_line(call, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    words = ["design", "--photons", "1e3", "--masks", 2, "--epochs", 1, "-o", tmp_path / "d"]
+    assert "No space left" in expect_refusal(call, tmp_path, *words)
+
+
+def test_ctrl_c_says_that_work_is_kept(call, tmp_path, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deepfsi.sweeps.run.compare", stop)
+    code, _, err = call("compare", "-o", tmp_path / "out")
+    assert code == 130
+    assert "kept" in err
+    assert err.count("\n") == 1
+
+
+def expect_refusal(call, folder, *words):
+    before = sorted(folder.rglob("*"))
+    code, out, err = call(*words)
+    assert code == 2, (out, err)
+    assert err.count("\n") == 1, err
+    assert err.startswith("deepfsi: ")
+    assert "Traceback" not in err
+    assert out == ""
+    assert sorted(folder.rglob("*")) == before
+    return err
+
+
+RECIPE = 'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n'
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(RECIPE)
+    return path
+
+
+def test_a_dry_run_says_what_it_would_cost_and_does_nothing(call, recipe, tmp_path):
+    out = tmp_path / "out"
+    code, text, _ = call("sweep", recipe, "-o", out, "--dry-run", "--json")
+    assert code == 0
+    assert json.loads(text)["trials"] == 2
+    code, text, _ = call("sweep", recipe, "-o", out, "--dry-run")
+    assert (code, out.exists()) == (0, False)
+    assert "2 trials, 0 of them done" in text
+    call("sweep", recipe, "-o", out, "--workers", 1)
+    assert "2 trials, 2 of them done" in call("sweep", recipe, "-o", out, "--dry-run")[1]
+
+
+def test_a_sweep_writes_its_table(call, recipe, tmp_path):
+    table = tmp_path / "tables" / "all.parquet"
+    code, text, _ = call("sweep", recipe, "-o", tmp_path / "out", "--workers", 1, "--table", table)
+    assert (code, table.is_file()) == (0, True)
+    assert str(table) in text.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sweep", "none.toml"),
+        ("sweep", "own.toml", "--table", "all.xls"),
+        ("sweep", "own.toml", "--workers", "0"),
+        ("sweep", "own.toml", "--ray", "nowhere:1"),
+        ("reproduce", "mnst"),
+        ("reproduce", "mnist", "--trials", "0"),
+        ("report", "."),
+        ("report", "none"),
+    ],
+    ids=" ".join,
+)
+def test_bad_input_to_sweeps_is_one_line(call, recipe, monkeypatch, tmp_path, words):
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    code, text, errors = call(*words)
+    assert (code, text, errors.count("\n")) == (2, "", 1)
+    if "--ray" not in words:
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_all_mistakes_of_a_recipe_are_told_at_once(call, tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'designs = ["pca", "hadamrd"]\nphotons = [-1.0]\ntrials = 0\ncolour = "red"\n'
+        "[training]\nepochs = [1, 0]\n"
+    )
+    code, _, errors = call("sweep", path, "-o", tmp_path / "out")
+    assert code == 2
+    for part in ("did you mean 'hadamard'", "photons.0", "trials", "colour", "epochs"):
+        assert part in errors
+
+
+@pytest.mark.parametrize("options", [[], ["--dry-run"]])
+def test_the_split_of_a_recipe_is_asked_of_the_data(call, tmp_path, options):
+    path = tmp_path / "split.toml"
+    path.write_text('data = "digits"\nsplit = "blocks"\n')
+    code, _, errors = call("sweep", path, "-o", tmp_path / "out", *options)
+    assert code == 2
+    assert "digits: a split was given; only a hyperspectral image takes one" in errors
+    path.write_text('split = "halves"\n')
+    assert "'random' or 'blocks'" in call("sweep", path, "-o", tmp_path / "out", *options)[2]
+
+
+def test_experiments_are_listed(call):
+    assert {row["name"] for row in json.loads(call("reproduce", "list", "--json")[1])} == {
+        "mnist",
+        "compression",
+        "mlgauss",
+        "quantization",
+        "indian-pines",
+        "hardware",
+        "forgiving",
+        "ovit",
+        "ovit-full",
+    }
+    assert "compression" in call("reproduce", "list")[1]
+
+
+def test_a_narrow_terminal_loses_nothing_of_a_table(capsys, monkeypatch):
+    from deepfsi.cli.common import print_table
+
+    monkeypatch.setenv("COLUMNS", "80")
+    heads = ("design", "rails", "photons", "masks", "accuracy, 95 % interval", "counted")
+    row = ("impulse imaging (II)", "single", "1000", "64", "0.2787 [0.2588, 0.2986]", "0.016")
+    print_table("a table", heads, [row])
+    words = capsys.readouterr().out.replace("│", " ").replace("┃", " ").split()
+    assert set(" ".join((*heads, *row)).split()) <= set(words)

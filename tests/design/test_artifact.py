@@ -1,0 +1,341 @@
+"""A design file gives the design back bit for bit, or one clear error; it never runs code."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import pickle
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+import deepfsi
+from conftest import RECIPE, every_design, generator, light_on
+from deepfsi.design.artifact import Design
+from deepfsi.design.artifact_file import SCHEMA
+from deepfsi.errors import InputError
+from deepfsi.training.job import Job, Training
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import Scenes
+
+
+@pytest.fixture
+def saved(made, tmp_path) -> Path:
+    return made("deepfsi", "column", "dual").save(tmp_path / "design.safetensors")
+
+
+def header_of(path: Path) -> dict[str, Any]:
+    with safe_open(path, "pt") as file:
+        return json.loads(file.metadata()["deepfsi"])
+
+
+def rewrite(path: Path, change: Callable[[dict[str, Any], dict[str, torch.Tensor]], None]) -> None:
+    """Change the header and the tensors of a design file."""
+    header, tensors = header_of(path), load_file(path)
+    change(header, tensors)
+    save_file(tensors, path, {"deepfsi": json.dumps(header)})
+
+
+def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
+    with pytest.raises(InputError, match=match) as error:
+        Design.load(path)
+    assert "\n" not in str(error.value)
+
+
+@every_design
+def test_saved_and_loaded_designs_agree_bit_for_bit(made, digits, tmp_path, design, light, rails):
+    before = made(design, light, rails)
+    after = Design.load(before.save(tmp_path / "design.safetensors"))
+    for name in ("rails", "centre", "spread", "shares"):
+        mine, theirs = getattr(before, name), getattr(after, name)
+        assert torch.equal(mine, theirs)
+        assert mine.dtype == theirs.dtype
+    for name in ("name", "mean_light", "light", "image_shape", "classes", "info"):
+        assert getattr(before, name) == getattr(after, name)
+    features = before.scanner()(light_on(before, digits.x_test), generator()).float()
+    assert torch.equal(before.logits(features, 1e4), after.logits(features, 1e4))
+
+
+def test_a_design_trained_with_others_saves_only_itself(digits, tmp_path):
+    how = Training(**RECIPE)
+    jobs = [Job(masks=5, photons=photons, training=how) for photons in (1e3, 1e5)]
+    for design in train(Scenes(digits, "cpu"), jobs):
+        path = design.save(tmp_path / "design.safetensors")
+        assert path.stat().st_size < 20_000
+        assert torch.equal(Design.load(path).rails, design.rails)
+
+
+def test_the_file_says_where_the_design_comes_from(made, digits, saved):
+    header = header_of(saved)
+    assert header["schema"] == 1
+    assert header["light"] == "column"
+    assert header["image_shape"] == [8, 8]
+    assert header["classes"] == list("0123456789")
+    info = header["info"]
+    assert info["data"]["hash"] == digits.hash
+    assert info["preprocessing"] == digits.preprocessing
+    job = info["job"]
+    assert (job["photons"], job["noise"], job["seed"], job["masks"]) == (1e4, "ml_gauss", 0, 7)
+
+
+def test_the_file_names_the_package_version(saved):
+    assert deepfsi.__version__ in json.dumps(header_of(saved))
+
+
+def test_the_same_design_gives_the_same_bytes(made, saved, tmp_path):
+    again = made("deepfsi", "column", "dual").save(tmp_path / "again.safetensors")
+    assert again.read_bytes() == saved.read_bytes()
+
+
+def test_loading_leaves_the_global_random_state_alone(saved):
+    before = torch.get_rng_state()
+    Design.load(saved)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    refused(tmp_path / "none.safetensors", "no design file at .*none.safetensors")
+    refused(tmp_path, "no design file")
+
+
+@pytest.mark.parametrize("share", [0, 1e-9, 0.001, 0.02, 0.1, 0.5, 0.9, 1 - 1e-9])
+def test_a_truncated_file_is_refused(saved, share):
+    whole = saved.read_bytes()
+    kept = min(len(whole) - 1, max(int(share * len(whole)), int(share > 0)))
+    saved.write_bytes(whole[:kept])
+    refused(saved)
+
+
+def test_a_file_with_more_at_its_end_is_refused(saved):
+    saved.write_bytes(saved.read_bytes() + b"more")
+    refused(saved)
+
+
+@pytest.mark.parametrize("size", [1, 7, 8, 9, 100, 10_000])
+def test_random_bytes_are_refused(tmp_path, size):
+    path = tmp_path / "noise.safetensors"
+    for seed in range(5):
+        path.write_bytes(random.Random(seed).randbytes(size))
+        refused(path)
+
+
+class Bomb:
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.target,)
+
+
+@pytest.mark.parametrize("write", [torch.save, lambda o, p: p.write_bytes(pickle.dumps(o))])
+def test_a_pickle_in_disguise_is_refused_and_not_run(tmp_path, write):
+    path = tmp_path / "design.safetensors"
+    write(Bomb(tmp_path / "ran"), path)
+    refused(path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_newer_schema_asks_for_an_upgrade(saved):
+    rewrite(saved, lambda header, _: header.update(schema=SCHEMA + 1))
+    refused(saved, "upgrade deepfsi")
+
+
+def test_a_newer_schema_is_said_even_if_all_else_changed(saved):
+    rewrite(saved, lambda header, tensors: (header.clear(), header.update(schema=99)))
+    refused(saved, "upgrade deepfsi")
+
+
+@pytest.mark.parametrize("metadata", [None, {"other": "x"}, {"deepfsi": "{"}, {"deepfsi": "[]"}])
+def test_safetensors_without_our_header_are_refused(tmp_path, metadata):
+    path = tmp_path / "other.safetensors"
+    save_file({"rails": torch.ones(2, 3, 4)}, path, metadata)
+    refused(path)
+
+
+@pytest.mark.parametrize(
+    "key", ["rails", "centre", "spread", "shares", "classifier.layers.0.weight"]
+)
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_tensors_that_are_not_finite_are_refused(saved, key, bad):
+    rewrite(saved, lambda _, tensors: tensors[key].view(-1)[0].fill_(bad))
+    refused(saved)
+
+
+@pytest.mark.parametrize("key", ["rails", "centre", "spread", "shares", "classifier.layers.1.bias"])
+def test_a_missing_tensor_is_refused(saved, key):
+    rewrite(saved, lambda _, tensors: tensors.pop(key))
+    refused(saved)
+
+
+@pytest.mark.parametrize(
+    "key", ["rails", "centre", "spread", "shares", "classifier.layers.1.weight"]
+)
+def test_a_tensor_of_another_shape_is_refused(saved, key):
+    def change(_: Any, tensors: dict[str, torch.Tensor]) -> None:
+        tensors[key] = tensors[key][..., 1:].contiguous()
+
+    rewrite(saved, change)
+    refused(saved)
+
+
+@pytest.mark.parametrize(
+    "key", ["name", "light", "mean_light", "image_shape", "classes", "classifier", "info"]
+)
+def test_a_header_without_an_entry_is_refused(saved, key):
+    rewrite(saved, lambda header, _: header.pop(key))
+    refused(saved)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("light", "sunlight"),
+        ("mean_light", 0.0),
+        ("mean_light", -3.0),
+        ("mean_light", float("nan")),
+        ("mean_light", "bright"),
+        ("image_shape", [8, 9]),
+        ("image_shape", "8x8"),
+        ("classes", ["a", "b"]),
+        ("classes", 10),
+        ("classifier", {"kind": "mlp", "hidden": [9], "dropout": 0.0}),
+        ("classifier", {"kind": "forest", "hidden": [8], "dropout": 0.0}),
+        ("schema", "new"),
+    ],
+)
+def test_a_damaged_header_is_refused(saved, key, value):
+    rewrite(saved, lambda header, _: header.update({key: value}))
+    refused(saved)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda rails: -rails, id="negative"),
+        pytest.param(lambda rails: 2 * rails, id="too-bright"),
+        pytest.param(lambda rails: rails[[0, 1, 1]], id="three-rails"),
+        pytest.param(lambda rails: rails[:0], id="no-rail"),
+    ],
+)
+def test_rails_that_no_design_can_have_are_refused(saved, change):
+    rewrite(saved, lambda _, tensors: tensors.update(rails=change(tensors["rails"]).contiguous()))
+    with pytest.raises(InputError):
+        Design.load(saved)
+
+
+def test_a_spread_of_zero_is_refused(saved):
+    rewrite(saved, lambda _, tensors: tensors["spread"].zero_())
+    refused(saved)
+
+
+def test_only_mlps_can_be_saved(made, tmp_path):
+    design = copy.copy(made("deepfsi", "column", "dual"))
+    design.classifier = nn.Linear(7, 10)
+    with pytest.raises(InputError, match="Linear classifier cannot be saved"):
+        design.save(tmp_path / "design.safetensors")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("step", ["replace", "fsync"])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(saved, made, monkeypatch, step):
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    whole = saved.read_bytes()
+    monkeypatch.setattr(os, step, full)
+    with pytest.raises(OSError, match="No space left"):
+        made("pca", "column", "dual").save(saved)
+    assert list(saved.parent.iterdir()) == [saved]
+    assert saved.read_bytes() == whole
+
+
+@pytest.fixture(params=["dual", "single"])
+def camera(request, made) -> Design:
+    return made("deepfsi", "free-dwell", request.param)
+
+
+def some_counts(design: Design, *lead: int) -> np.ndarray:
+    rails = (2,) if len(design.rails) == 2 else ()
+    return np.random.default_rng(0).poisson(50, (*lead, *rails, design.masks))
+
+
+@pytest.mark.parametrize("lead", [(), (1,), (4,), (3, 2), (0,)])
+def test_classify_gives_probabilities_for_any_leading_shape(camera, lead):
+    chances = camera.classify(some_counts(camera, *lead), photons=1e4)
+    assert chances.shape == (*lead, 10)
+    assert np.allclose(chances.sum(axis=-1), 1, atol=1e-5)
+    assert (chances >= 0).all()
+
+
+def test_classify_takes_one_budget_or_one_for_each_exposure(camera):
+    counts, budgets = some_counts(camera, 3, 2), np.array([[1e3, 1e4], [1e5, 2e3], [3e4, 1e4]])
+    together = camera.classify(counts, budgets)
+    for i, j in np.ndindex(3, 2):
+        alone = camera.classify(counts[i, j][None], budgets[i, j])
+        assert together[i, j] == pytest.approx(alone[0], abs=1e-6)
+    assert np.allclose(
+        camera.classify(counts, [1e3, 1e4])[:, 0], camera.classify(counts[:, 0], 1e3)
+    )
+
+
+@pytest.mark.parametrize("kind", [list, np.uint16, np.int64, np.float64, torch.tensor])
+def test_classify_takes_any_array_of_counts(camera, kind):
+    counts = some_counts(camera, 3)
+    given = counts.tolist() if kind is list else kind(counts)
+    assert (camera.classify(given, 1e4) == camera.classify(counts, 1e4)).all()
+
+
+def test_classify_is_the_softmax_of_logits_of_the_difference(made):
+    design = made("deepfsi", "column", "dual")
+    counts = some_counts(design, 5)
+    features = torch.from_numpy(counts[:, 0] - counts[:, 1]).float()
+    chances = design.logits(features, 1e4).softmax(dim=-1).detach().numpy()
+    assert design.classify(counts, 1e4) == pytest.approx(chances, abs=1e-6)
+
+
+def test_classify_refuses_counts_of_another_shape(camera):
+    good = some_counts(camera, 3)
+    for bad in (good[..., 1:], good[0, ..., 0], 5.0, [], [[1.0, 2.0]]):
+        with pytest.raises(InputError, match="do not fit this design"):
+            camera.classify(bad, 1e4)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_classify_refuses_counts_that_are_not_finite(camera, bad):
+    counts = some_counts(camera, 3).astype(float)
+    counts[1, ..., 2] = bad
+    with pytest.raises(InputError, match="finite counts"):
+        camera.classify(counts, 1e4)
+
+
+@pytest.mark.parametrize("bad", [0, -1, np.nan, np.inf, [1e4, 0, 1e4], "abc", None])
+def test_classify_refuses_budgets_that_are_not_above_zero(camera, bad):
+    with pytest.raises(InputError):
+        camera.classify(some_counts(camera, 3), bad)
+
+
+@pytest.mark.parametrize("bad", ["abc", [[1, 2], [3]], None])
+def test_classify_refuses_counts_that_are_not_numbers(camera, bad):
+    with pytest.raises(InputError):
+        camera.classify(bad, 1e4)
+
+
+def test_classify_refuses_budgets_of_another_shape(camera):
+    for bad in ([1e4, 1e4], [[1e4], [1e4], [1e4]]):
+        with pytest.raises(InputError, match="photons of shape"):
+            camera.classify(some_counts(camera, 3), bad)
+
+
+def test_the_matrix_is_signed_by_rail(made):
+    design = made("deepfsi", "column", "dual")
+    assert design.matrix.shape == (design.masks, design.pixels) == (7, 64)
+    assert (design.matrix == (design.rails[0] - design.rails[1]).numpy()).all()

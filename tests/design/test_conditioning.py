@@ -1,0 +1,219 @@
+"""Designs for a range of budgets, and masks of which the first ones do by themselves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import every_optics, generator, quick
+from deepfsi.design.artifact import Design
+from deepfsi.design.artifact_file import read_design
+from deepfsi.design.conditioning import Told, chances
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.budget import photons_per_pixel
+from deepfsi.optics.scanner import measure
+from deepfsi.training.features import _exposures
+from deepfsi.training.job import BFLOAT16_COUNTS, Job, Training, products
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import Scenes
+
+TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
+
+
+@every_optics
+def test_the_first_masks_at_the_whole_constraint_obey_it(digits, light, rails):
+    design = quick(digits, light=light, rails=rails, **TRAINED)
+    whole = constraints.used(design.rails, light)[-1]
+    for masks in range(3, 9):
+        part = design.first(masks)
+        constraints.check(part.rails, light)
+        assert part.masks == masks
+        assert constraints.used(part.rails, light)[-1] == pytest.approx(float(whole), rel=1e-5)
+    assert torch.equal(design.first(8).rails, design.rails)
+
+
+@every_optics
+def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
+    digits, light, rails
+):
+    design = quick(digits, light=light, rails=rails, **TRAINED)
+    scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.mean_light)
+    counts = design.scanner().counts(scenes, generator(1))
+    for masks in (3, 5, 8):
+        part = design.first(masks)
+        seen = counts[..., :masks].squeeze(-2)
+        chance = part.classify(seen, 5e3 * part.used)
+        features = torch.zeros(20, 8)
+        features[:, :masks] = seen if rails == "single" else seen[:, 0] - seen[:, 1]
+        scaled = (features / 5e3 - design.centre) / design.spread
+        scaled[:, masks:] = 0
+        level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
+        told = torch.tensor([level, masks / 8]).expand(20, 2)
+        with torch.no_grad():
+            by_hand = design.classifier(torch.cat([scaled, told], dim=-1)).softmax(dim=-1)
+        np.testing.assert_allclose(chance, by_hand.numpy(), atol=2e-5)
+
+
+def test_what_is_told_is_written_out():
+    told = Told(photons=10.0, span=100.0, masks=4)
+    scaled = torch.tensor([[1.0, 2.0, 3.0]])
+    inputs = told.inputs(scaled, torch.tensor(100.0), torch.tensor(2))
+    assert inputs.tolist() == [[1.0, 2.0, 0.0, 0.0, 1.0, 0.5]]
+    low = told.inputs(scaled, torch.tensor(1.0), torch.tensor(3))
+    assert low.tolist() == [[1.0, 2.0, 3.0, 0.0, -1.0, 0.75]]
+
+
+def test_chances_are_of_the_fewest_masks_and_more():
+    assert chances(4, 0).tolist() == [0, 0, 0, 1]
+    assert chances(4, 4).tolist() == [0, 0, 0, 1]
+    few = [0.75 * part / 13 for part in (0, 6, 4, 3)]
+    assert chances(4, 2).tolist() == pytest.approx([*few[:3], few[3] + 0.25])
+
+
+@pytest.mark.parametrize("scale", ["each", "common"])
+@pytest.mark.parametrize(("span", "nested"), [(50.0, 0), (1.0, 2), (50.0, 2)])
+def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, span, nested):
+    """Simulated with noise of its own, to five standard errors of the mean square."""
+    job = Job(
+        masks=6, photons=300.0, training=Training(epochs=1, scale=scale, span=span, nested=nested)
+    )
+    [design] = train(Scenes(digits, "cpu"), [job])
+    rng = np.random.default_rng(2)
+    n, repeats = len(digits.x_train), 20
+    squares = []
+    used = constraints.used(design.rails, design.light).numpy()
+    for _ in range(repeats):
+        budget = 300.0 * span ** rng.random((n, 1))
+        likely = chances(6, nested).double().numpy()
+        shown = rng.choice(6, n, p=likely / likely.sum())[:, None] + 1
+        mean = digits.x_train @ design.matrix.T / design.mean_light
+        light = digits.x_train @ np.abs(design.matrix).T / design.mean_light
+        noise = np.sqrt(light / budget * used[shown - 1] / used[-1])
+        features = mean + noise * rng.standard_normal(mean.shape)
+        scaled = (features - design.centre.numpy()) / design.spread.numpy()
+        squares.append(np.where(np.arange(6) < shown, scaled**2, np.nan))
+    every = np.concatenate(squares)
+    axis = 0 if scale == "each" else None
+    power = np.nanmean(every, axis=axis)
+    error = np.nanstd(every, axis=axis) / np.sqrt((~np.isnan(every)).sum(axis=axis) / 6)
+    assert (np.abs(power - 1) < 5 * error + 1e-3).all()
+
+
+def test_what_fewer_masks_gain_in_light_has_its_gradient():
+    """Against finite differences, in the noise of the draws and in the masks."""
+    draw = generator(3)
+    scenes = torch.rand(5, 6, generator=draw, dtype=torch.float64) + 0.5
+    masks = torch.rand(2, 3, 6, generator=draw, dtype=torch.float64, requires_grad=True)
+    epsilon = torch.randn(4, 3, generator=draw, dtype=torch.float64)
+
+    def features(rails: torch.Tensor) -> torch.Tensor:
+        used = constraints.used(rails, "free-dwell")
+        pair = torch.stack([rails[0] - rails[1], rails[0] + rails[1]])
+        return measure(scenes, pair, epsilon * used[:3].sqrt(), False)
+
+    assert torch.autograd.gradcheck(features, (masks,))
+
+
+@every_optics
+def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
+    design = quick(digits, light=light, rails=rails, **TRAINED)
+    assert float(constraints.used(design.rails, light)[-1]) == pytest.approx(1, rel=1e-5)
+
+
+def test_the_noise_of_a_range_is_its_mean_over_budgets():
+    """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
+    job = Job(masks=2, photons=10.0, training=Training(span=1000.0))
+    rails = torch.rand(1, 2, 2, 5, generator=generator())
+    factor, often = _exposures(job, rails)
+    draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
+    error = 5 * draws.std() / 1000
+    assert float(factor[0, 0]) == pytest.approx(draws.mean(), abs=error)
+    assert often.tolist() == [1, 1]
+
+
+def test_a_design_for_a_range_does_where_those_for_one_budget_do_not(digits):
+    """More accurate than each far from its own budget, by three sigma of the test scenes."""
+    how = {"masks": 12, "epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1,
+           "scale": "common"}  # fmt: skip
+    wide = quick(digits, photons=100.0, span=3e4, **how)
+    for own, other in ((100.0, 3e6), (3e6, 100.0)):
+        narrow = quick(digits, photons=own, **how)
+        gained = [evaluate(design, digits, other, draws=5)[0].accuracy for design in (wide, narrow)]
+        error = math.sqrt(sum(rate * (1 - rate) for rate in gained) / len(digits.x_test))
+        assert gained[0] > gained[1] + 3 * error, (own, gained)
+
+
+def test_nested_masks_do_alone_and_others_do_not(digits):
+    how = {"masks": 20, "epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1,
+           "photons": 1e5, "scale": "common"}  # fmt: skip
+    nested = quick(digits, nested=4, **how)
+    told = quick(digits, nested=20, **how)
+    few = nested.first(4)
+    alone = evaluate(few, digits, 1e5)[0].accuracy
+    told.info["job"]["training"]["nested"] = 4  # ask it for what it has not learned
+    error = math.sqrt(0.25 / len(digits.x_test))
+    assert alone > evaluate(told.first(4), digits, 1e5)[0].accuracy + 5 * error
+
+
+def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
+    how = Training(epochs=2, span=30.0, nested=2, precision="float32", hidden=(8,))
+    jobs = [Job(masks=5, photons=p, training=how) for p in (100.0, 1e4)]
+    scenes = Scenes(digits, "cpu")
+    together = train(scenes, jobs)
+    for job, design in zip(jobs, together, strict=True):
+        [alone] = train(scenes, [job])
+        torch.testing.assert_close(design.rails, alone.rails, rtol=1e-3, atol=1e-5)
+        assert design.told == alone.told == Told(job.photons, 30.0, 5)
+
+
+@pytest.mark.parametrize("design", ["pca", "raster", "random"])
+def test_fixed_masks_can_be_told_too(digits, design):
+    made = quick(digits, design, span=100.0)
+    assert evaluate(made, digits, [1e4, 1e6])[1].accuracy > 0.1
+
+
+def test_the_file_keeps_what_is_told(digits, tmp_path):
+    design = quick(digits, **TRAINED).first(5)
+    again = Design.load(design.save(tmp_path / "d.safetensors"))
+    assert (again.told, again.used) == (design.told, pytest.approx(design.used))
+    counts = np.full((3, 2, 5), 40.0)
+    assert np.array_equal(again.classify(counts, 1e3), design.classify(counts, 1e3))
+    assert read_design(tmp_path / "d.safetensors")[0]["schema"] == 2
+    quick(digits).save(tmp_path / "plain.safetensors")
+    assert read_design(tmp_path / "plain.safetensors")[0]["schema"] == 1
+
+
+def test_products_are_rounded_by_the_largest_budget():
+    def job(span: float) -> Job:
+        return Job(masks=1, photons=BFLOAT16_COUNTS, training=Training(span=span))
+
+    if products(job(1.0), torch.device("cpu")) is torch.float32:
+        pytest.skip("this processor has no bfloat16")
+    assert products(job(4.0), torch.device("cpu")) is torch.float32
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"span": 0.5}, "greater than or equal to 1"),
+        ({"nested": 9, "masks": 8}, "9 of 8 masks"),
+        ({"span": 10.0, "noise": "poisson"}, "ml_gauss"),
+        ({"nested": 2, "noise": "gaussian"}, "ml_gauss"),
+    ],
+)
+def test_what_cannot_be_is_refused(digits, settings, words):
+    with pytest.raises(InputError, match=words):
+        quick(digits, **settings)
+
+
+def test_a_plain_design_has_no_first_masks(digits):
+    with pytest.raises(InputError, match="--nested"):
+        quick(digits, masks=6).first(3)
+    with pytest.raises(InputError, match="3 to 8"):
+        quick(digits, **TRAINED).first(2)
+    assert quick(digits, masks=6).first(6).masks == 6

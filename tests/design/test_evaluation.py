@@ -1,0 +1,217 @@
+"""Accuracy is counted right, repeats, and goes to its limits in the dark and in bright light."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import PHOTONS, every_design, generator, light_on, quick, synthetic
+from deepfsi.datasets import from_arrays
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def results(good, digits):
+    return evaluate(good, digits, [1e2, 1e3, 1e4, 1e6], draws=2)
+
+
+def test_accuracy_is_the_trace_of_the_confusion_matrix(results, digits):
+    for result in results:
+        confusion = np.array(result.confusion)
+        assert confusion.sum() == 2 * len(digits.y_test) == result.images * result.draws
+        assert result.accuracy == pytest.approx(confusion.trace() / confusion.sum())
+
+
+def test_rows_of_the_confusion_matrix_are_true_classes(results, digits):
+    for result in results:
+        confusion = np.array(result.confusion)
+        assert (confusion.sum(axis=1) == 2 * np.bincount(digits.y_test)).all()
+        assert result.rates == pytest.approx(confusion.diagonal() / confusion.sum(axis=1))
+
+
+def test_the_interval_contains_the_accuracy_and_says_what_it_covers(results):
+    for result in results:
+        assert 0 <= result.low <= result.accuracy <= result.high <= 1
+        assert "images" in result.covers
+
+
+def test_the_interval_is_wilsons_over_images(results):
+    for result in results:
+        n, z = result.images, 1.959964
+        p = round(result.accuracy * n) / n
+        middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+        half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+        assert (result.low, result.high) == pytest.approx((middle - half, middle + half), abs=1e-5)
+
+
+def test_more_draws_do_not_pretend_to_more_images(good, digits):
+    few, many = (evaluate(good, digits, 1e3, draws=draws)[0] for draws in (1, 8))
+    assert few.images == many.images == len(digits.y_test)
+    assert many.high - many.low > 0.8 * (few.high - few.low)
+
+
+def test_a_trained_design_reads_better_with_more_light(results):
+    accuracy = [result.accuracy for result in results]
+    assert accuracy == sorted(accuracy)
+    assert accuracy[-1] > 0.9
+
+
+def test_the_same_seed_repeats_and_another_differs(good, digits):
+    first, again, other = (evaluate(good, digits, 1e3, seed=seed) for seed in (1, 1, 2))
+    assert first == again
+    assert first[0].confusion != other[0].confusion
+
+
+def test_a_result_does_not_depend_on_the_other_budgets(good, digits):
+    assert evaluate(good, digits, [1e2, 1e3])[1] == evaluate(good, digits, 1e3)[0]
+
+
+def test_testing_leaves_the_global_random_state_alone(good, digits):
+    before = torch.get_rng_state()
+    evaluate(good, digits, 1e3)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_draws_of_a_scene_are_independent(good, digits):
+    one, three = (np.array(evaluate(good, digits, 1e2, draws=d)[0].confusion) for d in (1, 3))
+    assert (three != 3 * one).any()
+
+
+@pytest.mark.parametrize("photons", [1e-12, 1e-6])
+@pytest.mark.parametrize("design", ["deepfsi", "pca", "impulse"])
+def test_without_light_accuracy_is_chance(made, digits, design, photons):
+    result = evaluate(made(design, "column", "dual"), digits, photons)[0]
+    shares = np.bincount(digits.y_test) / len(digits.y_test)
+    assert shares.min() <= result.accuracy <= shares.max()
+
+
+def test_read_noise_that_drowns_the_light_leaves_chance(good, digits):
+    result = evaluate(good, digits, 1e4, noise="gaussian", sigma=1e9, draws=10)[0]
+    assert result.accuracy <= 0.1 + 5 * math.sqrt(0.09 / len(digits.y_test))
+
+
+@pytest.mark.parametrize("design", ["impulse", "deepfsi"])
+def test_bright_light_and_no_noise_agree(digits, design):
+    one = quick(digits, design, photons=1e8, epochs=5)
+    photons = light_on(one, digits.x_test, 1e8).float()
+    features = photons if design == "impulse" else photons @ torch.from_numpy(one.matrix).T
+    guess = one.logits(features, 1e8).argmax(dim=-1).numpy()
+    exact = (guess == digits.y_test).mean()
+    assert evaluate(one, digits, 1e8, noise="none")[0].accuracy == pytest.approx(exact, abs=1e-9)
+    assert evaluate(one, digits, 1e10)[0].accuracy == pytest.approx(exact, abs=0.01)
+
+
+@every_design
+def test_throughput_is_at_most_one(made, digits, design, light, rails):
+    result = evaluate(made(design, light, rails), digits, PHOTONS, draws=1)[0]
+    assert 0 < result.throughput <= 1 + 1e-5
+    assert sum(result.photons_per_mask) == pytest.approx(PHOTONS * result.throughput)
+
+
+@pytest.mark.parametrize(
+    ("design", "light", "throughput"),
+    [("impulse", "column", 1), ("raster", "column", 1 / 64), ("hadamard", "column", 1),
+     ("truncated-hadamard", "column", 1), ("pca", "two-arm", 1), ("hadamard", "equal-dwell", None)],
+)  # fmt: skip
+def test_throughput_of_known_designs(made, digits, design, light, throughput):
+    result = evaluate(made(design, light, "dual"), digits, PHOTONS, draws=1)[0]
+    if throughput is None:  # ±1 in 127 frames: all light in the first, half in each other
+        assert result.throughput == pytest.approx(64 / 127, rel=1e-5)
+    else:
+        assert result.throughput == pytest.approx(throughput, rel=1e-5)
+
+
+def test_poisson_and_its_stand_in_agree_in_bright_light(good, digits):
+    exact, stand_in = (
+        evaluate(good, digits, 1e5, noise=noise, draws=5)[0].accuracy
+        for noise in ("poisson", "ml_gauss")
+    )
+    five_sigma = 5 * math.sqrt(2 * 0.05 / (5 * len(digits.y_test)))
+    assert exact == pytest.approx(stand_in, abs=five_sigma)
+
+
+@pytest.mark.parametrize("rails", ["dual", "single"])
+def test_classify_agrees_with_evaluate(made, digits, rails):
+    """The same counts, drawn here and given to classify as a camera would."""
+    design = made("deepfsi", "free-dwell", rails)
+    result = evaluate(design, digits, PHOTONS, draws=1, seed=5)[0]
+    scanner = design.scanner()
+    shares = scanner.rates(torch.from_numpy(digits.x_test) / design.mean_light)
+    counts = scanner.read(shares * PHOTONS, generator(5)).numpy()
+    given = counts if rails == "dual" else counts[..., 0, :]
+    guess = design.classify(given, PHOTONS).argmax(axis=-1)
+    assert (guess == digits.y_test).mean() == pytest.approx(result.accuracy)
+
+
+def test_one_budget_is_a_list_of_one(good, digits):
+    assert [r.photons for r in evaluate(good, digits, 1e3)] == [1e3]
+    assert [r.photons for r in evaluate(good, digits, np.array([1e3, 10]))] == [1e3, 10]
+    assert [r.photons for r in evaluate(good, digits, ("1e3",))] == [1e3]
+
+
+def test_results_are_json(results):
+    for result in results:
+        assert json.loads(json.dumps(result.as_dict(), allow_nan=False)) == result.as_dict()
+
+
+def test_a_class_without_test_scenes_has_a_rate_that_is_json(good, digits):
+    some = digits.y_test != 3
+    data = replace(digits, x_test=digits.x_test[some], y_test=digits.y_test[some])
+    result = evaluate(good, data, 1e4)[0]
+    assert result.images == some.sum()
+    json.dumps(result.as_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize("bad", [0, -1, math.nan, math.inf, "abc", [1e3, 0], None])
+def test_a_bad_budget_is_refused(good, digits, bad):
+    with pytest.raises(InputError, match="photon budget"):
+        evaluate(good, digits, bad)
+
+
+def test_data_of_another_shape_is_refused(good):
+    with pytest.raises(InputError, match="pixels"):
+        evaluate(good, synthetic((12, 10)), 1e3)
+
+
+def test_data_with_other_classes_is_refused(good):
+    with pytest.raises(InputError, match="other classes"):
+        evaluate(good, synthetic((8, 8)), 1e3)
+
+
+def test_data_of_the_same_pixels_in_another_frame_is_refused(good, digits):
+    x = digits.x_train.reshape(-1, 4, 16)
+    data = from_arrays(x, digits.y_train, classes=digits.classes, name="flat")
+    with pytest.raises(InputError):
+        evaluate(good, data, 1e3)
+
+
+@pytest.mark.parametrize("draws", [0, -1, 1.5])
+def test_draws_are_at_least_one(good, digits, draws):
+    with pytest.raises(InputError):
+        evaluate(good, digits, 1e3, draws=draws)
+
+
+@pytest.mark.parametrize("sigma", [-1.0, math.nan, math.inf])
+def test_read_noise_is_finite_and_not_negative(good, digits, sigma):
+    with pytest.raises(InputError):
+        evaluate(good, digits, 1e3, noise="gaussian", sigma=sigma)
+
+
+def test_an_unknown_noise_names_the_closest(good, digits):
+    with pytest.raises(InputError, match="did you mean 'poisson'"):
+        evaluate(good, digits, 1e3, noise="poison")
+
+
+def test_a_class_without_test_scenes_has_no_rate(digits):
+    some = replace(
+        digits, x_test=digits.x_test[digits.y_test < 9], y_test=digits.y_test[digits.y_test < 9]
+    )
+    rates = evaluate(quick(digits, "pca"), some, 1e3, draws=1)[0].rates
+    assert rates[9] is None
+    assert None not in rates[:9]

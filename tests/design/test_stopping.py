@@ -1,0 +1,217 @@
+"""Early stopping: the same photons, an honest choice, and what is saved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import generator, quick
+from deepfsi.design import stopping
+from deepfsi.design.evaluation import evaluate
+from deepfsi.design.stopping import stop
+from deepfsi.errors import InputError
+from deepfsi.optics.scanner import subtract
+
+HELD_OUT = 400
+PHOTONS = 2e5
+TRAINED = {
+    "masks": 10, "nested": 2, "photons": PHOTONS, "epochs": 25, "hidden": (48,), "lr": 1e-2,
+    "mask_lr": 0.1, "scale": "common", "rails": "single", "light": "free-dwell",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def nested(digits):
+    return quick(digits.hold_out(HELD_OUT), **TRAINED)
+
+
+@pytest.fixture(scope="module")
+def stopped(nested, digits):
+    return stop(nested, digits, PHOTONS, held_out=HELD_OUT, draws=2)
+
+
+def test_stopping_saves_photons(stopped):
+    assert stopped.used.high < 0.95
+    assert stopped.difference.low > -0.03
+    assert sum(stopped.stops) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(("light", "rails"), [("free-dwell", "dual"), ("equal-dwell", "single")])
+def test_above_a_threshold_of_one_nothing_stops_and_accuracy_is_that_of_the_whole(
+    digits, light, rails
+):
+    settings = {**TRAINED, "light": light, "rails": rails, "epochs": 2}
+    design = quick(digits.hold_out(HELD_OUT), **settings)
+    found = stop(design, digits, PHOTONS, held_out=HELD_OUT, threshold=1.0, draws=2, seed=4)
+    [whole] = evaluate(design, digits, PHOTONS, draws=2, seed=4)
+    assert found.stops[-1] == 1
+    assert found.used.mean == pytest.approx(1)
+    assert found.stopped == found.whole
+    assert found.whole.mean == pytest.approx(whole.accuracy, abs=1e-12)
+    assert (found.whole.low, found.whole.high) == pytest.approx((whole.low, whole.high))
+
+
+def test_photons_used_fall_with_the_threshold(stopped):
+    used = [each["used"] for each in stopped.curve]
+    assert [each["threshold"] for each in stopped.curve] == sorted(
+        each["threshold"] for each in stopped.curve
+    )
+    assert used == sorted(used)
+    assert used[0] < used[-1] - 0.1
+    assert used[-1] == pytest.approx(1)
+
+
+def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
+    """Counts of whole exposures, shown to the policy mask by mask: nothing is drawn again."""
+    found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1, seed=7)
+    scanner = nested.scanner()
+    scenes = torch.from_numpy(digits.x_test) / nested.mean_light
+    counts = scanner.read(scanner.rates(scenes) * PHOTONS, generator(7))[:, 0].numpy()
+    right, used, ends = [], [], []
+    for exposure, label in zip(counts, digits.y_test, strict=True):
+        for shown in found.policy.after:
+            chances, enough = found.policy.ask(nested, exposure[:shown], PHOTONS)
+            if enough:
+                break
+        right.append(chances.argmax() == label)
+        used.append(nested.first(shown).used)
+        ends.append(shown)
+    assert np.mean(right) == pytest.approx(found.stopped.mean)
+    assert np.mean(used) == pytest.approx(found.used.mean)
+    for shown, share in zip(found.policy.after, found.stops, strict=True):
+        assert np.mean(np.equal(ends, shown)) == pytest.approx(share)
+
+
+def test_the_choice_does_not_look_at_the_test_scenes(nested, digits, stopped):
+    rng = np.random.default_rng(0)
+    labels = replace(digits, y_test=rng.permutation(digits.y_test))
+    scenes = replace(digits, x_test=np.ascontiguousarray(digits.x_test[::-1]))
+    for other in (labels, scenes):
+        again = stop(nested, other, PHOTONS, held_out=HELD_OUT, draws=2)
+        assert again.policy == stopped.policy
+        assert again.validation == stopped.validation
+    assert stop(nested, labels, PHOTONS, held_out=HELD_OUT).stopped.mean < 0.3
+
+
+def test_the_choice_keeps_the_accuracy_of_the_scenes_it_was_made_on(stopped):
+    assert stopped.validation["stopped"] >= stopped.validation["whole"]
+    assert stopped.validation["used"] < 1
+
+
+def test_temperatures_make_confidence_honest(nested, digits, stopped):
+    """A network three times as sure is found out, and then says what it said before."""
+    loud = replace(nested, classifier=torch.nn.Sequential(nested.classifier, _Times(3.0)))
+    heard = stop(loud, digits, PHOTONS, held_out=HELD_OUT, draws=2)
+    assert heard.policy.temperatures == pytest.approx(
+        [3 * t for t in stopped.policy.temperatures], rel=3e-3
+    )
+    assert heard.log_loss == pytest.approx(stopped.log_loss, rel=1e-3)
+    assert heard.log_loss < 0.8 * heard.uncalibrated_log_loss
+    assert heard.calibration_error < heard.uncalibrated_error
+
+
+class _Times(torch.nn.Module):
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self.factor = factor
+
+    def forward(self, logits: torch.Tensor) -> torch.Tensor:
+        return self.factor * logits
+
+
+def test_the_surest_answers_are_right_more_often(stopped):
+    accepted = [each["accepted"] for each in stopped.rejection]
+    assert accepted == sorted(accepted)
+    for name, all_of_them in (("stopped", stopped.stopped), ("whole", stopped.whole)):
+        assert stopped.rejection[-1][name] == pytest.approx(all_of_them.mean)
+        assert stopped.rejection[0][name] > all_of_them.mean
+
+
+def test_a_difference_is_that_of_its_means(stopped):
+    assert stopped.difference.mean == pytest.approx(stopped.stopped.mean - stopped.whole.mean)
+    assert stopped.difference.low < stopped.difference.mean < stopped.difference.high
+    assert stopped.as_dict()["policy"]["threshold"] == stopped.policy.threshold
+
+
+def test_calibration_error_is_that_of_groups_written_out():
+    sure = np.repeat([0.5, 0.7, 1.0], 20 * stopping.BINS)
+    right = np.concatenate([np.tile([1, 0], 10 * stopping.BINS), np.ones(40 * stopping.BINS)])
+    error = stopping._calibration_error(stopping._groups(sure, right))
+    assert error == pytest.approx((0 + 0.3 + 0) / 3)
+
+
+@pytest.fixture(scope="module")
+def looking(digits):
+    """A design of several looks."""
+    settings = {**TRAINED, "nested": 0, "looks": 4, "masks": 16, "photons": 2e4}
+    return quick(digits.hold_out(HELD_OUT), **settings)
+
+
+def test_an_exposure_of_several_looks_may_stop_after_each(looking, digits):
+    found = stop(looking, digits, 2e4, held_out=HELD_OUT, draws=2, seed=4)
+    [whole] = evaluate(looking, digits, 2e4, draws=2, seed=4)
+    assert found.policy.after == (1, 2, 3, 4)
+    assert found.whole.mean == pytest.approx(whole.accuracy, abs=1e-12)
+    assert found.used.mean == pytest.approx(np.dot(found.stops, [0.25, 0.5, 0.75, 1]))
+    assert found.used.high < 0.95
+    assert found.difference.low > -0.05
+
+
+def test_a_camera_that_looks_again_stops_as_the_study_says(looking, digits):
+    found = stop(looking, digits, 2e4, held_out=HELD_OUT, threshold=0.9, draws=4)
+    rng, patterns = np.random.default_rng(0), looking.rails[0].numpy() * looking.masks
+    looks, right = [], []
+    for scene, label in zip(digits.x_test, digits.y_test, strict=True):
+        shown = []
+
+        def read(dwell, rates=patterns @ scene * 2e4 / looking.mean_light, shown=shown):
+            shown.append(dwell)
+            return rng.poisson(dwell * rates)
+
+        chances = looking.watch(read, 2e4, until=found.policy.judge)
+        assert chances.sum() == pytest.approx(1)
+        looks.append(len(shown) / 4)
+        right.append(chances.argmax() == label)
+    for mine, its in ((looks, found.used), (right, found.stopped)):
+        assert abs(np.mean(mine) - its.mean) < 5 * (1.25 / len(mine)) ** 0.5 * np.std(mine)
+
+
+def test_under_column_nothing_is_saved(digits):
+    design = quick(digits.hold_out(HELD_OUT), masks=4, nested=2)
+    with pytest.raises(InputError, match="all masks see light at once"):
+        stop(design, digits, PHOTONS, held_out=HELD_OUT)
+
+
+def test_what_cannot_stop_is_refused(nested, digits):
+    plain = quick(digits.hold_out(HELD_OUT), masks=4, light="free-dwell", rails="single")
+    with pytest.raises(InputError, match="--nested"):
+        stop(plain, digits, PHOTONS, held_out=HELD_OUT)
+    with pytest.raises(InputError, match="--hold-out 200"):
+        stop(nested, digits, PHOTONS, held_out=200)
+    with pytest.raises(InputError, match="give 0 to 1"):
+        stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=1.5)
+    with pytest.raises(InputError, match="noise draws"):
+        stop(nested, digits, PHOTONS, held_out=HELD_OUT, draws=0)
+
+
+def test_counts_of_too_few_masks_are_refused(nested, stopped):
+    with pytest.raises(InputError, match="2 to 10"):
+        stopped.policy.ask(nested, np.ones(1), PHOTONS)
+    assert stopped.policy.ask(nested, np.ones(10), PHOTONS)[1]
+
+
+def test_features_are_those_of_evaluate(nested, digits):
+    """Over more scenes than are exposed at once."""
+    seen = stopping._Exposures(
+        nested, np.tile(digits.x_test, (4, 1)), np.tile(digits.y_test, 4), 1e3, (10,), 2, 3
+    )
+    draw, scanner = generator(3), nested.scanner()
+    scenes = torch.from_numpy(np.tile(digits.x_test, (4, 1))) / nested.mean_light
+    head = scanner.rates(scenes[:1024]) * 1e3
+    first, second = (subtract(scanner.read(head, draw)) for _ in range(2))
+    assert torch.equal(seen.drawn[0:2048:2], first)
+    assert torch.equal(seen.drawn[1:2048:2], second)
+    assert len(seen.drawn) == 8 * len(digits.x_test)

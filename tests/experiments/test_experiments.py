@@ -1,0 +1,263 @@
+"""The paper's experiments, run small, and the arithmetic of their claims."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from deepfsi import experiments
+from deepfsi.errors import InputError
+from deepfsi.experiments import experiment
+from deepfsi.experiments.camera import claims as camera_study
+from deepfsi.experiments.flexible import claims as flexible
+from deepfsi.experiments.indian_pines import claims as indian_pines
+from deepfsi.experiments.mnist import claims as mnist
+from deepfsi.statistics import differences
+from deepfsi.statistics.differences import Difference, above, difference, of_trials
+from deepfsi.sweeps.recipe import Recipe
+
+ALL = [each for members in experiments.STUDIES.values() for each in members]
+APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
+EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
+TINY = {
+    "data": "digits",
+    "ratios": (0.05, 0.1),
+    "photons": (1e2, 1e4),
+    "training": {"epochs": 1},
+}
+
+
+def tiny(experiment, trials: int, name: str):
+    """A recipe of the experiment on digits, of a moment; what makes it itself is kept."""
+    quick = experiment.recipe(quick=True, name=name)
+    kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
+    training = {**kept.pop("training"), **TINY["training"], "batch": 200}
+    changes = {**TINY, "training": training, "trials": trials}
+    if kept.get("gaussian_photons"):
+        changes["gaussian_photons"] = (80, 800)
+    if kept.get("test_photons"):
+        changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
+    if experiment.name == "masks":
+        changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
+    if experiment.name == "forgiving":
+        changes |= {"photons": 1e4, "ratios": 0.05 if name == "forgiving-counts" else 0.1}
+        changes["tuned"] = {}
+        training |= {"nested": 2} if "nested" in training else {}
+    return type(quick)(**{**kept, **changes})
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def done(request, tmp_path_factory):
+    """Folder in which all experiments have been run, with one trial and with two."""
+    folder = tmp_path_factory.mktemp("paper")
+    recipes = {
+        name: tiny(each, request.param, name) for each in EVERY for name in (each.name, *each.also)
+    }
+
+    def recipe(self, quick, trials, name=None):
+        return recipes[name or self.name]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment.Experiment, "recipe", recipe)
+        patch.setattr(camera_study, "DRAWS", 2)
+        for each in EVERY:
+            each.run(folder, command=f"deepfsi reproduce {each.name}")
+    return folder
+
+
+def test_every_experiment_ends_in_a_section(done):
+    page = experiments.page(done).read_text()
+    for each in EVERY:
+        section = each.section(done)
+        for number in range(1, len(section.pictures) + 1):
+            assert (done / f"{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
+        assert section.title in page
+        assert section.pictures
+        assert section.claims
+        assert all(claim.holds in (True, False, None) for claim in section.claims)
+        assert all(claim.measured for claim in section.claims)
+        assert "nan" not in section.found
+
+
+def table(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_numbers_behind_the_figures_are_there(done):
+    for each in EVERY:
+        for name in each.section(done).files:
+            rows = table(done / name)
+            assert rows
+            assert all(0 <= float(row["accuracy"]) <= 1 for row in rows)
+
+
+def test_experiments_share_what_they_train(done):
+    """MLGauss and quantisation test the designs of the comparison: two trainings each at most."""
+    made = {path.stem for path in (done / "designs").glob("*.safetensors")}
+    keys = {}
+    for each in EVERY:
+        keys[each.name] = {row["key"] for row in table(done / f"{each.name}-trials.csv")}
+    records = len(list((done / "trials").glob("*.json")))
+    assert len(set.union(*keys.values())) == records
+    assert len(made) < records
+
+
+def test_a_folder_without_experiments_is_refused(tmp_path):
+    with pytest.raises(InputError, match="deepfsi reproduce"):
+        experiments.page(tmp_path)
+    assert not experiments.is_study(tmp_path)
+
+
+def test_an_unknown_experiment_is_one_clear_line():
+    with pytest.raises(InputError, match="did you mean 'mnist'"):
+        experiments.find("mnst")
+
+
+@pytest.mark.parametrize("each", ALL, ids=lambda each: each.name)
+@pytest.mark.parametrize("quick", [False, True])
+def test_every_recipe_is_whole_and_takes_a_number_of_trials(each, quick):
+    fewest = 1 if each is camera_study.EXPERIMENT else 3  # one design each goes to the device
+    assert each.recipe(quick).trials >= fewest
+    assert each.recipe(quick, trials=2).trials == 2
+
+
+def test_both_noises_cover_one_axis():
+    """Budgets under read noise have the same impulse-imaging error as those under photon noise."""
+    from deepfsi.optics.budget import impulse_imaging_error
+
+    for quick in (False, True):
+        recipe = mnist.EXPERIMENT.recipe(quick)
+        for photon, read in zip(recipe.photons, recipe.gaussian_photons, strict=True):
+            assert impulse_imaging_error(photon, 0.4, 1024, "poisson") == pytest.approx(
+                impulse_imaging_error(read, 0.4, 1024, "gaussian"), rel=1e-3
+            )
+
+
+def point(accuracies, half=0.01):
+    mean = float(np.mean(accuracies))
+    return {"accuracies": list(accuracies), "low": mean - half, "high": mean + half}
+
+
+def test_trials_are_paired():
+    """What all trials share cancels: a constant difference has no width."""
+    shared = np.array([0.5, 0.7, 0.9])
+    found = difference(point(shared + 0.02), point(shared))
+    assert (found.mean, found.low, found.high) == pytest.approx((0.02, 0.02, 0.02))
+
+
+def spread(low, high):
+    """Difference of a normal error with this 95 % interval."""
+    return Difference((low + high) / 2, (high - low) / 2 / stats.norm.ppf(0.975))
+
+
+def test_an_interval_over_trials_covers_what_it_says():
+    """Student's interval of five normal values holds their mean in 95 % of cases."""
+    rng = np.random.default_rng(0)
+    runs = 2000
+    held = [
+        each.low <= 0.3 <= each.high
+        for each in (of_trials(0.3 + 0.1 * rng.standard_normal(5)) for _ in range(runs))
+    ]
+    assert abs(np.mean(held) - 0.95) <= 5 * math.sqrt(0.95 * 0.05 / runs)
+
+
+def test_single_trials_combine_the_intervals_over_images():
+    found = difference(point([0.8], 0.03), point([0.7], 0.04))
+    assert (found.mean, found.high - found.mean) == pytest.approx((0.1, 0.05))
+
+
+@pytest.mark.parametrize(
+    ("intervals", "answer"),
+    [
+        ([(0.1, 0.2), (0.01, 0.3)], True),
+        ([(0.1, 0.2), (-0.01, 0.3)], None),
+        ([(-0.3, -0.01)], False),
+        ([(0.1, 0.2), (-0.3, -0.1)], False),
+        ([(0.1, 0.2), (-0.3, -0.001)], None),
+    ],
+)
+def test_a_claim_holds_only_where_every_interval_says_so(intervals, answer):
+    """One of several intervals just below 0 is no surprise, and leaves the claim open."""
+    assert above(spread(low, high) for low, high in intervals) is answer
+
+
+def comparison(values):
+    """Results of a comparison from accuracies by (noise, design, budget), three trials each."""
+    points = []
+    for (noise, design, photons), accuracy in values.items():
+        points.append(
+            {
+                **point([accuracy - 0.001, accuracy, accuracy + 0.001], 0.002),
+                "noise": noise,
+                "design": design,
+                "label": design,
+                "photons": photons,
+                "best": True,
+            }
+        )
+    return {"points": points}
+
+
+LEVEL = {
+    "impulse": 0.95,
+    "deepfsi": 0.9,
+    "pca": 0.8,
+    "truncated-hadamard": 0.7,
+    "control": 0.6,
+    "hadamard": 0.5,
+    "raster": 0.5,
+}
+
+
+def answers(**changed):
+    """Answers to the claims of the comparison, as the paper has it or with changes."""
+    values = {
+        (noise, design, photons): accuracy
+        for noise, photons in itertools.product(("poisson", "gaussian"), (1e2, 1e4, 1e8))
+        for design, accuracy in LEVEL.items()
+        if (noise, design) != ("gaussian", "control")
+    }
+    for photons in (1e2, 1e4, 1e8):
+        values[("poisson", "truncated-hadamard", photons)] = 0.5
+        values[("gaussian", "hadamard", photons)] = 0.6
+    for place, accuracy in changed.items():
+        noise, design, photons = place.split("|")
+        values[(noise, design, float(photons))] = accuracy
+    results = comparison(values)
+    photon, read = (experiment.best(results, noise=noise) for noise in ("poisson", "gaussian"))
+    return [claim.holds for claim in (*mnist._photon_claims(photon), *mnist._read_claims(read))]
+
+
+def test_claims_hold_where_the_numbers_are_the_papers():
+    assert answers() == [True] * 7
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "answer"),
+    [
+        ({"poisson|deepfsi|1e2": 0.7}, 0, False),
+        ({"poisson|deepfsi|1e2": 0.8}, 0, None),
+        ({"poisson|deepfsi|1e8": 0.7}, 0, True),
+        ({"poisson|pca|1e4": 0.4}, 1, False),
+        ({"poisson|hadamard|1e8": 0.6}, 2, False),
+        ({"poisson|truncated-hadamard|1e4": 0.6}, 3, False),
+        ({"poisson|control|1e4": 0.95}, 4, False),
+        ({"poisson|control|1e8": 0.95}, 4, True),
+        ({"gaussian|hadamard|1e4": 0.4}, 5, False),
+        ({"gaussian|pca|1e4": 0.95}, 6, False),
+        ({"gaussian|impulse|1e4": 0.99}, 6, True),
+    ],
+)
+def test_claims_answer_to_the_numbers(change, place, answer):
+    assert answers(**change)[place] is answer
+
+
+def test_signs_are_as_wide_as_each_other():
+    assert differences.signed(-0.01) == "−0.010"
+    assert str(spread(-0.2, 0.4)) == "+0.100 [−0.200, +0.400]"
+    assert str(of_trials([0.1])) == "+0.100 (one trial, no interval)"

@@ -1,0 +1,110 @@
+"""The claims of designs that forgive answer to the numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deepfsi.experiments.flexible import claims as flexible
+
+LIGHTS = (1e3, 1e4)
+SHIFTS = np.array([-0.001, 0.0, 0.001])
+
+
+def point(recipe, accuracy, **fields):
+    values = accuracy + SHIFTS
+    return {
+        "recipe": recipe,
+        "design": "deepfsi",
+        "label": "DFSI",
+        "title": "DeepFSI",
+        "masks": 92,
+        "ratio": fields.get("masks", 92) / 1024,
+        "photons": 1e4,
+        "trained_at": fields.get("photons", 1e4),
+        "accuracies": values.tolist(),
+        "accuracy": accuracy,
+        "low": accuracy - 0.002,
+        "high": accuracy + 0.002,
+        **fields,
+    }
+
+
+def rate(mean):
+    return {"mean": mean, "low": mean - 0.001, "high": mean + 0.001}
+
+
+def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001):
+    points = [
+        *(point("forgiving", 0.9, photons=p) for p in LIGHTS),
+        *(
+            point("forgiving", 0.7, photons=p, design=d, label=d.upper(), title=d)
+            for p in LIGHTS
+            for d in ("pca", "truncated-hadamard")
+        ),
+        point("forgiving-counts", 0.9, masks=10),
+        *(
+            point("forgiving-counts", 0.7, masks=10, design=d, label=d.upper(), title=d)
+            for d in ("pca", "truncated-hadamard")
+        ),
+        *(point("forgiving-range", ranged, photons=p, trained_at=2e2) for p in LIGHTS),
+        point("forgiving-nested", 0.9),
+        point("forgiving-stop", 0.9, photons=1e5),
+        *(point("forgiving-plain", 0.9, photons=p) for p in (5e4, 1e5)),
+    ]
+    stopped, looked = (
+        [
+            {
+                "photons": 1e5,
+                "used": rate(used + change),
+                "whole": rate(0.9),
+                "stopped": rate(0.9 - lost),
+                "difference": rate(-lost + change * spread),
+                "calibration_error": 0.01,
+                "uncalibrated_error": 0.02,
+                "stops": [0.5, 0.5],
+                "policy": {"after": [1, 2]},
+                "curve": [{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
+                "rejection": [{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
+            }
+            for change in SHIFTS
+        ]
+        for used, lost in ((used, lost), (looked, 0.0))
+    )
+    prefixes = [
+        point(recipe, first if masks == 10 else 0.9, masks=masks, photons=1e4)
+        for recipe in ("forgiving-nested", "forgiving-both")
+        for masks in (10, 92)
+    ]
+    return {"points": points, "extra": {"prefixes": prefixes, "stopped": stopped, "looked": looked}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "answers"),
+    [
+        ({}, [True, True, True, True]),
+        ({"ranged": 0.88}, [False, True, True, True]),
+        ({"first": 0.88}, [True, False, True, True]),
+        ({"used": 0.8}, [True, True, False, True]),
+        ({"lost": 0.01}, [True, True, False, True]),
+        ({"looked": 0.8}, [True, True, True, False]),
+    ],
+)
+def test_claims_answer_to_the_numbers(changes, answers):
+    found = flexible.show(results(**changes))
+    assert [claim.holds for claim in found.claims] == answers
+    assert len(found.pictures) == len(found.tables) == 3
+
+
+def test_tables_hold_the_differences():
+    ranged, nested, stopping = flexible.show(results(ranged=0.91)).tables
+    assert ranged.rows[0][:4] == ("1000", 0.91, 0.9, "+0.010 [+0.010, +0.010]")
+    assert ranged.rows[0][4:] == (0.7, 0.7)
+    assert nested.rows[0][:4] == (10, 0.89, 0.9, "−0.010 [−0.010, −0.010]")
+    assert stopping.rows[1][:2] == ("nested, stopped early", pytest.approx(6e4))
+    assert stopping.rows[3][:2] == ("several looks, stopped early", pytest.approx(5e4))
+
+
+def test_a_single_trial_has_the_interval_of_its_images():
+    found = flexible._over([{"mean": 0.4, "low": 0.3, "high": 0.5}])
+    assert (found.low, found.high) == pytest.approx((0.3, 0.5))

@@ -1,0 +1,400 @@
+"""Drivers: virtual ones, and Vialux's against a fake of ALP4lib that keeps its rules."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.drivers import vialux
+from deepfsi.hardware.drivers.protocols import PatternProjector, PhotonCounter, scan
+from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.sequence import Device
+from deepfsi.hardware.ptu import reader as ptu
+from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
+from deepfsi.hardware.virtual.devices import VirtualCounter, VirtualProjector
+
+DEVICE = Device(name="small", columns=64, rows=24)
+BUSY = 3  # how often the fake says that it still shows something, for each sequence
+
+
+class ALPError(Exception):
+    pass
+
+
+class Library:
+    """The C library: sequences in memory, a queue, and what was shown, in order."""
+
+    def __init__(self):
+        self.calls, self.shown, self.sequences = [], [], {}
+        self.queue, self.busy, self.queue_mode = [], 0, None
+        self.memory, self.places, self.stuck = 1000, 2, False
+        self.allocated = False
+        self.fail_at: dict[str, BaseException | int] = {}
+
+    def step(self, name):
+        """Note a call; the fake fails there if it was told to."""
+        self.calls.append(name)
+        failure = self.fail_at.pop(name, None)
+        if isinstance(failure, BaseException):
+            raise failure
+        if failure is not None:
+            raise KeyError(failure) if failure > 1020 else ALPError(f"Failure {failure}.")
+
+    def AlpProjInquire(self, alp_id, which, value):
+        self.step("AlpProjInquire")
+        assert alp_id.value == 7, "the device's own id"
+        if self.busy:
+            self.busy -= not self.stuck
+        if not self.busy and self.queue:
+            self.shown.append(self.queue.pop(0))
+            self.busy = BUSY
+        answers = {
+            vialux.PROJ_STATE: vialux.PROJ_ACTIVE if self.busy else 1201,
+            vialux.QUEUE_AVAIL: self.places - len(self.queue),
+        }
+        value._obj.value = answers[which.value]
+        return 0
+
+
+class ALP4:
+    """ALP4lib's class, as far as the driver may use it."""
+
+    library: Library
+
+    def __init__(self, version="4.3", libDir=None):
+        print("Loading library")
+        self._ALPLib, self.ALP_ID = self.library, ctypes.c_ulong(0)
+        self._ALPLib.step("__init__")
+
+    def _checkError(self, code, words):
+        if code:
+            raise ALPError(words)
+
+    def Initialize(self, DeviceNum=None):
+        self._ALPLib.step("AlpDevAlloc")
+        self._ALPLib.allocated = True
+        self.ALP_ID, self.nSizeX, self.nSizeY = ctypes.c_ulong(7), DEVICE.columns, DEVICE.rows
+        self._ALPLib.step("AlpDevInquire")
+
+    def ProjControl(self, kind, value):
+        self._ALPLib.step("ProjControl")
+        if kind == vialux.QUEUE_MODE:
+            self._ALPLib.queue_mode = value
+        else:
+            assert (kind, value) == (vialux.RESET_QUEUE, vialux.DEFAULT)
+            self._ALPLib.queue.clear()
+
+    def DevInquire(self, which):
+        assert which == vialux.AVAIL_MEMORY
+        return self._ALPLib.memory - sum(s["count"] for s in self._ALPLib.sequences.values())
+
+    def SeqAlloc(self, nbImg=1, bitDepth=1):
+        self._ALPLib.step("SeqAlloc")
+        assert bitDepth == 1
+        sequence = ctypes.c_long(len(self._ALPLib.calls))
+        self._ALPLib.sequences[sequence.value] = {"count": nbImg, "frames": {}, "controls": {}}
+        return sequence
+
+    def SeqControl(self, kind, value, SequenceId):
+        self._ALPLib.sequences[SequenceId.value]["controls"][kind] = value
+
+    def SeqInquire(self, which, SequenceId):
+        return {vialux.MIN_PICTURE_TIME: 44, vialux.MAX_PICTURE_TIME: 10**7}[which]
+
+    def SetTiming(self, SequenceId, pictureTime):
+        self._ALPLib.sequences[SequenceId.value]["us"] = pictureTime
+
+    def SeqPut(self, imgData, SequenceId, PicOffset, PicLoad):
+        self._ALPLib.step("SeqPut")
+        sequence = self._ALPLib.sequences[SequenceId.value]
+        assert sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN
+        assert (imgData.dtype, imgData.ndim) == (np.uint8, 1)
+        for place, frame in enumerate(imgData.reshape(PicLoad, -1)):
+            assert PicOffset + place < sequence["count"]
+            sequence["frames"][PicOffset + place] = frame.copy()
+
+    def Run(self, SequenceId, loop):
+        self._ALPLib.step("Run")
+        assert not loop
+        assert self._ALPLib.queue_mode == vialux.SEQUENCE_QUEUE
+        assert len(self._ALPLib.queue) < self._ALPLib.places, "the queue is full"
+        self._ALPLib.queue.append(SequenceId.value)
+
+    def FreeSeq(self, SequenceId):
+        self._ALPLib.step("FreeSeq")
+        del self._ALPLib.sequences[SequenceId.value]
+
+    def Halt(self):
+        self._ALPLib.step("Halt")
+        self._ALPLib.busy = 0
+
+    def Free(self):
+        self._ALPLib.step("Free")
+        assert not self._ALPLib.busy, "the device is freed when it is idle"
+        self._ALPLib.allocated = False
+        self._ALPLib.sequences.clear()
+        del self._ALPLib
+
+
+@pytest.fixture
+def library(monkeypatch):
+    fake = Library()
+    module = types.ModuleType("ALP4")
+    module.ALP4 = type("ALP4", (ALP4,), {"library": fake})
+    monkeypatch.setitem(sys.modules, "ALP4", module)
+    monkeypatch.setattr(vialux, "POLL_S", 0)
+    return fake
+
+
+def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE):
+    rng = np.random.default_rng(3)
+    rails = rng.random((1, masks, 32)) * rng.uniform(0.1, 1, (1, masks, 1))
+    if light == "equal-dwell":
+        rails /= masks
+    else:
+        rails /= rails.max(axis=2).sum()
+    export_patterns(rails, light, (4, 8), device, 1e-3, folder, mean_light=10.0, format=format)
+    return folder
+
+
+def show(folder, while_it_runs=lambda: None):
+    with vialux.VialuxProjector() as projector:
+        projector.load(folder)
+        projector.run()
+        while_it_runs()
+        projector.wait()
+
+
+@pytest.mark.parametrize("format", ["npy", "png", "raw"])
+@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])
+def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format):
+    folder = patterns(tmp_path / "patterns", light, format)
+    shares = []
+    with vialux.VialuxProjector() as projector:
+        projector.load(folder, shares.append)
+        loaded = dict(library.sequences)
+        for _ in range(2):
+            projector.run()
+            projector.wait()
+    shown = library.shown[: len(library.shown) // 2]
+    assert shown == library.shown[len(shown) :]
+    frames = [loaded[s]["frames"][place] for s in shown for place in range(loaded[s]["count"])]
+    times = [loaded[s]["us"] for s in shown for _ in range(loaded[s]["count"])]
+    manifest = read_patterns(folder).manifest
+    assert times == [frame.picture_us for frame in manifest.frames]
+    assert len(set(times)) == (1 if light == "equal-dwell" else len(set(times[2:-2])) + 1)
+    assert len(shown) == (1 if light == "equal-dwell" else len(manifest.frames) - 2)
+    for frame, wanted in zip(frames, read_frames(folder), strict=True):
+        np.testing.assert_array_equal(frame, wanted.ravel())
+    assert all(s["controls"][vialux.BIN_MODE] == vialux.BIN_UNINTERRUPTED for s in loaded.values())
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+    assert not library.allocated
+
+
+def test_library_output_stays_off_stdout(library, capsys):
+    with vialux.VialuxProjector():
+        pass
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("step", "failure", "words"),
+    [
+        ("__init__", OSError("no such library"), "no such library"),
+        ("AlpDevAlloc", 1001, "Failure 1001"),
+        ("AlpDevInquire", 1011, "Failure 1011"),
+        ("ProjControl", 1099, "code 1099"),
+        ("SeqAlloc", 1007, "Failure 1007"),
+        ("SeqPut", 1009, "Failure 1009"),
+        ("Run", 1008, "Failure 1008"),
+        ("AlpProjInquire", 1012, "Failure 1012"),
+    ],
+)
+def test_a_refusal_is_one_line_and_frees_the_device(library, tmp_path, step, failure, words):
+    folder = patterns(tmp_path / "patterns")
+    library.fail_at = {step: failure}
+    with pytest.raises(InputError, match=words) as caught:
+        show(folder)
+    assert "\n" not in str(caught.value)
+    assert not library.allocated
+    assert not library.fail_at
+
+
+@pytest.mark.parametrize("step", ["AlpDevInquire", "ProjControl", "SeqPut", "Run"])
+def test_ctrl_c_frees_the_device(library, tmp_path, step):
+    folder = patterns(tmp_path / "patterns")
+    library.fail_at = {step: KeyboardInterrupt()}
+    with pytest.raises(KeyboardInterrupt):
+        show(folder)
+    assert not library.allocated
+    assert library.calls[-1] == "Free"
+
+
+def test_ctrl_c_while_waiting_halts_and_frees_even_where_halting_fails(library, tmp_path):
+    folder = patterns(tmp_path / "patterns")
+
+    def trouble():
+        library.fail_at = {"AlpProjInquire": KeyboardInterrupt(), "ProjControl": 1012}
+
+    with pytest.raises(KeyboardInterrupt):
+        show(folder, trouble)
+    assert library.calls[-3:] == ["ProjControl", "Halt", "Free"]
+    assert not library.allocated
+
+
+def test_a_failed_cleanup_is_told_where_nothing_else_was_wrong(library):
+    with pytest.raises(InputError, match="Failure 1012"), vialux.VialuxProjector():
+        library.fail_at = {"Halt": 1012}
+    assert library.calls[-1] == "Free"
+
+
+def test_a_failed_load_leaves_nothing_to_run(library, tmp_path):
+    folder = patterns(tmp_path / "patterns")
+    with vialux.VialuxProjector() as projector:
+        library.fail_at = {"SeqPut": 1009}
+        with pytest.raises(InputError, match="Failure 1009"):
+            projector.load(folder)
+        assert not library.sequences
+        with pytest.raises(InputError, match="load a pattern folder first"):
+            projector.run()
+        projector.load(folder)
+        projector.run()
+
+
+def test_loading_again_replaces(library, tmp_path):
+    folder = patterns(tmp_path / "patterns", "equal-dwell", masks=3)
+    library.memory = 8  # room for these 7 frames once
+    with vialux.VialuxProjector() as projector:
+        projector.load(folder)
+        projector.load(folder)
+        assert [s["count"] for s in library.sequences.values()] == [7]
+
+
+def test_what_the_device_cannot_show_is_refused(library, tmp_path):
+    folder = patterns(tmp_path / "patterns")
+    other = patterns(tmp_path / "other", device=Device(name="other", columns=72, rows=24))
+    slow = export_patterns(
+        np.ones((1, 1, 32)), "equal-dwell", (4, 8), DEVICE, 20.0, tmp_path / "slow", mean_light=10.0
+    )
+    assert slow.manifest.frames[0].picture_us == 20_000_000
+    with vialux.VialuxProjector() as projector:
+        with pytest.raises(InputError, match="made for 72 x 24 mirrors"):
+            projector.load(other)
+        with pytest.raises(InputError, match="44 to 10000000 µs"):
+            projector.load(tmp_path / "slow")
+        library.memory = 50
+        with pytest.raises(InputError, match="has room for 50"):
+            projector.load(folder)
+
+
+def test_a_pass_that_still_runs_is_not_started_again(library, tmp_path):
+    with vialux.VialuxProjector() as projector:
+        projector.load(patterns(tmp_path / "patterns", "equal-dwell", masks=3))
+        projector.run()
+        library.stuck = True
+        with pytest.raises(InputError, match="still shows a pass"):
+            projector.run()
+        projector.halt()
+        projector.run()
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])  # waiting for the end, the queue
+def test_a_device_that_never_ends_is_not_waited_for(library, tmp_path, monkeypatch, light):
+    monkeypatch.setattr(vialux, "GRACE_S", 0.05)
+    folder = patterns(tmp_path / "patterns", light, masks=8)
+    library.stuck = True
+    with pytest.raises(InputError, match="should have ended"):
+        show(folder)
+
+
+def test_words_where_the_library_or_the_context_is_missing(monkeypatch):
+    with pytest.raises(InputError, match="not open"):
+        vialux.VialuxProjector().halt()
+    monkeypatch.setitem(sys.modules, "ALP4", None)
+    with pytest.raises(InputError, match="pip install"), vialux.VialuxProjector():
+        pass
+
+
+# The virtual pair
+
+
+class Display:
+    """What is shown now."""
+
+    def __init__(self):
+        self.scene = None
+
+    def show(self, scene):
+        self.scene = scene
+
+
+def virtual_run(folder, scenes, path):
+    camera, flux = Camera(dark=2e3), 1e6
+    display = Display()
+    projector: PatternProjector = VirtualProjector(lambda: display.scene)
+    with projector:
+        projector.load(folder)
+        counter: PhotonCounter = VirtualCounter(projector, camera, flux, seed=0)
+        with counter:
+            scan(projector, counter, scenes, display.show, path)
+    return rates(folder, np.stack(scenes), camera, flux)
+
+
+def test_a_scan_records_each_scene_as_the_camera_would(tmp_path):
+    folder = patterns(tmp_path / "patterns", masks=5)
+    manifest = read_patterns(folder).manifest
+    scenes = list(np.random.default_rng(1).random((3, 4, 8)) * np.array([1, 0, 3])[:, None, None])
+    flow = virtual_run(folder, scenes, tmp_path / "a.ptu")
+    ticks, _ = ptu.read_markers(tmp_path / "a.ptu")
+    assert len(ticks) == 3 * len(manifest.frames)
+    starts = ticks * ptu.read_header(tmp_path / "a.ptu").tick_s
+    np.testing.assert_allclose(np.diff(starts), np.tile(manifest.picture_s, 3)[:-1], atol=1e-9)
+    ends = np.append(ticks[1:], ticks[-1] + round(manifest.picture_s[-1] / 1e-12))
+    counts = ptu.count_gates(tmp_path / "a.ptu", ticks, ends)[:, 0]
+    expected = (flow[..., 0] * manifest.picture_s).ravel()
+    assert (np.abs(counts - expected) < 5 * np.sqrt(expected) + 5).all()
+    assert expected.max() > 1000
+    virtual_run(folder, scenes, tmp_path / "b.ptu")
+    assert (tmp_path / "a.ptu").read_bytes() == (tmp_path / "b.ptu").read_bytes()
+    rng = np.random.default_rng(0)
+    write_photons(tmp_path / "c.ptu", manifest, flow, Camera(dark=2e3), rng)
+    assert (tmp_path / "a.ptu").read_bytes() == (tmp_path / "c.ptu").read_bytes()
+
+
+def test_a_scan_that_fails_leaves_no_file(tmp_path):
+    folder = patterns(tmp_path / "patterns", masks=5)
+
+    def scenes():
+        yield np.ones((4, 8))
+        raise KeyboardInterrupt
+
+    display = Display()
+    projector = VirtualProjector(lambda: display.scene)
+    projector.load(folder)
+    counter = VirtualCounter(projector, Camera(), 1e6)
+    with pytest.raises(KeyboardInterrupt), counter:
+        scan(projector, counter, scenes(), display.show, tmp_path / "a.ptu")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["patterns"]
+    with pytest.raises(InputError, match="nothing is recorded"):
+        counter.stop()
+
+
+def test_virtual_devices_say_what_comes_first(tmp_path):
+    projector = VirtualProjector(lambda: np.ones((4, 8)))
+    with pytest.raises(InputError, match="load a pattern folder first"):
+        projector.run()
+    projector.load(patterns(tmp_path / "patterns", masks=5))
+    projector.run()
+    counter = VirtualCounter(projector, Camera(), 1e6)
+    counter.start(tmp_path / "a.ptu")  # the pass before is not in it
+    with pytest.raises(InputError, match="nothing is recorded"):
+        counter.stop()
+    (tmp_path / "patterns" / "frames.npy").write_bytes(b"")
+    with pytest.raises(InputError):
+        projector.load(tmp_path / "patterns")

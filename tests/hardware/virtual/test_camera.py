@@ -1,0 +1,480 @@
+"""The virtual camera: light where it should be, and counts that agree with the scanner's."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from pydantic import ValidationError
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.gates import Gates, find_gates
+from deepfsi.hardware.patterns.sequence import Device, Patterns, find_grid
+from deepfsi.hardware.ptu import reader as ptu
+from deepfsi.hardware.recording.acquisition import count, read_acquisition
+from deepfsi.hardware.virtual import camera as module
+from deepfsi.hardware.virtual import detector
+from deepfsi.hardware.virtual.camera import CAMERAS, Camera, draw_counts, irradiance, rates, record
+from deepfsi.optics import constraints
+from deepfsi.optics.scanner import Scanner
+
+DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
+SHAPE = (3, 4)
+GRID = find_grid(DEVICE, SHAPE)
+CELLS = 12
+MIRRORS = GRID.mirrors
+AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
+MEAN_LIGHT = 7.0
+IDEAL = CAMERAS["ideal"]
+OPTICS = [
+    ("equal-dwell", "dual"),
+    ("free-dwell", "dual"),
+    ("free-dwell", "single"),
+    ("two-arm", "dual"),
+    ("column", "dual"),
+]
+every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
+
+
+def scenes(number: int = 3, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    return np.random.default_rng(4).uniform(0.1, 1, (number, *shape)).astype(np.float32)
+
+
+def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", masks=5, dwell=2e-3):
+    """Export random masks, one of them with a dark rail."""
+    wild = np.random.default_rng(3).random((masks, CELLS)) - (0.5 if rails == "dual" else 0)
+    wild[1] = abs(wild[1])
+    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    return export_patterns(fitted, light, SHAPE, DEVICE, dwell, folder, mean_light=MEAN_LIGHT)
+
+
+def scanner_rates(shown: Patterns, x: np.ndarray, photons: float) -> np.ndarray:
+    """What the scanner expects of the realised rails, (S, rails, m)."""
+    scanner = Scanner.from_rails(torch.from_numpy(shown.rails))
+    flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
+    return scanner.rates(flat * (photons / MEAN_LIGHT)).numpy()
+
+
+def assert_poisson(counts: np.ndarray, mean: np.ndarray) -> None:
+    """Mean and variance of samples (n, ...), all places together and one by one, to five sigma."""
+    n, lit = len(counts), mean > 0
+    assert (counts[:, ~lit] == 0).all()
+    counts, mean = counts[:, lit].astype(float), mean[lit]
+    off = (counts.mean(axis=0) - mean) / np.sqrt(mean / n)
+    assert np.all(abs(off) <= 5)
+    power = (counts.var(axis=0, ddof=1) - mean) / np.sqrt((2 * mean**2 + mean) / n)
+    assert np.all(abs(power) <= 6)  # not yet normal for few samples
+    for all_places in (off, power):
+        assert abs(all_places.sum()) <= 5 * len(mean) ** 0.5
+
+
+# Light on the mirrors
+
+
+@pytest.mark.parametrize("shape", [SHAPE, (6, 12), (24, 36)])
+def test_the_ideal_camera_gives_each_mirror_its_share_of_its_cell(shape):
+    x = scenes(2, shape)
+    light = irradiance(x, IDEAL, DEVICE, GRID)
+    assert light.shape == (2, 26, 36)
+    assert light.dtype == np.float32
+    wide = np.repeat(np.repeat(x, 24 // shape[0], axis=1), 36 // shape[1], axis=2)
+    assert light[:, *AREA] == pytest.approx(wide / MIRRORS, rel=1e-6)
+    light[:, *AREA] = 0
+    assert (light == 0).all()
+
+
+def test_images_need_not_be_a_multiple_of_the_cells():
+    x = np.arange(35.0).reshape(1, 5, 7)
+    light = irradiance(x, IDEAL, DEVICE, GRID)[0][AREA]
+    rows, columns = ((np.arange(24) + 0.5) * 5 / 24).astype(int), ((np.arange(36) + 0.5) * 7 / 36)
+    assert light == pytest.approx(x[0][np.ix_(rows, columns.astype(int))] / MIRRORS)
+
+
+def test_a_shifted_view_moves_the_image_by_whole_cells_and_loses_what_leaves():
+    view = ((1, 0, 1 / 4), (0, 1, -1 / 3), (0, 0, 1))
+    x = scenes(1)
+    moved = irradiance(x, Camera(view=view), DEVICE, GRID)[0][AREA]
+    expected = np.zeros((24, 36), np.float32)
+    expected[:16, 9:] = irradiance(x, IDEAL, DEVICE, GRID)[0][AREA][8:, :27]
+    assert np.array_equal(moved, expected)
+
+
+def test_a_larger_image_is_as_bright():
+    view = ((2, 0, -0.5), (0, 2, -0.5), (0, 0, 1))
+    light = irradiance(np.ones((1, 4, 4)), Camera(view=view), DEVICE, GRID)[0][AREA]
+    assert light == pytest.approx(np.full((24, 36), 1 / MIRRORS))
+
+
+def test_perspective_puts_a_spot_where_the_homography_does():
+    view = ((0.8, 0.1, 0.05), (-0.05, 0.7, 0.2), (0.2, -0.1, 1.0))
+    device = Device(name="large", columns=400, rows=300)
+    spot = np.zeros((1, 50, 50))
+    spot[0, 10, 35] = 1  # at (0.71, 0.21)
+    light = irradiance(spot, Camera(view=view), device, find_grid(device, (30, 40)))[0]
+    x, y, depth = np.array(view) @ (0.71, 0.21, 1)
+    rows, columns = np.nonzero(light)
+    assert columns.mean() + 0.5 == pytest.approx(400 * x / depth, abs=1)
+    assert rows.mean() + 0.5 == pytest.approx(300 * y / depth, abs=1)
+
+
+def test_nothing_is_seen_behind_the_camera():
+    """Of a display that crosses the horizon only one side is seen, that of the area's centre."""
+    view = ((-0.8, -0.6, 0.6), (-0.7, -0.6, 0.6), (1, -0.7, -0.2))
+    light = irradiance(np.ones((1, 3, 4)), Camera(view=view), DEVICE, GRID)[0][AREA]
+    x, y = np.meshgrid((np.arange(36) + 0.5) / 36, (np.arange(24) + 0.5) / 24)
+    back = np.linalg.inv(view)
+    across, down, depth = (row[0] * x + row[1] * y + row[2] for row in back)
+    on_display = (abs(across / depth - 0.5) < 0.5) & (abs(down / depth - 0.5) < 0.5)
+    front = depth * (back[2] @ [0.5, 0.5, 1]) > 0
+    assert (on_display & front).sum() > 100
+    assert (on_display & ~front).sum() > 100
+    assert np.array_equal(light > 0, on_display & front)
+
+
+def test_blur_keeps_the_light_and_has_its_width():
+    x = np.zeros((1, 24, 36))
+    x[0, 12, 18] = 1
+    light = irradiance(x, Camera(blur=2.0), DEVICE, GRID)[0].astype(float)
+    assert light.sum() == pytest.approx(1 / MIRRORS, rel=1e-5)
+    for axis, width in ((0, 36), (1, 26)):
+        profile = light.sum(axis=axis) / light.sum()
+        place = np.arange(width)
+        assert (profile * (place - profile @ place) ** 2).sum() == pytest.approx(4, rel=0.02)
+
+
+def test_blur_brings_in_light_from_beside_the_area():
+    """A uniform image that reaches far beyond the area stays uniform on it."""
+    view = ((5, 0, -2), (0, 5, -2), (0, 0, 1))
+    light = irradiance(np.ones((1, 3, 4)), Camera(view=view, blur=3.0), DEVICE, GRID)[0][AREA]
+    assert light == pytest.approx(np.full((24, 36), 1 / MIRRORS), rel=1e-5)
+
+
+def test_vignetting_dims_the_corners():
+    device = Device(name="large", columns=200, rows=200)
+    grid = find_grid(device, (2, 2))
+    light = irradiance(np.ones((1, 2, 2)), Camera(vignetting=0.3), device, grid)[0] * grid.mirrors
+    assert light[100, 100] == pytest.approx(1, abs=1e-3)
+    assert light[0, 0] == pytest.approx(0.7, abs=0.01)
+    assert light[100, 0] == pytest.approx(0.85, abs=0.01)
+
+
+# Rates
+
+
+@every_optics
+def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, light, rails):
+    shown, x, flux = patterns(tmp_path / "p", light, rails), scenes(), 1e6
+    manifest = shown.manifest
+    flow = rates(tmp_path / "p", x, IDEAL, flux)
+    assert flow.shape == (3, len(manifest.frames), 2 if light == "two-arm" else 1)
+    part = flux / MEAN_LIGHT * x.reshape(3, -1) @ shown.fractions.T
+    whole = flux / MEAN_LIGHT * x.sum(axis=(1, 2))
+    assert flow[:, manifest.shown, 0] == pytest.approx(part, rel=1e-5)
+    on, off = ([frame.role for frame in manifest.frames].index(role) for role in ("on", "off"))
+    assert flow[:, on, 0] == pytest.approx(whole, rel=1e-5)  # the budget
+    assert (flow[:, off, 0] == 0).all()
+    if light == "two-arm":
+        assert flow.sum(axis=-1) == pytest.approx(np.tile(whole[:, None], flow.shape[1]), rel=1e-5)
+
+
+def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monkeypatch):
+    patterns(tmp_path / "p", "two-arm")
+    camera, x = Camera(vignetting=0.5, ambient=1e5), scenes(5)
+    at_once = rates(tmp_path / "p", x, camera, 1e6)
+    monkeypatch.setattr(module, "_SCENES", 2)
+    monkeypatch.setattr(module, "_FRAMES", 3)
+    done = []
+    assert rates(tmp_path / "p", x, camera, 1e6, done.append) == pytest.approx(at_once, rel=1e-5)
+    assert done == sorted(done)
+    assert done[-1] == 1
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
+def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
+    shown, x = patterns(tmp_path / "p", light), scenes()
+    camera = Camera(ambient=4e5, dark=123.0, efficiency=0.4)
+    signal = rates(tmp_path / "p", x, IDEAL, 1e6)
+    stray = rates(tmp_path / "p", x, camera, 1e6) - 0.4 * signal
+    part = shown.fractions.mean(axis=1) * 24 * 36 / (26 * 36)  # of the whole device
+    places = shown.manifest.shown
+    assert stray[0, places, 0] == pytest.approx(123 + 0.4 * 4e5 * part, rel=1e-4)
+    if light == "two-arm":
+        rest = 24 * 36 / (26 * 36) - part
+        assert stray[0, places, 1] == pytest.approx(123 + 0.4 * 4e5 * rest, rel=1e-4)
+    assert rates(tmp_path / "p", x, camera, 0.0)[:, 1, 0] == pytest.approx(123)
+
+
+def test_spectra_are_shown_too(tmp_path):
+    masks = np.random.default_rng(0).random((1, 3, 6)) / 3
+    shown = export_patterns(
+        masks, "equal-dwell", (6,), DEVICE, 1e-3, tmp_path / "p", mean_light=2.0
+    )
+    x = np.random.default_rng(1).random((4, 6))
+    flow = rates(tmp_path / "p", x, IDEAL, 1e5)[:, shown.manifest.shown, 0]
+    assert flow == pytest.approx(1e5 / 2 * x @ shown.fractions.T, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (np.ones((3, 12)), "no images"),
+        (np.ones((0, 3, 4)), "no images"),
+        (-np.ones((1, 3, 4)), "no reflectance"),
+        (np.full((1, 3, 4), np.nan), "no reflectance"),
+        (np.array([[["a"]]]), "no reflectance"),
+    ],
+)
+def test_scenes_that_are_none_are_refused(tmp_path, given, message):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match=message):
+        rates(tmp_path / "p", given, IDEAL, 1e6)
+
+
+@pytest.mark.parametrize("flux", [-1.0, 1e13, np.inf, np.nan])
+def test_a_flux_that_is_none_is_refused(tmp_path, flux):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match="flux"):
+        rates(tmp_path / "p", scenes(), IDEAL, flux)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"view": ((1, 0, 0), (1, 0, 0), (0, 0, 1))},
+        {"efficiency": 0},
+        {"efficiency": 1.1},
+        {"dark": -1},
+        {"dead_time_s": float("nan")},
+        {"afterpulse_probability": 1},
+        {"vignetting": 2},
+        {"focus": 1},
+    ],
+)
+def test_cameras_that_cannot_be_are_refused(settings):
+    with pytest.raises(ValidationError):
+        Camera(**settings)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_cameras_survive_json(name):
+    camera = CAMERAS[name]
+    assert Camera.model_validate_json(camera.model_dump_json()) == camera
+
+
+# Counts in memory
+
+
+@every_optics
+def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
+    shown, x, flux, exposure = patterns(tmp_path / "p", light, rails), scenes(), 2e6, 1e-3
+    gates = Gates(0.0, shown.manifest.shares * exposure, 20_000)
+    flow = rates(tmp_path / "p", x, IDEAL, flux)
+    counts = draw_counts(flow, shown.manifest, gates, IDEAL, np.random.default_rng(0))
+    mean = scanner_rates(shown, x, flux * exposure)
+    assert counts.shape == (3, 20_000, *mean.shape[1:])
+    for drawn, expected in zip(counts, mean, strict=True):
+        assert_poisson(drawn, expected)
+
+
+def test_counts_of_an_imperfect_detector_have_its_mean(tmp_path):
+    shown = patterns(tmp_path / "p", "two-arm")
+    flow = rates(tmp_path / "p", scenes(), CAMERAS["spad"], 1e7)
+    gates = Gates(0.0, shown.manifest.shares * 1e-3, 5_000)
+    counts = draw_counts(flow, shown.manifest, gates, CAMERAS["spad"], np.random.default_rng(0))
+    n = flow[:, shown.manifest.shown].transpose(0, 2, 1)
+    mean = n / (1 + n * 28.5e-9) * 1.01 * gates.length_s
+    assert np.all(abs(counts.mean(axis=1) - mean) <= 5 * counts.std(axis=1) / 5_000**0.5)
+    assert (counts.var(axis=1) < mean).all()  # dead time calms
+
+
+# Files
+
+
+def shoot(folder: Path, name: str = "run", **settings):
+    """Record scenes with random masks exported to `folder`/p."""
+    x = scenes()
+    given = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3, "seed": 7, **settings}
+    return record(folder / "p", x, ["a", "b", "c"], None, folder / name, **given)
+
+
+@every_optics
+def test_law_counts_from_a_file_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
+    shown = patterns(tmp_path / "p", light, rails, dwell=2e-2)
+    exposure, flux, x = 2e-4, 5e6, scenes()
+    shoot(tmp_path, exposure_s=exposure, flux=flux)
+    counted = count(tmp_path / "run")
+    assert counted.valid.all()
+    assert counted.faults == ()
+    mean = scanner_rates(shown, x, flux * exposure)
+    assert counted.counts.shape[1] >= 50
+    for drawn, expected in zip(counted.counts, mean, strict=True):
+        assert_poisson(drawn, expected)
+
+
+@pytest.mark.parametrize("name", ["pmt", "spad"])
+def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
+    shown = patterns(tmp_path / "p", "equal-dwell", dwell=2e-2)
+    camera = CAMERAS[name].model_copy(update={"ambient": 2e5, "blur": 1.5, "vignetting": 0.2})
+    flux, exposure = 2e7, 2e-4
+    acquisition = shoot(tmp_path, camera=camera, flux=flux, exposure_s=exposure)
+    counted = count(tmp_path / "run").counts
+    flow = rates(tmp_path / "p", scenes(), camera, flux)
+    gates = Gates(0.0, shown.manifest.shares * exposure, 4000)
+    drawn = draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
+    lit = drawn.any(axis=1)
+    one, other = (np.moveaxis(c, 1, 0)[:, lit].astype(float) for c in (counted, drawn))
+    assert len(one) == acquisition.repeats
+    error = other.std(axis=0) / len(one) ** 0.5
+    off = (one.mean(axis=0) - other.mean(axis=0)) / error
+    assert np.all(abs(off) <= 5.5)
+    assert abs(off.sum()) <= 6 * len(off) ** 0.5
+    power = one.var(axis=0, ddof=1).sum() / other.var(axis=0).sum()
+    assert abs(power - 1) <= 5 * np.sqrt(2 / one.size) * 1.2
+
+
+def test_the_file_has_a_marker_at_the_start_of_each_frame_and_the_budget(tmp_path):
+    shown = patterns(tmp_path / "p")
+    shoot(tmp_path, flux=5e6)
+    times, bits = ptu.read_markers(tmp_path / "run" / "photons.ptu")
+    manifest = shown.manifest
+    starts = manifest.starts_s + manifest.pass_s * np.arange(3)[:, None]
+    assert times * 1e-12 == pytest.approx(starts.ravel(), abs=1e-12)
+    assert (bits == 1).all()
+    counted = count(tmp_path / "run")
+    whole = 5e6 * scenes().sum(axis=(1, 2)) / MEAN_LIGHT
+    seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
+    assert np.all(abs(counted.on_rate - whole) <= 6 * np.sqrt(whole / seconds))
+    assert (counted.off_rate == 0).all()
+
+
+def test_dark_and_ambient_rates_are_found_in_the_sentinels(tmp_path):
+    shown = patterns(tmp_path / "p", dwell=0.05)
+    camera = Camera(dark=5e4, ambient=3e5, efficiency=0.5)
+    shoot(tmp_path, camera=camera, flux=0.0)
+    counted = count(tmp_path / "run")
+    manifest = shown.manifest
+    seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
+    for rate, expected in (
+        (counted.off_rate, 5e4),
+        (counted.on_rate, 5e4 + 0.5 * 3e5 * 24 / 26),
+    ):
+        assert np.all(abs(rate - expected) <= 6 * np.sqrt(expected / seconds))
+
+
+def test_the_same_seed_gives_the_same_file(tmp_path):
+    patterns(tmp_path / "p", "two-arm")
+    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
+        shoot(tmp_path, name, camera=CAMERAS["spad"], seed=seed)
+    one, same, other = (
+        (tmp_path / name / "photons.ptu").read_bytes() for name in ("one", "same", "other")
+    )
+    assert one == same
+    assert one != other
+
+
+def test_the_acquisition_says_how_it_was_made(tmp_path):
+    shown = patterns(tmp_path / "p", "two-arm")
+    camera, x = CAMERAS["pmt"], scenes()
+    done: list[float] = []
+    given = record(
+        tmp_path / "p", x, ["a", "b", "c"], ["0", "1", "0"], tmp_path / "run",
+        camera=camera, flux=1e6, exposure_s=1e-3, seed=3, progress=done.append,
+    )  # fmt: skip
+    read, patterns_read = read_acquisition(tmp_path / "run")
+    assert read == given
+    assert [(scene.name, scene.label) for scene in read.scenes] == [
+        ("a", "0"),
+        ("b", "1"),
+        ("c", "0"),
+    ]
+    assert Camera.model_validate(read.camera) == camera
+    assert (read.flux, read.seed, read.inputs) == (1e6, 3, (0, 1))
+    assert read.repeats == find_gates(shown.manifest, 1e-3).repeats
+    assert np.array_equal(patterns_read.on, shown.on)
+    assert done == sorted(done)
+    assert done[-1] == 1
+
+
+def test_a_recording_that_is_stopped_leaves_nothing(tmp_path):
+    patterns(tmp_path / "p")
+
+    def stop(share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        shoot(tmp_path, progress=stop)
+    assert [path.name for path in tmp_path.iterdir()] == ["p"]
+
+
+def test_a_folder_that_exists_is_not_written_to(tmp_path):
+    patterns(tmp_path / "p")
+    (tmp_path / "run").mkdir()
+    with pytest.raises(InputError, match="exists"):
+        shoot(tmp_path)
+    assert not list((tmp_path / "run").iterdir())
+
+
+@pytest.mark.parametrize(("names", "labels"), [(["a"], None), (["a", "b", "c"], ["0"]), ([], None)])
+def test_each_scene_has_a_name_and_perhaps_a_label(tmp_path, names, labels):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match="3 scenes"):
+        record(
+            tmp_path / "p", scenes(), names, labels, tmp_path / "run",
+            camera=IDEAL, flux=1e6, exposure_s=1e-3, seed=0,
+        )  # fmt: skip
+
+
+def test_nothing_to_record_is_refused(tmp_path):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match="no images"):
+        record(
+            tmp_path / "p", np.ones((0, 3, 4)), [], None, tmp_path / "run",
+            camera=IDEAL, flux=1e6, exposure_s=1e-3, seed=0,
+        )  # fmt: skip
+
+
+def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):
+    shown = patterns(tmp_path / "p", dwell=0.05)
+    acquisition = shoot(tmp_path, flux=1e3, exposure_s=3e-6)
+    assert acquisition.repeats < find_gates(shown.manifest, 3e-6).repeats
+    assert count(tmp_path / "run").counts.shape[1] == acquisition.repeats
+
+
+def test_a_gate_that_does_not_fit_is_refused_before_any_work(tmp_path):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match="exposure"):
+        shoot(tmp_path, exposure_s=10.0)
+    assert not (tmp_path / "run").exists()
+
+
+def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):
+    monkeypatch.setattr(detector, "CHUNK", 2**12)
+    peaks = []
+    for name, dwell in (("short", 2e-3), ("long", 4e-2)):
+        shown = patterns(tmp_path / name, dwell=dwell)
+        flow = rates(tmp_path / name, scenes(), CAMERAS["spad"], 1e7)
+        tracemalloc.start()
+        path, rng = tmp_path / f"{name}.ptu", np.random.default_rng(0)
+        module.write_photons(path, shown.manifest, flow, CAMERAS["spad"], rng)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert (tmp_path / "long.ptu").stat().st_size > 15 * (tmp_path / "short.ptu").stat().st_size
+    assert peaks[1] < 1.5 * peaks[0]
+
+
+def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeypatch):
+    """The writer refuses times that run back."""
+    monkeypatch.setattr(detector, "CHUNK", 10)
+    shown = patterns(tmp_path / "p", "two-arm", dwell=1e-4)
+    camera = Camera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
+    flow = rates(tmp_path / "p", scenes(), camera, 1e6)
+    module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
+    contents = ptu.inspect(tmp_path / "a.ptu")
+    expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3
+    assert abs(sum(contents.photons.values()) - expected) <= 6 * np.sqrt(expected * 1.3)
+    assert contents.markers == {1: 3 * len(shown.manifest.frames)}

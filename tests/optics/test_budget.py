@@ -1,0 +1,73 @@
+"""Budgets become photons per pixel; the noise axis is the error of an impulse camera."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi.errors import InputError
+from deepfsi.optics.budget import check_budget, impulse_imaging_error, mean_light, photons_per_pixel
+from deepfsi.optics.noise import readout
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [0, -1, -1e4, math.nan, math.inf, -math.inf, "abc", "", None, [], [1e3], "inf", 10**400, 1j],
+    ids=lambda bad: repr(bad)[:12],
+)
+def test_a_budget_is_finite_and_above_zero(bad):
+    with pytest.raises(InputError, match="photon budget"):
+        check_budget(bad)
+
+
+@pytest.mark.parametrize("good", [1e4, "1e4", 10000, np.float32(1e4)])
+def test_a_budget_may_be_written_in_any_way(good):
+    assert check_budget(good) == 1e4
+
+
+def test_the_training_mean_gets_the_budget(digits):
+    photons = photons_per_pixel(digits.x_train, 1e4, mean_light(digits.x_train))
+    assert photons.sum(axis=1, dtype=np.float64).mean() == pytest.approx(1e4, rel=1e-6)
+
+
+def test_a_brighter_scene_sends_more():
+    x = np.array([[0.1, 0.2], [0.2, 0.4]])
+    photons = photons_per_pixel(x, 300.0, mean_light(x))
+    assert photons == pytest.approx(300 * x / 0.45)
+
+
+def test_arrays_and_tensors_agree(digits):
+    light = mean_light(digits.x_train)
+    numbers = photons_per_pixel(digits.x_test, 1e5, light)
+    tensor = photons_per_pixel(torch.from_numpy(digits.x_test), 1e5, light)
+    assert np.allclose(numbers, tensor.numpy(), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("noise", "sigma"), [("poisson", 1.0), ("gaussian", 1.0), ("gaussian", 4)])
+@pytest.mark.parametrize("budget", [1e3, 1e6])
+def test_noise_axis_is_the_error_of_impulse_imaging(digits, noise, sigma, budget):
+    light = mean_light(digits.x_train)
+    x = torch.from_numpy(digits.x_train).double()
+    generator = torch.Generator().manual_seed(0)
+    counts = readout(photons_per_pixel(x, budget, light), noise, sigma, generator)
+    squares = (counts * light / budget - x).square()
+    drawn = math.sqrt(squares.mean())
+    worth = impulse_imaging_error(budget, light / 64, 64, noise, sigma)
+    five_sigma = 5 * float(squares.std()) / math.sqrt(squares.numel()) / (2 * worth)
+    assert drawn == pytest.approx(worth, abs=five_sigma)
+
+
+def test_equal_budgets_are_not_equal_noise():
+    photon, read = (
+        impulse_imaging_error(1e4, 0.4, 1024, noise) for noise in ("poisson", "gaussian")
+    )
+    assert photon == pytest.approx(0.128)
+    assert read == pytest.approx(0.04096)
+
+
+def test_the_noise_axis_refuses_an_unknown_noise():
+    with pytest.raises(InputError):
+        impulse_imaging_error(1e4, 0.4, 1024, "poison")

@@ -1,0 +1,329 @@
+"""No set of masks takes more light than its constraint allows, whatever training does to it."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import pytest
+import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick
+from deepfsi.errors import InputError
+from deepfsi.optics import codes, constraints, scanner
+from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
+from deepfsi.optics.masks import Learned
+
+
+def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
+    return constraints.separate(*masks())
+
+
+def fixed_matrix(design: str, digits) -> Tensor:
+    low, high = codes.count_allowed(design, digits)
+    return torch.from_numpy(codes.sensing_matrix(design, min(max(low, 9), high), digits)).float()
+
+
+def limits(rails: Tensor, light: str) -> Tensor:
+    """What the law bounds by 1, written once more from DESIGN.md."""
+    if light == "column":
+        return rails.sum(dim=(0, 1))
+    if light == "free-dwell":
+        return sum(frame.max() for rail in rails for frame in rail).reshape(1)
+    if light == "equal-dwell":
+        lit = [frame for rail in rails for frame in rail if (frame > 0).any()]
+        return torch.stack([frame.max() * len(lit) for frame in lit])
+    plus, minus = rails
+    time = (plus + minus).amax(dim=-1, keepdim=True)
+    assert torch.allclose(plus + minus, time.expand_as(plus), rtol=1e-5, atol=1e-8)
+    return time.sum().reshape(1)
+
+
+@every_optics
+@pytest.mark.parametrize("design", FIXED)
+def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails):
+    matrix = fixed_matrix(design, digits)
+    if rails == "single":
+        matrix = matrix.abs()
+    fitted = fit(matrix, light, rails)
+    assert fitted.min() >= 0
+    assert limits(fitted, light).max() == pytest.approx(1, rel=FLOAT32)
+    if light == "equal-dwell":  # every frame, to its own peak
+        assert limits(fitted, light) == pytest.approx(torch.ones(len(frames(fitted))), rel=FLOAT32)
+    if light == "two-arm":  # every mask sends all of some pixel's light to one arm
+        contrast = (fitted[0] - fitted[1]).abs().amax(dim=-1) * len(matrix)
+        assert contrast == pytest.approx(torch.ones(len(matrix)), rel=1e-4)
+
+
+@pytest.mark.parametrize("light", ["column", "free-dwell"])
+def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
+    matrix = fixed_matrix("pca", digits)
+    difference, _ = constraints.combine(fit(matrix, light))
+    factor = difference.norm() / matrix.norm()
+    assert torch.allclose(difference, matrix * factor, atol=1e-7)
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
+def test_each_frame_or_mask_keeps_its_shape(digits, light):
+    matrix = fixed_matrix("pca", digits)
+    fitted = fit(matrix, light)
+    parts = constraints.split(matrix) if light == "equal-dwell" else matrix[None]
+    found = fitted if light == "equal-dwell" else (fitted[0] - fitted[1])[None]
+    for part, own in zip(parts.flatten(0, 1), found.flatten(0, 1), strict=True):
+        assert torch.allclose(part / part.abs().max(), own / own.abs().max(), atol=1e-6)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.sampled_from(OPTICS), st.integers(1, 40), st.integers(1, 12), st.integers(0, 999))
+@example(("two-arm", "dual"), 34, 1, 0)
+def test_any_matrix_fits_and_passes_the_check(optics, masks, pixels, seed):
+    light, rails = optics
+    matrix = torch.randn(masks, pixels, generator=generator(seed))
+    check(fit(matrix if rails == "dual" else matrix.abs(), light, rails), light)
+
+
+def test_a_single_signed_mask_costs_one_frame():
+    matrix = torch.tensor([[1.0, 0.5], [1.0, -1.0], [-2.0, 0.0]])
+    fitted = fit(matrix, "equal-dwell")
+    assert len(frames(fitted)) == 4
+    assert fitted.amax() == 1 / 4
+    assert fitted[1, 0].max() == 0
+    assert fitted[0, 2].max() == 0
+
+
+@every_optics
+def test_rails_are_not_negative_and_recombine(digits, light, rails):
+    matrix = fixed_matrix("pca", digits)
+    fitted = fit(matrix if rails == "dual" else matrix.abs(), light, rails)
+    assert fitted.min() >= 0
+    difference, total = constraints.combine(fitted)
+    again = constraints.separate(difference, total)
+    assert torch.allclose(again, fitted, rtol=0, atol=1e-8)
+    assert (difference.abs() <= total).all()
+
+
+def test_split_gives_positive_and_negative_parts():
+    matrix = torch.randn(5, 7, generator=generator())
+    plus, minus = constraints.split(matrix)
+    assert torch.equal(plus - minus, matrix)
+    assert torch.equal(plus + minus, matrix.abs())
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [0, 1, 768])
+@pytest.mark.parametrize("rate", [0.03, 3.0])
+def test_learned_masks_obey_after_every_step(light, rails, rate, steps):
+    """Two replicas chase far more light than there is, with small and absurd steps."""
+    start = torch.randn(2, 6, 16, generator=generator())
+    learned = Learned(start if rails == "dual" else start.abs(), light, rails, steps)
+    target = 10 * torch.randn(2, 6, 16, generator=generator(1))
+    optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
+    for _ in range(40):
+        loss = (learned()[0] - target).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        for replica in rails_of(learned, rails).detach():
+            assert torch.isfinite(replica).all()
+            assert replica.min() >= 0
+            assert limits(replica, light).max() <= 1 + SLACK
+            assert excess(replica, light) <= SLACK
+
+
+@every_optics
+@pytest.mark.parametrize("levels", [0, 2])
+def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, levels, monkeypatch):
+    snapshots = []
+    matrix = Learned.matrix
+
+    def spy(module: Learned) -> Tensor:
+        snapshots.append(copy.deepcopy(module))
+        return matrix(module)
+
+    monkeypatch.setattr(Learned, "matrix", spy)
+    quick(digits, masks=5, light=light, rails=rails, mask_lr=0.5, epochs=2, levels=levels)
+    monkeypatch.undo()
+    assert len(snapshots) > 20
+    for module in snapshots:
+        split = constraints.separate(*module()).detach()
+        assert split.min() >= 0
+        assert max(limits(replica, light).max() for replica in split) <= 1 + SLACK
+        if levels:
+            assert two_valued(split)
+
+
+def two_valued(rails: Tensor) -> bool:
+    """Whether every entry (..., N) is 0 or its frame's peak, exactly."""
+    return bool(((rails == 0) | (rails == rails.amax(dim=-1, keepdim=True))).all())
+
+
+def some_rails(light: str, rails: str) -> Tensor:
+    """Three replicas of fitted rails, the last mask of them dark but on two arms."""
+    start = torch.randn(3, 5, 16, generator=generator())
+    start = start if rails == "dual" else start.abs()
+    start[:, -1] = 0
+    return torch.stack([fit(matrix, light, rails) for matrix in start])
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [1, 2, 5, 768])
+def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, rails, steps):
+    before = some_rails(light, rails)
+    shown = constraints.quantise(before, light, steps)
+    peak = before.sum(dim=1, keepdim=True) if light == "two-arm" else shown
+    peak = peak.amax(dim=-1, keepdim=True)
+    share = steps * shown / torch.where(peak > 0, peak, 1.0)
+    assert share == pytest.approx(share.round(), abs=steps * FLOAT32)
+    assert share.amax() == pytest.approx(steps)
+    for rails_before, rails_shown in zip(before, shown, strict=True):
+        assert excess(rails_shown, light) <= SLACK
+        if light != "column":  # which may have to be dimmed
+            time = (before if light == "two-arm" else rails_before).amax() * (1 + FLOAT32)
+            assert (rails_shown - rails_before).abs().max() <= time / (2 * steps)
+    if steps == 1:
+        assert two_valued(shown)
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [1, 7])
+def test_replicas_are_quantised_as_if_alone(light, rails, steps):
+    before = some_rails(light, rails)
+    before[1] *= 0.1
+    each = [constraints.quantise(one, light, steps) for one in before]
+    assert torch.equal(constraints.quantise(before, light, steps), torch.stack(each))
+    nested = constraints.quantise(before.view(3, 1, *before.shape[1:]), light, steps)
+    assert torch.equal(nested[:, 0], torch.stack(each))
+
+
+def test_column_is_mended_where_rounding_up_would_break_it():
+    """Two frames at 0.6 of their peaks, which round up to both of them: 1.2 times the light."""
+    before = torch.tensor([[[0.6, 1.0, 0.0], [0.6, 0.0, 1.0]]]) / 1.2
+    shown = constraints.quantise(before, "column", 1)
+    assert torch.equal(shown, torch.tensor([[[0.5, 0.5, 0.0], [0.5, 0.0, 0.5]]]))
+
+
+@pytest.mark.parametrize("steps", [0, -1])
+def test_a_device_needs_a_step(steps):
+    with pytest.raises(InputError, match="steps from dark to the peak are not allowed"):
+        constraints.quantise(torch.ones(1, 1, 2), "column", steps)
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [1, 4])
+def test_gradients_go_straight_through_the_rounding(light, rails, steps):
+    """They are those of the continuous masks, for what a loss asks of the quantised ones."""
+    start = torch.rand(2, 4, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
+    shown, continuous = (Learned(start, light, rails, each) for each in (steps, 0))
+    targets = torch.randn(2, 2, 4, 9, generator=generator(1))
+
+    def loss(masks: tuple[Tensor, Tensor]) -> Tensor:
+        return sum(
+            (mask - target).pow(4).sum() for mask, target in zip(masks, targets, strict=True)
+        )
+
+    quantised = shown()
+    loss(quantised).backward()
+    points = [mask.detach().requires_grad_() for mask in quantised]
+    torch.autograd.backward(continuous(), torch.autograd.grad(loss(points), points))
+    elsewhere = [parameter.grad.clone() for parameter in continuous.parameters()]
+    continuous.zero_grad()
+    loss(continuous()).backward()
+    for found, wanted, other in zip(
+        shown.parameters(), elsewhere, continuous.parameters(), strict=True
+    ):
+        assert found.grad.abs().max() > 0
+        assert torch.allclose(found.grad, wanted, rtol=1e-6)
+        assert not torch.allclose(found.grad, other.grad, rtol=1e-3)
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [0, 1, 4])
+def test_learned_masks_count_their_lit_rails(light, rails, steps):
+    start = torch.rand(2, 5, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
+    start[:, 0] = start[:, 0].abs() + 1  # dark on one arm, once it is rounded
+    learned = Learned(start, light, rails, steps)
+    masks = learned()
+    counted = learned.lit(*masks)
+    assert torch.equal(counted, scanner.lit(*masks))
+    if light == "two-arm":
+        assert (counted[:, 0] == (1 if steps == 1 else 2)).all()
+
+
+@every_optics
+def test_learned_masks_can_move(light, rails):
+    start = torch.rand(3, 8, generator=generator()) + 0.1
+    learned = Learned(start, light, rails)
+    learned()[0].square().sum().backward()
+    for parameter in learned.parameters():
+        assert (parameter.grad != 0).any()
+
+
+def test_learned_column_masks_start_from_the_fitted_matrix(digits):
+    matrix = fixed_matrix("pca", digits)
+    assert torch.allclose(rails_of(Learned(matrix, "column"), "dual"), fit(matrix, "column"))
+
+
+def test_dwells_are_learned_shares_of_the_whole_time():
+    learned = Learned(torch.randn(4, 9, generator=generator()), "two-arm")
+    torch.nn.init.normal_(learned.dwell, generator=generator())
+    total = learned()[1].detach()
+    assert total[:, 0].sum() == pytest.approx(1, rel=FLOAT32)
+    assert len(set(total[:, 0].tolist())) == 4
+
+
+@every_optics
+@pytest.mark.parametrize("steps", [0, 1])
+def test_replicas_do_not_touch_each_other(light, rails, steps):
+    start = torch.rand(3, 4, 9, generator=generator()) + 0.1
+    together = Learned(start, light, rails, steps)()
+    alone = Learned(start[1], light, rails, steps)()
+    for whole, one in zip(together, alone, strict=True):
+        assert torch.allclose(whole.expand(3, 4, 9)[1], one, atol=1e-7)
+
+
+@every_optics
+def test_check_refuses_more_light_than_there_is(light, rails):
+    matrix = torch.rand(4, 9, generator=generator()) + 0.1
+    fitted = fit(matrix, light, rails)
+    check(fitted, light)
+    with pytest.raises(InputError, match=f"breaks the {light} constraint"):
+        check(fitted * 1.001, light)
+
+
+@every_optics
+def test_check_refuses_negative_entries(light, rails):
+    fitted = fit(torch.rand(4, 9, generator=generator()) + 0.1, light, rails)
+    fitted[0, 1, 2] = -0.001
+    with pytest.raises(InputError, match="negative"):
+        check(fitted, light)
+
+
+@every_optics
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_check_refuses_what_is_not_a_number(light, rails, bad):
+    fitted = fit(torch.rand(4, 9, generator=generator()) + 0.1, light, rails)
+    fitted[0, 1, 2] = bad
+    with pytest.raises(InputError):
+        check(fitted, light)
+
+
+def test_two_arms_get_what_the_other_does_not():
+    uneven = fit(torch.randn(3, 8, generator=generator()), "two-arm")
+    uneven[0, 1, 4] *= 0.5
+    with pytest.raises(InputError, match="two-arm"):
+        check(uneven, "two-arm")
+
+
+def test_an_unknown_constraint_names_the_closest():
+    with pytest.raises(InputError, match="did you mean 'column'"):
+        constraints.check_light("colum", "dual")
+    with pytest.raises(InputError, match="did you mean 'dual'"):
+        constraints.check_light("column", "duel")
+
+
+def test_two_arms_are_two_rails():
+    with pytest.raises(InputError, match="two-arm with a single rail"):
+        constraints.check_light("two-arm", "single")

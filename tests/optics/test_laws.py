@@ -1,0 +1,226 @@
+"""The paper's claims as laws, over all designs and all light constraints at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from conftest import (
+    FLOAT32,
+    PHOTONS,
+    RECIPE,
+    every_design,
+    every_optics,
+    generator,
+    light_on,
+    quick,
+    real_mnist,
+    synthetic,
+)
+from deepfsi.datasets import load_dataset
+from deepfsi.design.evaluation import evaluate
+from deepfsi.optics import codes, constraints
+from deepfsi.optics.noise import variance
+from deepfsi.optics.scanner import Scanner, lit
+from deepfsi.training.job import Job, Training
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import Scenes
+
+N = 64
+DRAWS = 20_000
+SCENES = {
+    "digit": None,
+    "uniform": np.ones(N),
+    "point": np.eye(N)[27],
+    "ramp": np.linspace(0, 1, N),
+}
+
+
+def readouts(rails: Tensor) -> Tensor:
+    """All readouts that are not dark, (F, N), float64."""
+    return constraints.frames(rails).double()
+
+
+def separation(masks: Tensor, power: Tensor, difference: Tensor) -> Tensor:
+    """Squared distance of two scenes in the best linear feature, in its standard deviations."""
+    return ((difference @ masks.T).square() / power).sum(dim=-1)
+
+
+@every_design
+def test_no_scene_is_counted_beyond_its_own_light(made, digits, design, light, rails):
+    made_design = made(design, light, rails)
+    photons = light_on(made_design, digits.x_test)
+    counted = made_design.scanner("none").rates(photons).sum(dim=(-2, -1))
+    assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
+
+
+@every_design
+def test_the_training_mean_counts_at_most_the_budget(made, digits, design, light, rails):
+    made_design = made(design, light, rails)
+    photons = light_on(made_design, digits.x_train)
+    counted = made_design.scanner("none").rates(photons).sum(dim=-2).double().mean(dim=0)
+    assert counted.sum() <= PHOTONS * (1 + FLOAT32)
+    assert torch.allclose(counted, made_design.shares.double() * PHOTONS, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize("design", ["hadamard", "truncated-hadamard", "s-matrix"])
+def test_padding_takes_no_light_from_the_laws(design):
+    data = synthetic((12, 10))
+    made_design = quick(data, design)
+    photons = light_on(made_design, data.x_test)
+    counted = made_design.scanner("none").rates(photons).sum(dim=(-2, -1))
+    assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
+
+
+@every_design
+def test_every_constraint_implies_the_flux_bound(made, design, light, rails):
+    assert constraints.excess(made(design, light, rails).rails, "column") <= FLOAT32
+
+
+def scan(design: str, digits) -> Tensor:
+    """Rails of all N masks, float64."""
+    matrix = torch.from_numpy(codes.sensing_matrix(design, N, digits))
+    if design == "raster":
+        return matrix.unsqueeze(0)
+    return constraints.fit(matrix, "column")
+
+
+def scene(name: str, digits) -> Tensor:
+    x = digits.x_test[0] if SCENES[name] is None else SCENES[name]
+    return torch.as_tensor(x).double() * (1e6 / x.sum())
+
+
+def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
+    """Pixel mean of the variance of the reconstruction M⁻¹ y."""
+    difference, total = constraints.combine(rails)
+    power = variance(photons @ total.T, lit(difference, total), noise, sigma)
+    return float((torch.linalg.inv(difference).square() @ power).mean())
+
+
+def simulated_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
+    scanner = Scanner.from_rails(rails, noise, sigma)
+    features = scanner(photons.expand(DRAWS, N), generator(1))
+    reconstruction = features @ torch.linalg.inv(constraints.combine(rails)[0]).T
+    assert torch.allclose(  # unbiased: 5 sigma of the mean
+        reconstruction.mean(dim=0),
+        photons,
+        rtol=0,
+        atol=5 * float(reconstruction.std(0).max()) / DRAWS**0.5,
+    )
+    return float(reconstruction.var(dim=0).mean())
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_gaussian_noise_hadamard_gains_over_raster(digits, name):
+    hadamard, raster = scan("hadamard", digits), scan("raster", digits)
+    photons, sigma = scene(name, digits), 3.0
+    gain = N**2 / (2 * N - 1)
+    worth = [analytic_error(rails, photons, "gaussian", sigma) for rails in (raster, hadamard)]
+    assert worth[0] / worth[1] == pytest.approx(gain, rel=1e-9)
+    drawn = [simulated_error(rails, photons, "gaussian", sigma) for rails in (raster, hadamard)]
+    five_sigma = 5 * (2 / DRAWS) ** 0.5  # of a variance, were all pixels' errors the same
+    assert drawn == pytest.approx(worth, rel=five_sigma)
+
+
+@pytest.mark.parametrize("noise", ["poisson", "ml_gauss"])
+@pytest.mark.parametrize("name", SCENES)
+def test_photon_noise_hadamard_equals_raster(digits, name, noise):
+    hadamard, raster = scan("hadamard", digits), scan("raster", digits)
+    photons = scene(name, digits)
+    worth = [analytic_error(rails, photons, noise, 1.0) for rails in (raster, hadamard)]
+    assert worth[0] == pytest.approx(worth[1], rel=1e-9)
+    assert worth[0] == pytest.approx(N * float(photons.mean()), rel=1e-9)
+    drawn = [simulated_error(rails, photons, noise, 1.0) for rails in (raster, hadamard)]
+    assert drawn == pytest.approx(worth, rel=5 * (2.1 / DRAWS) ** 0.5)
+
+
+@every_design
+def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
+    made, digits, design, light, rails
+):
+    masks = readouts(made(design, light, rails).rails)
+    first = light_on(made(design, light, rails), digits.x_test[:100])
+    second = first.roll(1, dims=0)
+    mean, difference = (first + second) / 2, first - second
+    impulse = separation(torch.eye(N).double(), mean, difference)
+    coded = separation(masks, (mean @ masks.T).clamp(min=1e-12), difference)
+    assert (coded <= impulse * (1 + FLOAT32)).all()
+
+
+@every_design
+def test_subtracting_rails_adds_no_information(made, digits, design, light, rails):
+    made_design = made(design, light, rails)
+    signed, total = (part.double() for part in constraints.combine(made_design.rails))
+    masks = readouts(made_design.rails)
+    first = light_on(made_design, digits.x_test[:100])
+    mean, difference = (first + first.roll(1, dims=0)) / 2, first - first.roll(1, dims=0)
+    apart = separation(masks, (mean @ masks.T).clamp(min=1e-12), difference)
+    feature = separation(signed, (mean @ total.T).clamp(min=1e-12), difference)
+    assert (feature <= apart * (1 + 1e-9)).all()
+
+
+@every_optics
+def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, rails):
+    """Draw the impulse camera's photons, send each to a readout or away, compare with Scanner."""
+    made_design = made("deepfsi", light, rails)
+    masks = readouts(made_design.rails)
+    photons = light_on(made_design, digits.x_test[0], 1e3)
+    rng, draws = np.random.default_rng(0), 10_000
+    routed = np.zeros((draws, len(masks) + 1))
+    for rate, shares in zip(photons.numpy(), masks.numpy().T, strict=True):
+        ways = np.append(shares, max(0.0, 1 - shares.sum()))
+        routed += rng.multinomial(rng.poisson(rate, draws), ways / ways.sum())
+    counts = made_design.scanner().counts(photons.expand(draws, N), generator())
+    every = counts.transpose(-1, -2).flatten(1)
+    shown = made_design.rails.transpose(0, 1).flatten(0, 1).amax(dim=-1) > 0
+    rates = (masks @ photons).numpy()
+    power = np.sqrt(np.outer(rates, rates) + np.diag(rates + rates**2)) / draws**0.5
+    for drawn in (routed[:, :-1], every[:, : len(shown)][:, shown].numpy()):
+        assert np.all(abs(drawn.mean(axis=0) - rates) <= 5 * np.sqrt(rates / draws))
+        assert np.all(abs(np.cov(drawn.T) - np.diag(rates)) <= 5 * power)
+
+
+def test_gaussian_noise_impulse_can_be_beaten():
+    """Not a law: impulse imaging pays for N readouts, one bucket detector for one."""
+    bucket, eye = torch.ones(1, N).double(), torch.eye(N).double()
+    difference, read_noise = torch.full((N,), 2.0).double(), torch.ones(1).double()
+    assert separation(bucket, read_noise, difference) > separation(eye, read_noise, difference)
+
+
+@pytest.mark.parametrize("design", ["deepfsi", "pca", "truncated-hadamard"])
+def test_more_light_classifies_better(digits, design):
+    accuracy = [
+        evaluate(quick(digits, design, 10, photons=photons, epochs=8), digits, photons)[0].accuracy
+        for photons in (1e2, 1e3, 1e4)
+    ]
+    assert accuracy[0] < accuracy[1] < accuracy[2]
+
+
+@real_mnist
+def test_mnist_photon_noise_orders_designs_as_the_paper():
+    whole = load_dataset("mnist")
+    data = replace(
+        whole,
+        x_train=whole.x_train[:5_000],
+        y_train=whole.y_train[:5_000],
+        x_test=whole.x_train[-2_000:],
+        y_test=whole.y_train[-2_000:],
+    )
+    scenes = Scenes(data, "cpu")
+    how = Training(**{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)})
+    accuracy = []
+    for design, masks in (
+        ("impulse", 1024),
+        ("deepfsi", 10),
+        ("pca", 10),
+        ("truncated-hadamard", 41),
+        ("raster", 1024),
+    ):
+        (one,) = train(scenes, [Job(design=design, masks=masks, photons=PHOTONS, training=how)])
+        accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
+    assert accuracy == sorted(accuracy, reverse=True)
+    assert accuracy[1] > 0.86

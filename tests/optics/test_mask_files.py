@@ -1,0 +1,146 @@
+"""Masks of one's own, from everything that holds them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from scipy.io import savemat
+
+from conftest import OPTICS
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.mask_files import read_matrix
+
+SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
+GREY = np.random.default_rng(0).integers(0, 256, (3, 2, 4), dtype=np.uint8)
+WIDE = np.random.default_rng(1).integers(0, 2**16, (3, 2, 4)).astype(np.uint16)
+AS_GREY = GREY.reshape(3, 8) / 255 / 3
+AS_WIDE = WIDE.reshape(3, 8) / 65535 / 3
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        (SIGNED, SIGNED),
+        (SIGNED.reshape(3, 2, 4), SIGNED),
+        (SIGNED.astype(np.float32), SIGNED.astype(np.float32)),
+        (np.arange(8).reshape(2, 4), np.arange(8).reshape(2, 4)),
+        (GREY, AS_GREY),
+        (GREY.reshape(3, 8), AS_GREY),
+        (WIDE, AS_WIDE),
+        (GREY > 127, (GREY > 127).reshape(3, 8) / 3),
+        ((GREY > 127).astype(np.uint8), (GREY > 127).reshape(3, 8) / 3),
+    ],
+    ids=["signed", "stack", "float32", "integers", "grey", "rows", "wide", "bool", "binary"],
+)
+@pytest.mark.parametrize("end", ["npy", "mat", "mat:own"])
+def test_arrays(tmp_path, given, wanted, end):
+    if end == "npy":
+        np.save(tmp_path / "m.npy", given)
+    else:
+        more = {"note": "of ours", "own": given}
+        savemat(tmp_path / "m.mat", more | ({"other": np.eye(2)} if ":" in end else {}))
+    np.testing.assert_allclose(read_matrix(f"{tmp_path}/m.{end}"), wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("stack", "wanted"), [(GREY, AS_GREY), (WIDE, AS_WIDE)])
+def test_images(tmp_path, stack, wanted):
+    """A page each, or a file each in the order of their names."""
+    pages = [Image.fromarray(page) for page in stack]
+    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    for name, page in zip("abc", pages, strict=True):
+        page.save(folder / f"{name}.png")
+    (folder / "notes.txt").write_text("of ours")
+    for source in (tmp_path / "m.tif", folder):
+        np.testing.assert_allclose(read_matrix(str(source)), wanted, rtol=1e-12)
+
+
+def test_pages_of_floats_and_of_single_bits(tmp_path):
+    pages = [Image.fromarray(page.astype(np.float32)) for page in SIGNED.reshape(3, 2, 4)]
+    pages[0].save(tmp_path / "f.tiff", save_all=True, append_images=pages[1:])
+    np.testing.assert_array_equal(read_matrix(f"{tmp_path}/f.tiff"), SIGNED.astype(np.float32))
+    bits = [Image.fromarray(page > 127) for page in GREY]
+    bits[0].save(tmp_path / "b.tif", save_all=True, append_images=bits[1:])
+    np.testing.assert_allclose(
+        read_matrix(f"{tmp_path}/b.tif"), (GREY > 127).reshape(3, 8) / 3, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(("light", "rails"), OPTICS)
+def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
+    np.save(tmp_path / "m.npy", np.full((5, 4, 4), 255, dtype=np.uint8))
+    own = torch.from_numpy(read_matrix(f"{tmp_path}/m.npy"))
+    parts = constraints.split(own) if rails == "dual" else own[None]
+    constraints.check(constraints.arms(own) if light == "two-arm" else parts, light)
+
+
+def test_it_needs_no_torch():
+    script = "import sys; sys.modules['torch'] = None; import deepfsi.optics.mask_files"
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def write_bad(folder):
+    np.save(folder / "words.npy", np.array(["a"]))
+    np.save(folder / "complex.npy", np.eye(2) * 1j)
+    np.save(folder / "flat.npy", np.ones(4))
+    np.save(folder / "none.npy", np.ones((0, 4)))
+    np.savez(folder / "several.npz", a=np.eye(2))
+    savemat(folder / "two.mat", {"a": np.eye(2), "b": np.eye(2)})
+    savemat(folder / "complex.mat", {"a": np.eye(2) * 1j})
+    savemat(folder / "text.mat", {"a": "b"})
+    (folder / "cut.mat").write_bytes((folder / "two.mat").read_bytes()[:150])
+    (folder / "cut.npy").write_bytes((folder / "flat.npy").read_bytes()[:100])
+    (folder / "junk.png").write_bytes(b"no image")
+    (folder / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(99))
+    (folder / "empty").mkdir()
+    (folder / "mixed").mkdir()
+    for side in (2, 3):
+        Image.fromarray(np.zeros((side, 2), np.uint8)).save(folder / f"mixed/{side}.png")
+    Image.fromarray(np.zeros((2, 2), np.int32)).save(folder / "deep.tif")
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("nowhere.npy", "no matrix at"),
+        ("nowhere.mat:a", "no matrix at"),
+        ("words.npy", "real numbers"),
+        ("complex.npy", "real numbers"),
+        ("flat.npy", r"shape \(4,\)"),
+        ("none.npy", r"shape \(0, 4\)"),
+        ("several.npz", "real numbers"),
+        ("cut.npy", "real numbers"),
+        ("two.mat", "a, b: name one"),
+        ("two.mat:c", "no variable c.* a, b: name one"),
+        ("text.mat", "but none"),
+        ("complex.mat", "complex"),
+        ("cut.mat", "save it again"),
+        ("new.mat", "-v7"),
+        ("junk.png", "cannot read the image"),
+        ("deep.tif", "32 bits"),
+        ("empty", "no images in"),
+        ("mixed", "2x2 pixels of uint8"),
+    ],
+)
+def test_what_holds_no_masks_is_refused_in_one_line(tmp_path, source, words):
+    write_bad(tmp_path)
+    with pytest.raises(InputError, match=words) as refused:
+        read_matrix(f"{tmp_path}/{source}")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_small_file_of_a_large_matrix_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("deepfsi.optics.mask_files.LARGEST", 20)
+    savemat(tmp_path / "m.mat", {"own": SIGNED})
+    pages = [Image.fromarray(page) for page in GREY]
+    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
+    for name in ("m.mat", "m.tif"):
+        with pytest.raises(InputError, match="20"):
+            read_matrix(f"{tmp_path}/{name}")

@@ -1,0 +1,202 @@
+"""Each noise has the mean and variance it claims, and a gradient where masks train through it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.nn.functional import softplus
+
+from conftest import assert_moments, generator
+from deepfsi.errors import InputError
+from deepfsi.optics import noise
+
+DRAWS = 100_000
+LIMIT = noise.POISSON_LIMIT
+DEVICES = ["cpu", *["cuda"] * torch.cuda.is_available()]
+RATES = [0, 1e-3, 1, 1e3, math.nextafter(LIMIT, 0), LIMIT, math.nextafter(LIMIT, 1e9), 1e8, 1e10]
+
+
+def drawn(name: str, rate: float, sigma: float = 1.0, dtype=torch.float64) -> torch.Tensor:
+    return noise.readout(torch.full((DRAWS,), rate, dtype=dtype), name, sigma, generator(4))
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
+@pytest.mark.parametrize("device", DEVICES)
+def test_photon_noise_has_the_rate_as_mean_and_variance(name, rate, device):
+    rates = torch.full((DRAWS,), rate, dtype=torch.float64, device=device)
+    seeded = torch.Generator(device).manual_seed(4)
+    counts = noise.readout(rates, name, 1.0, seeded).cpu()
+    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=0.5)
+
+
+@pytest.mark.parametrize("rate", [0, 1e-3, 1, 1e3, 1e8])
+@pytest.mark.parametrize("sigma", [1.0, 7.0])
+def test_read_noise_has_a_constant_variance(rate, sigma):
+    assert_moments(drawn("gaussian", rate, sigma), rate, sigma**2, poisson=False, rounding=1e-6)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_no_noise_changes_nothing(rate):
+    assert (drawn("none", rate) == rate).all()
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_photon_counts_are_whole_and_never_negative(rate, dtype):
+    counts = drawn("poisson", rate, dtype=dtype)
+    assert counts.dtype == dtype
+    assert (counts == counts.round()).all()
+    assert (counts >= 0).all()
+
+
+@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
+def test_a_dark_rail_has_no_photon_noise(name):
+    assert (drawn(name, 0.0) == 0).all()
+
+
+@pytest.mark.parametrize("rate", [0.05, 1.0, 4.0])
+def test_faint_counts_follow_poissons_law(rate):
+    counts = drawn("poisson", rate)
+    for k in range(4):
+        share = math.exp(-rate) * rate**k / math.factorial(k)
+        found = float((counts == k).double().mean())
+        assert abs(found - share) <= 5 * math.sqrt(share * (1 - share) / DRAWS)
+
+
+@pytest.mark.parametrize("rate", [1e3, LIMIT, 1e8, 1e10])
+@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
+def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate):
+    spacing = 2.0 ** max(math.floor(math.log2(rate)) - 23, -23)
+    counts = drawn(name, rate, dtype=torch.float32)
+    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=max(spacing, 1.0) / 2)
+
+
+def test_float32_loses_single_photons_above_2_to_the_24():
+    assert torch.tensor(2.0**24) + 1 == 2.0**24
+    rate = torch.tensor(1e10)
+    spacing = torch.nextafter(rate, torch.tensor(math.inf)) - rate
+    assert spacing == 1024  # at most 512 counts of error, 296 rms, against a photon noise of 1e5
+    assert spacing / math.sqrt(12) < rate.sqrt() / 300
+
+
+def test_bright_and_faint_rates_mix():
+    rates = torch.tensor([0.0, 5.0, 1e3, 1e7, 1e10], dtype=torch.float64).repeat(20_000, 1)
+    for column, rate in zip(noise.poisson(rates, generator()).T, rates[0], strict=True):
+        assert_moments(column, float(rate), float(rate), poisson=True, rounding=0.5)
+
+
+@pytest.mark.parametrize("name", ["poisson", "ml_gauss", "gaussian"])
+def test_the_same_generator_repeats_and_another_differs(name):
+    rate = torch.full((1000,), 50.0)
+    first, again, other = (noise.readout(rate, name, 1.0, generator(s)) for s in (1, 1, 2))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_readouts_are_independent():
+    pair = drawn("poisson", 100.0).view(-1, 2)
+    correlation = torch.corrcoef(pair.T)[0, 1]
+    assert abs(correlation) < 5 / math.sqrt(len(pair))
+
+
+def test_trap_exact_poisson_gives_the_rate_no_gradient():
+    """Why masks must be trained with ml_gauss, or through `follow`."""
+    for sample in (torch.poisson, noise.poisson):
+        rate = torch.full((100,), 50.0, requires_grad=True)
+        sample(rate).square().sum().backward()
+        assert (rate.grad == 0).all()
+
+
+def test_trap_torch_normal_gives_no_gradient():
+    rate = torch.full((100,), 50.0, requires_grad=True)
+    assert not torch.normal(rate.detach(), rate.detach().sqrt()).requires_grad
+    noise.ml_gauss(rate, generator()).square().sum().backward()
+    assert (rate.grad != 0).all()
+
+
+def slopes(name: str, rate: float, function) -> torch.Tensor:
+    """Gradient of function(y) in the rate of one rail, one for each draw."""
+    rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
+    y = noise.readout(rates, name, 1.0, generator())
+    if name == "poisson":
+        y = noise.follow(y, rates, rates)
+    function(y).sum().backward()
+    return rates.grad
+
+
+def assert_mean(samples: torch.Tensor, mean: float) -> None:
+    assert abs(samples.mean() - mean) <= 5 * float(samples.std()) / math.sqrt(len(samples))
+
+
+@pytest.mark.parametrize("rate", [0.01, 1.0, 1e4, 1e7])
+@pytest.mark.parametrize("name", ["ml_gauss", "poisson"])
+def test_photon_noise_has_the_gradient_of_mean_and_variance(name, rate):
+    """E[y²] = rate² + rate, whose slope is 2 rate + 1."""
+    assert_mean(slopes(name, rate, torch.square), 2 * rate + 1)
+    assert_mean(slopes(name, rate, torch.clone), 1)
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.5, 2.0])
+def test_counts_of_one_rail_follow_their_rate_by_the_trapezoid_rule(rate):
+    """∂ E f / ∂r is E ∫₀¹ f′(k + t) dt; counts summed over, as far as they are at all likely."""
+    counts = torch.arange(60, dtype=torch.float64, requires_grad=True)
+    law = torch.exp(counts * math.log(rate) - rate - torch.lgamma(counts + 1)).detach()
+    losses = softplus(counts)
+    (slope,) = torch.autograd.grad(losses.sum(), counts)
+    found = slopes("poisson", rate, softplus)
+    assert_mean(found, float(law[:-1] @ (slope[:-1] + slope[1:]) / 2))
+
+    exact, straight = float(law[:-1] @ losses.detach().diff()), float(law @ slope)
+    assert abs(found.mean() - exact) < abs(straight - exact) / 4
+
+
+@pytest.mark.parametrize(("plus", "minus"), [(0.3, 0.9), (2.0, 0.5), (40.0, 40.0), (3.0, 0.0)])
+def test_counts_of_two_rails_follow_mean_and_variance(plus, minus):
+    """E[y²] = (r⁺ − r⁻)² + r⁺ + r⁻, whose slopes are ±2 (r⁺ − r⁻) + 1."""
+    rates = torch.tensor([plus, minus], dtype=torch.float64).repeat(DRAWS, 1).requires_grad_()
+    mean, light = rates[:, 0] - rates[:, 1], rates.sum(dim=1)
+    counts = noise.poisson(rates.detach(), generator())
+    y = noise.follow(counts[:, 0] - counts[:, 1], mean, light)
+    assert torch.equal(y, counts[:, 0] - counts[:, 1])
+    y.square().sum().backward()
+    for slope, sign in zip(rates.grad.T, (1, -1), strict=True):
+        assert_mean(slope, 2 * sign * (plus - minus) + 1)
+
+
+def test_counts_follow_as_ml_gauss_does_at_the_same_noise():
+    rate = torch.tensor([0.3, 4.0, 1e3, 1e8], dtype=torch.float64, requires_grad=True)
+    counts = noise.poisson(rate.detach(), generator())
+    epsilon = ((counts - rate) / rate.sqrt()).detach()
+    (ours,) = torch.autograd.grad(noise.follow(counts, rate, rate).sum(), rate)
+    (theirs,) = torch.autograd.grad((rate + noise.root(rate) * epsilon).sum(), rate)
+    assert torch.allclose(ours, theirs, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ml_gauss", "poisson"])
+def test_a_dark_rail_has_a_finite_gradient(name):
+    assert (slopes(name, 0.0, torch.clone) == 1).all()
+
+
+def test_gradients_equal_finite_differences():
+    rate = torch.tensor([1e-2, 0.3, 1.0, 40.0, 1e3], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda r: noise.ml_gauss(r, generator()).square(), rate)
+    assert torch.autograd.gradcheck(lambda r: noise.gaussian(r, 2.0, generator()).square(), rate)
+
+
+def test_the_root_of_a_dark_rail_has_no_slope():
+    rate = torch.tensor([0.0, 4.0], requires_grad=True)
+    noise.root(rate).sum().backward()
+    assert rate.grad.tolist() == [0.0, 0.25]
+
+
+def test_an_unknown_noise_names_the_closest():
+    with pytest.raises(InputError, match="did you mean 'poisson'"):
+        noise.check_noise("poison")
+
+
+def test_readout_refuses_an_unknown_noise():
+    with pytest.raises(InputError):
+        noise.readout(torch.ones(3), "poison")

@@ -1,0 +1,313 @@
+"""The optical front end draws the right counts, on every path, and passes the right gradient."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from conftest import assert_moments, every_design, every_optics, generator, light_on
+from deepfsi.errors import InputError
+from deepfsi.optics.constraints import fit
+from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.noise import root
+from deepfsi.optics.scanner import Scanner, measure, project, project_pair, subtract
+
+DRAWS = 50_000
+RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]
+NOISES = ["poisson", "ml_gauss", "gaussian", "none"]
+
+# masks with both rails lit, one alone, the other alone, and none
+PLUS = torch.tensor([[0.5, 0.0], [0.25, 0.25], [0.0, 0.0], [0.0, 0.0]], dtype=torch.float64)
+MINUS = torch.tensor([[0.0, 0.25], [0.0, 0.0], [0.25, 0.5], [0.0, 0.0]], dtype=torch.float64)
+RAILS = torch.stack([PLUS, MINUS])
+
+
+def expected(noise: str, rates: Tensor, sigma: float) -> Tensor:
+    """Variance of each rail, (2, 4)."""
+    if noise == "none":
+        return torch.zeros_like(rates)
+    return sigma**2 * (RAILS.amax(dim=-1) > 0) if noise == "gaussian" else rates
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("noise", NOISES)
+def test_counts_of_each_rail_have_the_moments_of_the_noise(noise, rate):
+    photons = torch.tensor([rate, 2 * rate], dtype=torch.float64)
+    counts = Scanner.from_rails(RAILS, noise, 3.0).counts(photons.expand(DRAWS, 2), generator())
+    rates = RAILS @ photons
+    power = expected(noise, rates, 3.0)
+    for rail in range(2):
+        for mask in range(4):
+            mean, variance = float(rates[rail, mask]), float(power[rail, mask])
+            rounding = 0.5 if noise == "poisson" and mean else 1e-15 * mean
+            assert_moments(
+                counts[:, rail, mask], mean, variance, poisson=noise == "poisson", rounding=rounding
+            )
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("noise", NOISES)
+def test_features_have_the_moments_of_the_rails_difference(noise, rate):
+    photons = torch.tensor([rate, 2 * rate], dtype=torch.float64)
+    features = Scanner.from_rails(RAILS, noise, 3.0)(photons.expand(DRAWS, 2), generator())
+    rates = RAILS @ photons
+    power = expected(noise, rates, 3.0).sum(dim=0)
+    for mask, mean in enumerate((rates[0] - rates[1]).tolist()):
+        rounding = 1.0 if noise == "poisson" and power[mask] else 1e-15 * rate
+        assert_moments(
+            features[:, mask],
+            mean,
+            float(power[mask]),
+            poisson=noise == "poisson",
+            rounding=rounding,
+        )
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_rails_dark_by_construction_read_exactly_zero(noise):
+    scanner = Scanner.from_rails(RAILS, noise, 3.0)
+    photons = torch.full((100, 2), 50.0)
+    counts = scanner.counts(photons, generator())
+    assert (counts[:, RAILS.amax(dim=-1) == 0] == 0).all()
+    assert (scanner(photons, generator())[:, 3] == 0).all()
+
+
+def test_rails_lit_by_construction_add_read_noise_in_the_dark():
+    scanner = Scanner.from_rails(RAILS, "gaussian", 3.0)
+    dark = torch.zeros(DRAWS, 2, dtype=torch.float64)
+    for mask, rails in enumerate((2, 1, 1, 0)):
+        assert_moments(scanner(dark, generator())[:, mask], 0, 9 * rails, poisson=False)
+
+
+def test_rails_of_a_mask_are_independent():
+    photons = torch.tensor([100.0, 200.0]).expand(DRAWS, 2)
+    plus, minus = Scanner.from_rails(RAILS, "poisson").counts(photons, generator())[:, :, 0].T
+    assert abs(torch.corrcoef(torch.stack([plus, minus]))[0, 1]) < 5 / math.sqrt(DRAWS)
+
+
+def test_float32_moments_hold_at_1e10():
+    photons = torch.tensor([1e10, 2e10]).expand(DRAWS, 2)
+    features = Scanner.from_rails(RAILS.float(), "poisson")(photons, generator())
+    assert features.dtype == torch.float32
+    rounding = 1024.0
+    for mask, (mean, variance) in enumerate([(0, 1e10), (7.5e9, 7.5e9), (-1.25e10, 1.25e10)]):
+        assert_moments(features[:, mask], mean, variance, poisson=True, rounding=rounding)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_float64_light_gives_float64_counts_whatever_the_masks(noise):
+    """So that single photons can be told apart above 2²⁴ counts."""
+    scanner = Scanner.from_rails(RAILS.float(), noise)
+    photons = torch.tensor([[1e10 + 4, 0.0]], dtype=torch.float64)
+    assert scanner(photons, generator()).dtype == torch.float64
+    assert scanner.counts(photons, generator()).dtype == torch.float64
+    assert scanner.rates(photons)[0, 0, 0] == 5e9 + 2
+
+
+@every_design
+def test_rails_are_not_negative_and_recombine(made, digits, design, light, rails):
+    made_design = made(design, light, rails)
+    photons = light_on(made_design, digits.x_test[:20])
+    scanner = made_design.scanner("none")
+    rates = scanner.rates(photons)
+    assert (rates >= 0).all()
+    assert torch.allclose(subtract(rates), scanner(photons), rtol=1e-5, atol=1e-3)
+    assert torch.equal(scanner.counts(photons), rates)
+
+
+@every_design
+def test_counts_have_the_shape_of_the_rails(made, digits, design, light, rails):
+    made_design = made(design, light, rails)
+    counts = made_design.scanner().counts(light_on(made_design, digits.x_test[:3]), generator())
+    assert counts.shape == (3, len(made_design.rails), made_design.masks)
+
+
+def test_poisson_features_are_the_difference_of_counts():
+    photons = torch.full((50, 2), 40.0)
+    scanner = Scanner.from_rails(RAILS, "poisson")
+    counts = scanner.counts(photons, generator())
+    assert torch.equal(scanner(photons, generator()), subtract(counts))
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("lead", [(), (3,), (2, 3), (2, 0, 3)])
+def test_scenes_may_have_any_leading_shape(noise, lead):
+    scanner = Scanner.from_rails(RAILS, noise)
+    photons = torch.full((*lead, 2), 9.0)
+    assert scanner(photons, generator()).shape == (*lead, 4)
+    assert scanner.counts(photons, generator()).shape == (*lead, 2, 4)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_one_rail_stays_one_rail(noise):
+    scanner = Scanner.from_rails(RAILS[:1], noise)
+    photons = torch.full((5, 2), 9.0)
+    assert scanner(photons, generator()).shape == (5, 4)
+    assert scanner.counts(photons, generator()).shape == (5, 1, 4)
+    assert scanner.double().counts(photons.double(), generator()).shape == (5, 1, 4)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@every_optics
+def test_replicas_give_an_axis_before_the_masks(noise, light, rails):
+    start = torch.rand(3, 4, 6, generator=generator()) + 0.1
+    scanner = Scanner(Learned(start, light, rails), noise)
+    photons = torch.full((7, 6), 30.0)
+    assert scanner(photons, generator()).shape == (7, 3, 4)
+    count = 2 if rails == "dual" else 1
+    assert scanner.counts(photons, generator()).shape == (7, 3, count, 4)
+    each = [Scanner(Learned(one, light, rails), "none")(photons) for one in start]
+    assert torch.allclose(Scanner(scanner.masks, "none")(photons), torch.stack(each, dim=1))
+
+
+@pytest.mark.parametrize("noise", ["poisson", "ml_gauss", "gaussian"])
+def test_the_same_generator_repeats(noise):
+    photons, scanner = torch.full((9, 2), 30.0), Scanner.from_rails(RAILS, noise)
+    assert torch.equal(scanner(photons, generator(1)), scanner(photons, generator(1)))
+    assert not torch.equal(scanner(photons, generator(1)), scanner(photons, generator(2)))
+
+
+def test_an_unknown_noise_is_refused():
+    with pytest.raises(InputError, match="did you mean 'poisson'"):
+        Scanner(Fixed(RAILS), "poison")
+
+
+def learned(light: str, rails: str, single_signed: bool = False) -> Learned:
+    start = torch.randn(3, 4, generator=generator(2), dtype=torch.float64)
+    if rails == "single" or single_signed:
+        start = start.abs() + 0.1
+    masks = Learned(start, light, rails)
+    for parameter in masks.parameters():  # away from the kink where a column is just full
+        parameter.data *= 1.3
+    return masks
+
+
+@every_optics
+@pytest.mark.parametrize("noise", ["ml_gauss", "gaussian", "none"])
+def test_mask_gradients_equal_finite_differences(light, rails, noise):
+    """Sample mean and mean square of features, with common random numbers."""
+    masks = learned(light, rails)
+    photons = torch.tensor([[50.0, 80.0, 20.0, 0.0], [3.0, 0.0, 9.0, 30.0]], dtype=torch.float64)
+    scanner = Scanner(masks, noise, 2.0)
+
+    def moments(*_: Tensor) -> tuple[Tensor, Tensor]:
+        features = scanner(photons.repeat(20, 1), generator())
+        return features.mean(dim=0), features.square().mean(dim=0)
+
+    assert torch.autograd.gradcheck(moments, tuple(masks.parameters()), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("noise", "sigma"), [("ml_gauss", 1.0), ("poisson", 1.0), ("gaussian", 5.0)]
+)
+def test_mask_gradients_follow_mean_and_variance(noise, sigma):
+    """E[y²] = (Mλ)² + |M|λ, or + 2σ², whose slope in M_ij is known."""
+    photons = torch.tensor([50.0, 80.0, 20.0, 5.0], dtype=torch.float64)
+    matrix = torch.tensor([[0.3, -0.2, 0.1, -0.05]], dtype=torch.float64, requires_grad=True)
+
+    class Matrix(nn.Module):
+        def forward(self) -> tuple[Tensor, Tensor]:
+            return matrix, matrix.abs()
+
+    batches = []
+    for seed in range(60):
+        features = Scanner(Matrix(), noise, sigma)(photons.expand(2000, 4), generator(seed))
+        (slope,) = torch.autograd.grad(features.square().mean(), matrix)
+        batches.append(slope[0])
+    slopes = torch.stack(batches)
+    worth = 2 * float((matrix @ photons).detach()) * photons
+    if noise != "gaussian":
+        worth = worth + photons * matrix.detach()[0].sign()
+    assert (abs(slopes.mean(dim=0) - worth) <= 5 * slopes.std(dim=0) / math.sqrt(60)).all()
+
+
+@every_optics
+@pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian"])
+def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, noise):
+    masks = learned(light, rails, single_signed=True)
+    photons = torch.zeros(5, 4, dtype=torch.float64)
+    photons[1:, 2] = 7.0
+    Scanner(masks, noise)(photons, generator()).square().sum().backward()
+    for parameter in masks.parameters():
+        assert torch.isfinite(parameter.grad).all()
+        assert (parameter.grad != 0).any()
+
+
+def test_a_mask_that_is_zero_everywhere_gives_finite_gradients():
+    masks = Learned(torch.tensor([[1.0, -1.0], [0.0, 0.0]]), "column")
+    Scanner(masks, "ml_gauss")(torch.full((5, 2), 9.0), generator()).square().sum().backward()
+    assert torch.isfinite(masks.weight.grad).all()
+
+
+@pytest.mark.parametrize("noise", ["ml_gauss", "gaussian"])
+def test_photons_get_a_gradient_too(noise):
+    photons = torch.full((3, 2), 9.0, dtype=torch.float64, requires_grad=True)
+    scanner = Scanner.from_rails(RAILS, noise)
+    assert torch.autograd.gradcheck(lambda light: scanner(light, generator()), photons)
+
+
+def test_masks_learn_in_front_of_a_network_of_your_own():
+    rng = generator()
+    labels = torch.arange(200) % 2
+    photons = 50 * torch.rand(200, 6, generator=rng) + 100 * labels[:, None] * torch.eye(6)[1]
+    net = nn.Sequential(
+        Scanner(Learned(torch.randn(2, 6, generator=rng), "free-dwell"), "ml_gauss"),
+        nn.BatchNorm1d(2),
+        nn.Linear(2, 2),
+    )
+    optimiser = torch.optim.Adam(net.parameters(), lr=0.05)
+    losses = []
+    for _ in range(60):
+        loss = nn.functional.cross_entropy(net(photons), labels)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert sum(losses[-5:]) < 0.6 * sum(losses[:5])
+
+
+def test_fixed_masks_move_with_the_module():
+    scanner = Scanner.from_rails(fit(torch.randn(3, 5, generator=generator()), "column"))
+    assert {name for name, _ in scanner.named_buffers()} == {"masks.difference", "masks.total"}
+    assert not list(scanner.parameters())
+
+
+@pytest.mark.parametrize(
+    ("light", "rails"),
+    [("column", "dual"), ("column", "single"), ("free-dwell", "dual"), ("two-arm", "dual")],
+)
+@pytest.mark.parametrize("replicas", [(), (3,)])
+@pytest.mark.parametrize("steps", [0, 1])
+def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
+    light, rails, replicas, steps
+):
+    draw = generator(3)
+    scenes = torch.rand(7, 12, generator=draw, dtype=torch.float64)
+    mean_scene = scenes.mean(dim=0)
+    centred = torch.cat([scenes - mean_scene, mean_scene[None]])
+    epsilon = torch.randn(7, *replicas, 5, generator=draw, dtype=torch.float64)
+    start = torch.randn(*replicas, 5, 12, generator=draw, dtype=torch.float64)
+    start[..., 2, :] = 0
+    masks = Learned(start.abs() if rails == "single" else start, light, rails, steps)
+    weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
+
+    def expected() -> torch.Tensor:
+        difference, total = masks()
+        mean, light_ = project_pair(scenes, difference, total, both=True)
+        return mean - project(mean_scene, difference) + root(light_) * epsilon
+
+    found = []
+    for features in (
+        measure(centred, masks.rails_to_measure(), epsilon, masks.disjoint),
+        expected(),
+    ):
+        masks.zero_grad()
+        (features * weight).sum().backward()
+        found.append((features.detach(), [p.grad.clone() for p in masks.parameters()]))
+    assert torch.allclose(found[0][0], found[1][0], rtol=0, atol=1e-12)
+    for ours, autograd in zip(found[0][1], found[1][1], strict=True):
+        assert torch.isfinite(ours).all()
+        assert torch.allclose(ours, autograd, rtol=0, atol=1e-11)

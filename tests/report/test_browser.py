@@ -1,0 +1,304 @@
+"""Both pages in a real browser: nothing cut, nothing blocked, readable, and tables that sort.
+
+Needs Chromium and its driver. `.ci/run` sets `DEEPFSI_BROWSER=required`: there, a missing browser
+is a failure and no reason to skip.
+"""
+
+import base64
+import os
+import re
+import shutil
+from itertools import pairwise
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from test_report import make_results
+from test_study_page import example
+
+from deepfsi.report import build, write_study
+
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+)
+WIDTHS, SCHEMES, KINDS = (1280, 400), ("light", "dark"), ("comparison", "study")
+A4 = {"paperWidth": 8.27, "paperHeight": 11.69, "preferCSSPageSize": True}
+A4_WIDTH = 680  # CSS pixels between the margins
+
+OVERFLOW = "const e = document.documentElement; return e.scrollWidth - e.clientWidth"
+
+# Elements that reach over an edge of the page, and boxes that hide a part of what they hold. What
+# lies in a box that scrolls can be reached: of it, the box is looked at.
+CUT = """
+const page = document.documentElement.clientWidth;
+const outside = box => box.left < -0.5 || box.right > page + 0.5;
+const name = e => `${e.tagName} ${e.className.baseVal ?? e.className} ${e.textContent.trim()}`;
+const cut = [...document.querySelectorAll("body *")].filter(e => {
+  const box = e.getBoundingClientRect(), style = getComputedStyle(e);
+  if (!box.width || !box.height) return false;
+  const hides = ["hidden", "clip"].includes(style.overflowX) && e.scrollWidth > e.clientWidth;
+  return !(e instanceof SVGElement) && hides
+    || (e.matches("svg, text") || !(e instanceof SVGElement) && !e.closest(".scroll table"))
+    && outside(box);
+});
+return cut.map(name).map(text => text.slice(0, 80));
+"""
+
+# The contrast of every text with what lies behind it (WCAG 2), the lowest first. Markers that stand
+# in a table as they do in a figure are no text.
+CONTRASTS = """
+const context = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+const rgba = colour => {
+  context.clearRect(0, 0, 1, 1);
+  context.fillStyle = colour;
+  context.fillRect(0, 0, 1, 1);
+  return [...context.getImageData(0, 0, 1, 1).data];
+};
+const light = colour => {
+  const [r, g, b] = rgba(colour).slice(0, 3).map(v => v / 255)
+    .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const behind = e => {
+  while (rgba(getComputedStyle(e).backgroundColor)[3] === 0) e = e.parentElement;
+  return getComputedStyle(e).backgroundColor;
+};
+const written = e => [...e.childNodes].some(n => n.nodeType === 3 && /[^\\s●■]/.test(n.data));
+const found = [...document.querySelectorAll("body *:not(script)")].filter(written).map(e => {
+  const style = getComputedStyle(e);
+  const drawn = e instanceof SVGElement ? style.fill : style.color;
+  const [dark, bright] = [light(drawn), light(behind(e))].sort((a, b) => a - b);
+  return [(bright + 0.05) / (dark + 0.05), e.tagName, e.textContent.trim().slice(0, 40)];
+});
+return found.sort((a, b) => a[0] - b[0]);
+"""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Give a headless Chromium with a profile of its own."""
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        told = "needs chromium and chromedriver (Debian: apt-get install chromium chromium-driver)"
+        if os.environ.get("DEEPFSI_BROWSER") == "required":
+            pytest.fail(told)
+        pytest.skip(told)
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    with webdriver.Chrome(options=options, service=Service(executable_path=driver)) as chrome:
+        yield chrome
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Give the address of a page of each kind."""
+    home = tmp_path_factory.mktemp("pages")
+    make_results(home / "comparison", noises=("poisson", "gaussian"))
+    study = write_study(home, "Deep feature-specific imaging, repeated", example(home))
+    return {"comparison": build(home / "comparison").as_uri(), "study": study.as_uri()}
+
+
+def look(browser, width=1280, scheme="light", media="screen"):
+    screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
+
+
+@pytest.fixture(params=KINDS)
+def opened(request, browser, pages):
+    """Give the browser with a page of each kind, wide and light."""
+    look(browser)
+    browser.get_log("browser")
+    browser.get(pages[request.param])
+    return browser
+
+
+def style(element, name):
+    return element.value_of_css_property(name)
+
+
+def the_table(browser):
+    """Give the longest table that scrolls inside its box."""
+    boxes = browser.find_elements(By.CSS_SELECTOR, ".tall")
+    return max(boxes, key=lambda box: int(box.get_property("scrollHeight")))
+
+
+def column(browser, table, head):
+    """Give the button of a column, its heading, and what its cells hold from top to bottom."""
+    heads = table.find_elements(By.CSS_SELECTOR, "th")
+    place = [cell.text for cell in heads].index(head)
+    script = (
+        "return [...arguments[0].querySelectorAll('tbody tr')].map(row => "
+        "row.cells[arguments[1]]).map(cell => cell.dataset.value ?? cell.textContent)"
+    )
+    button = heads[place].find_element(By.TAG_NAME, "button")
+    return button, heads[place], lambda: browser.execute_script(script, table, place)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_cut_blocked_or_hard_to_read(opened, width, scheme):
+    look(opened, width, scheme)
+    opened.refresh()
+    assert opened.execute_script("return window.innerWidth") == width
+    assert opened.execute_script(OVERFLOW) <= 0
+    assert opened.execute_script("return document.querySelectorAll('svg text').length") > 50
+    assert opened.execute_script(CUT) == []
+    contrasts = opened.execute_script(CONTRASTS)
+    assert {"H1", "TD", "text", "BUTTON", "FIGCAPTION"} <= {tag for _, tag, _ in contrasts}
+    assert contrasts[0][0] >= 4.5, contrasts[:5]
+    dark = opened.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert (dark == "rgb(255, 255, 255)") == (scheme == "light")
+    assert opened.get_log("browser") == []
+
+
+def test_the_checks_see_faults(opened):
+    opened.execute_script(
+        "document.body.insertAdjacentHTML('beforeend', "
+        '\'<p style="width: 3000px; max-width: none; color: #999">far</p>'
+        '<div style="overflow: hidden; width: 9px; white-space: nowrap">some words</div>'
+        '<img src="https://example.org/a.png">\')'
+    )
+    cut = opened.execute_script(CUT)
+    assert len(cut) == 2
+    assert "far" in cut[0]
+    assert "some words" in cut[1]
+    assert opened.execute_script(CONTRASTS)[0][2] == "far"
+    assert "Content Security Policy" in opened.get_log("browser")[0]["message"]
+
+
+def test_text_given_is_never_run_and_nothing_is_fetched(opened):
+    assert opened.execute_script("return document.scripts.length") == 1
+    assert opened.execute_script("return window.harmed === undefined")
+    names = opened.execute_script(
+        "return performance.getEntriesByType('resource').map(e => e.name)"
+    )
+    assert [name for name in names if not name.startswith("data:")] == []
+
+
+def test_a_click_and_a_key_sort_numbers(opened):
+    table = the_table(opened)
+    button, head, cells = column(opened, table, "accuracy")
+    before = cells()
+    numbers = [float(cell) for cell in before if cell != "–"]
+    missing = ["–"] * before.count("–")
+    assert len(before) > 30
+    assert numbers != sorted(numbers)
+    button.click()
+    assert head.get_attribute("aria-sort") == "ascending"
+    assert [float(cell) for cell in cells()[: len(numbers)]] == sorted(numbers)
+    assert cells()[len(numbers) :] == missing
+    button.send_keys(Keys.ENTER)
+    assert head.get_attribute("aria-sort") == "descending"
+    assert [float(cell) for cell in cells()[: len(numbers)]] == sorted(numbers, reverse=True)
+    assert cells()[len(numbers) :] == missing
+    other, other_head, budgets = column(opened, table, "photons")
+    other.send_keys(Keys.SPACE)
+    assert head.get_attribute("aria-sort") is None
+    assert other_head.get_attribute("aria-sort") == "ascending"
+    assert list(map(float, budgets())) == sorted(map(float, budgets()))
+
+
+def test_words_sort_too(opened):
+    button, _, cells = column(opened, the_table(opened), "design")
+    words = sorted(cells(), key=str.lower)
+    button.click()
+    ordered = cells()
+    assert sorted(ordered, key=str.lower) == words
+    places = [ordered.index(word) for word in dict.fromkeys(ordered)]
+    runs = sum(a != b for a, b in pairwise(ordered)) + 1
+    assert runs == len(places) > 3
+    assert ordered != words[::-1]
+
+
+def test_every_sortable_table_answers_its_buttons(opened):
+    for head in opened.find_elements(By.CSS_SELECTOR, "table.sortable th"):
+        head.find_element(By.TAG_NAME, "button").send_keys(Keys.ENTER)
+        assert head.get_attribute("aria-sort") == "ascending"
+
+
+@pytest.mark.parametrize("opened", ["study"], indirect=True)
+def test_claims_sort_by_their_answer(opened):
+    table = opened.find_element(By.CSS_SELECTOR, ".claims")
+    button, _, cells = column(opened, table, "holds")
+    button.click()
+    assert cells() == ["1"] * 3 + ["2"] * 4 + ["3"] * 4
+    button.click()
+    assert cells() == ["3"] * 4 + ["2"] * 4 + ["1"] * 3
+
+
+@pytest.mark.parametrize("opened", ["study"], indirect=True)
+def test_answers_differ_by_more_than_colour(opened):
+    answers = opened.find_elements(By.CSS_SELECTOR, ".claims .answer")
+    assert {answer.text for answer in answers} == {"✓ yes", "✗ no", "? open"}
+    shapes = {(style(a, "border-top-style"), style(a, "border-top-left-radius")) for a in answers}
+    assert len(shapes) == 3
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_focus_and_hover_are_seen(opened, scheme):
+    look(opened, scheme=scheme)
+    button, _, _ = column(opened, the_table(opened), "accuracy")
+    assert style(button, "text-decoration-line") == "none"
+    ActionChains(opened).move_to_element(button).perform()
+    assert style(button, "text-decoration-line") == "underline"
+    opened.refresh()
+    stops = set()
+    for _ in range(8):
+        ActionChains(opened).send_keys(Keys.TAB).perform()
+        active = opened.switch_to.active_element
+        stops.add(active.id)
+        assert style(active, "outline-style") == "solid"
+        assert float(style(active, "outline-width").removesuffix("px")) >= 2
+    assert len(stops) == 8
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_long_table_scrolls_under_its_head(opened, width):
+    look(opened, width)
+    box = the_table(opened)
+    assert box.get_property("scrollHeight") > box.get_property("clientHeight")
+    opened.execute_script("arguments[0].scrollTop = 400; arguments[0].scrollLeft = 80", box)
+    assert opened.execute_script("return arguments[0].scrollTop", box) == 400
+    head = box.find_element(By.CSS_SELECTOR, "thead th")
+    script = "return arguments[0].getBoundingClientRect().top"
+    above = opened.execute_script(script, head) - opened.execute_script(script, box)
+    assert 0 <= above <= 2
+
+
+def test_paper_gets_everything_in_black_on_white(opened):
+    look(opened, A4_WIDTH, "dark", media="print")
+    body = opened.find_element(By.TAG_NAME, "body")
+    assert style(body, "background-color") == "rgba(255, 255, 255, 1)"
+    assert style(body, "color") == "rgba(0, 0, 0, 1)"
+    assert opened.execute_script(OVERFLOW) <= 0
+    assert opened.execute_script(CUT) == []
+    assert opened.execute_script(CONTRASTS)[0][0] >= 4.5
+    box = the_table(opened)
+    assert box.get_property("scrollHeight") <= box.get_property("clientHeight") + 1
+    for cell in opened.find_elements(By.CSS_SELECTOR, "td:last-child"):
+        assert cell.rect["x"] + cell.rect["width"] <= A4_WIDTH + 0.5
+    facts = "return [...document.querySelectorAll('dd')].map(fact => fact.checkVisibility())"
+    assert set(opened.execute_script(facts)) == {True}
+    for figure in opened.find_elements(By.CSS_SELECTOR, "figure:has(svg)"):
+        assert style(figure, "break-inside") == "avoid"
+
+
+def test_pages_print(opened):
+    printed = opened.execute_cdp_cmd("Page.printToPDF", A4)
+    content = base64.b64decode(printed["data"])
+    assert content.startswith(b"%PDF-")
+    assert len(re.findall(rb"/Type\s*/Page\b", content)) > 2

@@ -1,0 +1,266 @@
+"""The photons that a target needs: known crossings of made-up curves lie in the interval."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from deepfsi import cli
+from deepfsi.errors import InputError
+from deepfsi.sweeps import planning
+from deepfsi.sweeps.planning import Crossing, check_plan, crossing, next_budget, photons_needed
+from deepfsi.sweeps.recipe import Recipe
+
+DECADES = (1e2, 1e3, 1e4, 1e5, 1e6)
+TARGET, REPEATS = 0.9, 200
+
+
+class MadeUp:
+    """Accuracy that rises with log Φ in an S from chance to a ceiling, tested on the same images.
+
+    An image is classified right where the accuracy exceeds its own threshold, so that all budgets
+    err together; each training is off by some more.
+    """
+
+    def __init__(self, rng: np.random.Generator, width: float, ceiling: float, images: int) -> None:
+        self.rng, self.width, self.ceiling = rng, width, ceiling
+        self.middle = rng.uniform(3.2, 4.8)
+        self.test, self.held_out = np.sort(rng.random((2, images)), axis=1)
+
+    def accuracy(self, photons: float) -> float:
+        steps = (np.log10(photons) - self.middle) / self.width
+        return 0.1 + (self.ceiling - 0.1) / (1 + np.exp(-steps))
+
+    @property
+    def crossing(self) -> float:
+        odds = (TARGET - 0.1) / (self.ceiling - TARGET)
+        return 10 ** (self.middle + self.width * np.log(odds))
+
+    def tested(self, photons: float, thresholds: np.ndarray) -> float:
+        true = self.accuracy(photons) + 0.004 * self.rng.standard_normal()
+        return float(np.searchsorted(thresholds, true)) / len(thresholds)
+
+
+def planned(curve: MadeUp, trials: int, rounds: int) -> Crossing:
+    """As `photons_needed` does."""
+    tried = {budget: curve.tested(budget, curve.held_out) for budget in DECADES}
+    for _ in range(rounds):
+        budgets = sorted(tried)
+        more = next_budget(budgets, [tried[budget] for budget in budgets], TARGET)
+        if more is None:
+            break
+        tried[more] = curve.tested(more, curve.held_out)
+    budgets = sorted(tried)
+    tests = [[curve.tested(budget, curve.test) for _ in range(trials)] for budget in budgets]
+    return crossing(budgets, tests, len(curve.test), TARGET)
+
+
+@pytest.mark.parametrize("rounds", [0, 2])
+@pytest.mark.parametrize("images", [300, 10_000])
+@pytest.mark.parametrize(("width", "ceiling"), [(0.15, 0.95), (0.3, 0.97), (0.5, 1.0)])
+def test_the_crossing_is_in_the_interval_at_the_stated_rate(width, ceiling, images, rounds):
+    rng = np.random.default_rng(images)
+    inside, decades = 0, []
+    for _ in range(REPEATS):
+        curve = MadeUp(rng, width, ceiling, images)
+        found = planned(curve, 3, rounds)
+        low, high = found.low or 0.0, found.high or np.inf
+        inside += low <= curve.crossing <= high
+        decades.append(np.log10(high) - np.log10(low or 1e-9))
+    assert inside / REPEATS >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / REPEATS)
+    if rounds and images == 10_000:
+        assert np.median(decades) < 0.3  # within a factor of 1.4 either way
+
+
+def test_the_estimate_is_near_where_nothing_errs():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        curve = MadeUp(rng, 0.4, 0.98, 1)
+        budgets = np.geomspace(1e2, 1e7, 11)
+        exact = [[curve.accuracy(budget)] for budget in budgets]
+        found = crossing(budgets, exact, 10**9, TARGET)
+        assert found.found == "within"
+        assert found.photons == pytest.approx(curve.crossing, rel=0.1)
+
+
+def test_a_budget_that_is_tried_at_the_crossing_is_it():
+    found = crossing([1e2, 1e3, 1e4], [[0.2], [0.9], [0.95]], 10**12, 0.9)
+    assert found.photons == pytest.approx(1e3)
+    assert found.low == pytest.approx(1e3, rel=0.02)
+    assert found.high == pytest.approx(1e3, rel=0.02)
+
+
+def test_more_seeds_that_differ_more_widen_the_interval():
+    calm = crossing(
+        DECADES, [[p - 0.001, p + 0.001] for p in (0.2, 0.6, 0.85, 0.95, 0.97)], 10**6, 0.9
+    )
+    wild = crossing(
+        DECADES, [[p - 0.02, p + 0.02] for p in (0.2, 0.6, 0.85, 0.95, 0.97)], 10**6, 0.9
+    )
+    assert calm.photons == pytest.approx(wild.photons)
+    assert wild.low < calm.low < calm.high < wild.high
+
+
+@pytest.mark.parametrize(
+    ("accuracies", "target", "wanted"),
+    [
+        ((0.5, 0.6, 0.7), 0.9, Crossing(None, 1e4, None, "beyond")),
+        ((0.5, 0.6, 0.899), 0.9, ("beyond", 1e3, 1e4, None)),
+        ((0.95, 0.96, 0.97), 0.9, Crossing(None, None, 1e2, "below")),
+        ((0.901, 0.96, 0.97), 0.9, ("below", None, 1e2, 1e3)),
+    ],
+    ids=["surely beyond", "perhaps beyond", "surely below", "perhaps below"],
+)
+def test_targets_beyond_what_was_tried(accuracies, target, wanted):
+    """An interval's end that is not known is None, and what is known of it is kept."""
+    found = crossing([1e2, 1e3, 1e4], [[accuracy] for accuracy in accuracies], 300, target)
+    if isinstance(wanted, Crossing):
+        assert found == wanted
+        return
+    kind, open_end, *within = wanted
+    assert (found.photons, found.found) == (None, kind)
+    if kind == "beyond":
+        assert found.high is None
+        assert open_end <= found.low < within[0]
+    else:
+        assert found.low is None
+        assert within[0] < found.high <= within[1]
+
+
+def test_accuracies_out_of_order_are_brought_to_order():
+    found = crossing(DECADES, [[0.2], [0.9], [0.86], [0.95], [0.97]], 1000, 0.9)
+    assert found.found == "within"
+    assert 1e4 < found.photons < 1e5
+    assert 1e2 < found.low < 1e3
+
+
+def test_budgets_are_added_at_the_crossing_and_apart_from_those_tried():
+    assert next_budget([1e2, 1e3, 1e4], [0.2, 0.5, 0.7], 0.9) is None
+    assert next_budget([1e2, 1e3, 1e4], [0.91, 0.95, 0.97], 0.9) is None
+    assert next_budget([1e2, 1e3, 1e4], [0.2, 0.899, 0.95], 0.9) == pytest.approx(1585, rel=0.01)
+    assert next_budget([1e2, 1e3, 1e4], [0.2, 0.5, 0.901], 0.9) == pytest.approx(6310, rel=0.01)
+    assert 2e3 < next_budget([1e2, 1e3, 1e4], [0.2, 0.8, 0.95], 0.9) < 6e3
+    assert next_budget([1e2, 1e3, 2e3], [0.2, 0.8, 0.95], 0.9) is None
+
+
+QUICK = Recipe(
+    designs=("pca", "raster"),
+    photons=(1e3, 1e4, 1e6),
+    masks=(2, 8),
+    trials=2,
+    training={"epochs": 6, "lr": 2e-2},
+)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    from deepfsi.datasets import load_dataset
+
+    data, folder = load_dataset("digits"), tmp_path_factory.mktemp("plan")
+    return data, folder, photons_needed(QUICK, data, 0.8, folder, command="ours")
+
+
+def test_a_plan_on_digits(done):
+    data, _, (plan, results) = done
+    assert plan["data"]["name"] == "digits"
+    needs = {need["design"]: need for need in plan["needs"]}
+    assert list(needs) == ["pca", "raster"]
+    for need in needs.values():
+        assert need["found"] == "within"
+        assert need["low"] < need["photons"] < need["high"]
+        budgets = [point["photons"] for point in need["tried"]]
+        assert budgets == sorted(budgets)
+        assert 3 < len(budgets) <= 5
+        first = [point for point in need["tried"] if point["photons"] in QUICK.photons]
+        more = next_budget(QUICK.photons, [point["validation"] for point in first], 0.8)
+        assert more in budgets
+    assert needs["pca"]["photons"] < needs["raster"]["photons"]
+    assert needs["pca"]["masks"] == 8
+    assert needs["raster"]["masks"] == data.pixels
+    json.dumps((plan, results))
+
+
+def test_masks_are_chosen_on_validation_data(done):
+    _, _, (plan, results) = done
+    for need in plan["needs"]:
+        for point in need["tried"]:
+            rivals = [
+                rival["validation"]
+                for rival in results["points"]
+                if (rival["design"], rival["photons"]) == (need["design"], point["photons"])
+            ]
+            assert point["validation"] == max(rivals)
+
+
+def test_a_plan_goes_on_where_it_was(done, monkeypatch):
+    data, folder, first = done
+
+    def never(*given, **named):
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr("deepfsi.sweeps.queue.train", never)
+    assert photons_needed(QUICK, data, 0.8, folder, command="ours")[0] == first[0]
+
+
+@pytest.mark.parametrize(
+    ("target", "changed", "words"),
+    [
+        (1.0, {}, "below 1"),
+        (float("nan"), {}, "below 1"),
+        (0.05, {}, "guessing"),
+        (0.8, {"photons": (1e3, 1e4)}, "three budgets"),
+        (0.8, {"validation": 0}, "held out"),
+        (0.8, {"noise": ("poisson", "gaussian")}, "one noise"),
+        (0.8, {"training": {"lr": (1e-2, 1e-3)}}, "one training"),
+        (0.8, {"test_photons": (1e3,)}, "budget of the training"),
+    ],
+)
+def test_what_cannot_be_planned(digits, target, changed, words):
+    recipe = Recipe.model_validate({**QUICK.model_dump(exclude={"training"}), **changed})
+    with pytest.raises(InputError, match=words):
+        check_plan(recipe, digits, target)
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    words = ["--designs", "pca,raster", "--photons", "1e2,1e3,1e5", "--masks", "6", "--trials", "1"]
+    for more in ([], ["--json"]):
+        given = [
+            "plan",
+            "--target",
+            "0.7",
+            *words,
+            "--epochs",
+            "3",
+            "-o",
+            str(tmp_path / "p"),
+            *more,
+        ]
+        monkeypatch.setattr(sys, "argv", ["deepfsi", *given, "--workers", "1"])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 0
+        printed = capsys.readouterr().out
+        if not more:
+            assert "raster scan" in printed
+            assert "interval: test images, and what lies between" in printed
+    assert json.loads(printed)["target"] == 0.7
+    assert json.loads(printed) == {
+        **json.loads((tmp_path / "p/plan.json").read_text()),
+        "command": json.loads(printed)["command"],
+    }
+    assert json.loads((tmp_path / "p/results.json").read_text())["points"]
+
+
+def test_a_bad_target_ends_before_any_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(planning, "run", None)
+    for target in ("2", "many"):
+        given = ["plan", "--target", target, "-o", str(tmp_path / "p")]
+        monkeypatch.setattr(sys, "argv", ["deepfsi", *given])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert stop.value.code == 2
+        assert "target" in capsys.readouterr().err
+        assert not (tmp_path / "p").exists()

@@ -1,0 +1,324 @@
+"""Tasks on a real Ray cluster: here, several nodes on this machine.
+
+Work functions are nested, so that they travel by value: workers do not see the test modules.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import ray
+from ray.cluster_utils import Cluster
+
+from deepfsi.datasets import load_dataset
+from deepfsi.errors import InputError
+from deepfsi.sweeps import ray_cluster, run
+from deepfsi.sweeps.ray_cluster import spread
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.records import Records
+from deepfsi.sweeps.trial import plan
+
+SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
+"""Ray settings under which the death of a node is noticed within seconds."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_token() -> Iterator[None]:
+    """Keep Ray from reading or writing a token in the home folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_AUTH_MODE", "disabled")
+        patch.delenv("RAY_ADDRESS", raising=False)
+        yield
+
+
+@pytest.fixture(scope="module")
+def nodes(no_token: None) -> Iterator[Cluster]:
+    """Give a cluster of one node with two CPUs, to which tests may add."""
+    made = Cluster(True, head_node_args={"num_cpus": 2, "_system_config": SEEN_SOON})
+    yield made
+    ray.shutdown()
+    made.shutdown()
+
+
+@pytest.fixture(params=["joins", "is connected"])
+def joined(nodes: Cluster, request: pytest.FixtureRequest) -> Iterator[str]:
+    """Give the address, to a process that `spread` must connect or that is connected already."""
+    if request.param == "is connected":
+        ray.init(nodes.address, log_to_driver=False, logging_level="error")
+    yield nodes.address
+    assert ray.is_initialized() == (request.param == "is connected")
+    ray.shutdown()
+
+
+def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
+    """A second node is killed at work; each record arrives once, as if it were made here."""
+    recipe = Recipe(
+        designs=("pca", "deepfsi"),
+        photons=(1e3, 1e4),
+        masks=(3, 4, 5, 6),
+        trials=3,
+        draws=1,
+        training={"epochs": 20, "batch": 32},
+    )
+    digits = load_dataset("digits")
+    trials = plan(recipe, digits)
+    second = nodes.add_node(num_cpus=2)
+    raylet = psutil.Process(second.all_processes["raylet"][0].process.pid)
+    killed_at_work, written = [], []
+    real = Records.write
+
+    def write(self, trial, record, design):
+        written.append(trial.key)
+        if len(written) >= 8 and not killed_at_work:
+            killed_at_work.extend(c.name() for c in raylet.children() if "work" in c.name())
+            if killed_at_work:
+                nodes.remove_node(second, allow_graceful=False)
+        real(self, trial, record, design)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Records, "write", write)
+        found = run.run(trials, digits, tmp_path / "there", ray=nodes.address)
+    assert killed_at_work
+    assert sorted(written) == sorted(trial.key for trial in trials)
+    here = run.run(trials, digits, tmp_path / "here")
+    for one, other in zip(found, here, strict=True):
+        assert one["key"] == other["key"]
+        assert one["test"][0]["accuracy"] == pytest.approx(other["test"][0]["accuracy"], abs=0.02)
+
+
+def until(condition: Callable[[], Any], seconds: float = 40) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+class Counted:
+    """Counts how often it is packed."""
+
+    packed = 0
+
+    def __init__(self):
+        self.array = np.arange(100_000.0)
+
+    def __reduce__(self):
+        Counted.packed += 1
+        return np.asarray, (self.array,)
+
+
+def test_every_result_arrives_once_and_shared_is_sent_once(joined):
+    def work(shared: np.ndarray, task: int) -> tuple[float, bool]:
+        return shared[task] * 2, shared.flags.owndata
+
+    Counted.packed = 0
+    results = list(spread(work, Counted(), range(30), address=joined))
+    assert sorted(results) == [(task, (2.0 * task, False)) for task in range(30)]
+    assert Counted.packed == 1
+
+
+def test_results_come_as_they_finish(nodes, tmp_path):
+    def work(folder: Path, task: int) -> int:
+        while task == 0 and not (folder / "go").exists():
+            time.sleep(0.02)
+        return task
+
+    results = spread(work, tmp_path, range(6), address=nodes.address)
+    first = [next(results)[0] for _ in range(5)]
+    (tmp_path / "go").touch()
+    assert sorted(first) == [1, 2, 3, 4, 5]
+    assert list(results) == [(0, 0)]
+
+
+def test_few_tasks_are_in_flight(nodes):
+    submitted = count()
+
+    class Task:
+        def __reduce__(self):
+            next(submitted)
+            return int, ()
+
+    results = spread(lambda _, task: task, None, [Task()] * 20, address=nodes.address)
+    next(results)
+    assert next(submitted) == ray_cluster.AHEAD * 2
+    results.close()
+
+
+def test_a_dead_node_costs_no_result(nodes, tmp_path):
+    """One task runs and one result waits on a node when it dies; both are made again elsewhere."""
+    doomed = nodes.add_node(num_cpus=2)
+    name = doomed.node_id
+
+    def work(shared: tuple[Path, str], task: int) -> np.ndarray:
+        import ray
+
+        folder, doomed = shared
+        here = ray.get_runtime_context().get_node_id()
+        (folder / f"started {task} {here}").touch()
+        end = time.monotonic() + 30
+        if here == doomed:
+            try:
+                (folder / "hangs").touch(exist_ok=False)
+                time.sleep(600)
+            except FileExistsError:
+                while not (folder / "go").exists():
+                    time.sleep(0.02)
+                (folder / f"finished {task}").touch()
+        while len(list(folder.glob(f"started * {doomed}"))) < 2 and time.monotonic() < end:
+            time.sleep(0.02)
+        return np.full(200_000, task)  # too big to travel with the news that it is finished
+
+    results = spread(work, (tmp_path, name), range(12), address=nodes.address)
+    arrived = [next(results)]
+    lost = {int(path.name.split()[1]) for path in tmp_path.glob(f"started * {name}")}
+    assert len(lost) == 2
+    (tmp_path / "go").touch()
+    until(lambda: list(tmp_path.glob("finished *")))
+    time.sleep(0.5)
+    nodes.remove_node(doomed, allow_graceful=False)
+    arrived += results
+    assert sorted(index for index, _ in arrived) == list(range(12))
+    assert all((result == index).all() for index, result in arrived)
+    elsewhere = {
+        int(path.name.split()[1])
+        for path in tmp_path.glob("started *")
+        if not path.name.endswith(name)
+    }
+    assert lost <= elsewhere == set(range(12))
+
+
+def test_a_task_that_always_kills_its_worker_is_named(nodes, tmp_path):
+    def work(folder: Path, task: int) -> int:
+        if task == 1:
+            with (folder / "deaths").open("a") as file:
+                file.write("x")
+            os.kill(os.getpid(), 9)
+        return task
+
+    with pytest.raises(InputError, match=r"task 1 was lost and 1 retries .*WorkerCrashedError"):
+        list(spread(work, tmp_path, range(3), address=nodes.address, retries=1))
+    assert (tmp_path / "deaths").read_text() == "xx"
+
+
+def test_what_work_raises_arrives_once_as_it_is(nodes, tmp_path):
+    def work(folder: Path, task: int) -> None:
+        with (folder / "tries").open("a") as file:
+            file.write("x")
+        raise InputError("photons are 0: give more")
+
+    with pytest.raises(InputError, match=r"^photons are 0: give more$") as raised:
+        list(spread(work, tmp_path, [1], address=nodes.address))
+    assert type(raised.value) is InputError
+    assert (tmp_path / "tries").read_text() == "x"
+
+
+@pytest.mark.parametrize("end", ["close", "error"])
+def test_stopping_early_cancels_the_rest(joined, tmp_path, end):
+    def work(folder: Path, task: int) -> int:
+        if task == 1:
+            (folder / "part").write_text(str(os.getpid()))
+            (folder / "part").rename(folder / "pid")
+            time.sleep(600)
+        while not (folder / "pid").exists():
+            time.sleep(0.02)
+        if task == 2:
+            raise InputError("enough")
+        return task
+
+    results = spread(work, tmp_path, [0, 1, 2] if end == "error" else [0, 1], address=joined)
+    assert next(results) == (0, 0)
+    pid = int((tmp_path / "pid").read_text())
+    assert alive(pid)
+    if end == "close":
+        results.close()
+    else:
+        with pytest.raises(InputError, match="enough"):
+            next(results)
+    until(lambda: not alive(pid), 10)
+
+
+def test_workers_use_as_many_threads_as_they_have_cpus(nodes):
+    def work(_: None, task: int) -> str:
+        return os.environ["OMP_NUM_THREADS"]
+
+    assert list(spread(work, None, [0], address=nodes.address, cpus=2)) == [(0, "2")]
+    assert list(spread(work, None, [0], address=nodes.address, cpus=0.5)) == [(0, "1")]
+
+
+def test_what_no_node_has_is_refused(nodes):
+    with pytest.raises(InputError, match=r"no node .* 3 CPUs and 0 GPUs .*\(2.0, 0.0\)"):
+        next(spread(max, 0, [0], address=nodes.address, cpus=3))
+    with pytest.raises(InputError, match=r"no node .* 1 CPUs and 0.5 GPUs"):
+        next(spread(max, 0, [0], address=nodes.address, gpus=0.5))
+
+
+@pytest.mark.parametrize(
+    ("cpus", "gpus"),
+    [(0, 0), (-1, 1), (1, -0.5), (1, 1.5)],
+    ids=["none", "less", "less-gpu", "part"],
+)
+def test_what_no_task_can_ask_for_is_refused(cpus, gpus):
+    with pytest.raises(InputError, match="cannot ask for"):
+        next(spread(max, 0, [0], cpus=cpus, gpus=gpus))
+
+
+@pytest.mark.parametrize("scheme", ["", "ray://"])
+def test_no_cluster_at_the_address(scheme):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        free = f"{scheme}127.0.0.1:{server.getsockname()[1]}"
+    with pytest.raises(InputError, match=f"no Ray cluster answers at '{free}'"):
+        next(spread(max, 0, [0], address=free))
+
+
+def test_no_address_at_all():
+    with pytest.raises(InputError, match="no Ray cluster answers at 'nonsense'"):
+        next(spread(max, 0, [0], address="nonsense"))
+
+
+def test_auto_is_the_running_cluster(nodes):
+
+    def work(_: None, task: int) -> str:
+        import ray
+
+        return ray.get_runtime_context().gcs_address
+
+    assert list(spread(work, None, [0])) == [(0, nodes.address)]
+
+
+def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
+    def work(_: None, task: int) -> str:
+        import ray
+
+        return ray.get_runtime_context().gcs_address
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        crashed = f"127.0.0.1:{server.getsockname()[1]}"
+    monkeypatch.setattr(
+        "ray._private.services.get_ray_address_from_environment", lambda *_: crashed
+    )
+    [(_, address)] = spread(work, None, [0])
+    assert address != crashed
+    assert not ray.is_initialized()
+    until(lambda: not ray_cluster._answers(address), 10)
+
+
+def test_without_ray_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"pip install 'deepfsi\[ray\]'"):
+        next(spread(max, 0, [0]))

@@ -1,0 +1,235 @@
+"""Images seen patch by patch: the physics of the masks, and the training behind them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load, save
+
+from conftest import FLOAT32, assert_moments, generator, quick, synthetic
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.optics import codes
+from deepfsi.optics.budget import photons_per_pixel
+from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.scanner import Scanner
+from deepfsi.training.patches import PatchDesign, Patches, PatchJob, PatchTraining, cut, train
+
+DESIGNS = ("impulse", "raster", "hadamard", "pca", "deepfsi")
+BUDGET = 1e4
+SMALL = PatchTraining(epochs=2, batch=30, width=16, heads=2, depth=1, hidden=16)
+
+every_design = pytest.mark.parametrize("design", DESIGNS)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return synthetic((16, 8))
+
+
+@pytest.fixture(scope="module")
+def patches(data):
+    return Patches(data, side=4, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def learned(patches):
+    """A learned design, trained for a moment."""
+    return train(patches, PatchJob(photons=BUDGET, patch=4, training=SMALL))
+
+
+def test_patches_are_the_blocks_of_the_image():
+    image = np.arange(6 * 8).reshape(6, 8)
+    blocks = [image[i : i + 2, j : j + 2].ravel() for i in range(0, 6, 2) for j in range(0, 8, 2)]
+    scenes = torch.from_numpy(np.stack([image.ravel(), image.ravel()[::-1].copy()]))
+    found = cut(scenes, (6, 8), 2)
+    assert found.shape == (2, 12, 4)
+    assert np.array_equal(found[0], np.stack(blocks))
+
+
+def test_an_image_that_cannot_be_cut_so_is_refused():
+    with pytest.raises(InputError, match="divides both"):
+        cut(torch.zeros(1, 48), (6, 8), 4)
+
+
+def test_spectra_have_no_patches():
+    with pytest.raises(InputError, match="no images"):
+        Patches(synthetic((16,)), side=4, device="cpu")
+
+
+@every_design
+def test_all_readouts_together_count_at_most_the_images_light(patches, design):
+    masks = patches.masks(design)
+    rates = Scanner(masks).rates(photons_per_pixel(patches.x, BUDGET, patches.light))
+    counted = rates.sum(dim=(1, 2, 3))
+    light = photons_per_pixel(patches.x, BUDGET, patches.light).sum(dim=(1, 2))
+    assert (counted <= light * (1 + FLOAT32)).all()
+    assert light.mean() == pytest.approx(BUDGET, rel=1e-5)
+    whole = 1 / 16 if design == "raster" else 1.0
+    if not codes.DESIGNS[design].specific:
+        assert torch.allclose(counted, whole * light, rtol=1e-5)
+
+
+@every_design
+def test_each_patch_gets_its_own_light(patches, design):
+    """The counts of a patch do not depend on the other patches of its image."""
+    scanner = Scanner(patches.masks(design), "none")
+    together = scanner(patches.x[:3])
+    alone = torch.stack([scanner(patch) for patch in patches.x[:3].flatten(0, 1)])
+    assert torch.allclose(together.flatten(0, 1), alone, rtol=1e-5, atol=1e-6)
+
+
+@every_design
+@pytest.mark.parametrize("noise", ["poisson", "ml_gauss"])
+def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
+    draws, place = 20_000, (5, 3)
+    x = photons_per_pixel(patches.x[place[0] : place[0] + 1], BUDGET, patches.light)
+    scanner = Scanner(patches.masks(design), noise)
+    with torch.no_grad():
+        rates = scanner.rates(x)[0, place[1]].double()
+        patch = x[:, place[1] : place[1] + 1]
+        counts = scanner(patch.expand(draws, 1, -1), generator(2))[:, 0]
+    plus, minus = rates[0], rates[1] if len(rates) == 2 else torch.zeros_like(rates[0])
+    for mask in (0, 1, 7):
+        mean, variance = float(plus[mask] - minus[mask]), float(plus[mask] + minus[mask])
+        assert_moments(
+            counts[:, mask], mean, variance, poisson=noise == "poisson", rounding=FLOAT32 * BUDGET
+        )
+
+
+def test_masks_follow_the_gradient_of_the_loss(patches):
+    masks = patches.masks("deepfsi")
+    assert isinstance(masks, Learned)
+    x = photons_per_pixel(patches.x, BUDGET, patches.light)
+    Scanner(masks, "ml_gauss")(x, generator()).square().mean().backward()
+    slope = masks.weight.grad
+    assert torch.isfinite(slope).all()
+    assert (slope != 0).float().mean() > 0.9
+
+
+def test_learned_masks_start_from_the_principal_components_and_leave_them(patches, learned):
+    start, _ = patches.masks("deepfsi")()
+    fixed, _ = patches.masks("pca")()
+    assert torch.allclose(start, fixed, atol=1e-6)
+    moved = (torch.from_numpy(learned.matrix) - start.detach()).norm() / start.norm()
+    assert moved > 0.01
+
+
+def test_principal_components_are_those_of_the_patches(data, patches):
+    blocks = data.x_train.reshape(-1, 4, 4, 2, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16)
+    _, _, axes = np.linalg.svd(blocks - blocks.mean(axis=0), full_matrices=False)
+    assert np.abs(patches.matrix("pca")[0] @ axes[0]) == pytest.approx(1, abs=1e-4)
+
+
+@every_design
+def test_features_are_standardised_as_they_were_in_training(patches, design):
+    made = train(patches, PatchJob(design=design, photons=BUDGET, patch=4, training=SMALL))
+    x = photons_per_pixel(patches.x.flatten(1), BUDGET, patches.light)
+    # flattened patches are not images: only what the statistics are of matters here
+    scanner = made.scanner("ml_gauss")
+    features = scanner(x.view_as(patches.x), generator(4))
+    scaled = (features / BUDGET - made.centre) / made.spread
+    readouts = scaled.numel() / scaled.shape[-1]
+    assert scaled.mean(dim=(0, 1)).abs().max() < 6 * scaled.std(dim=(0, 1)).max() / readouts**0.5
+    assert float(scaled.square().mean()) == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("design", ["raster", "deepfsi"])
+def test_a_seed_gives_the_same_design_again(patches, design):
+    job = PatchJob(design=design, photons=BUDGET, patch=4, seed=3, training=SMALL)
+    first, again = train(patches, job), train(patches, job)
+    torch.manual_seed(99)
+    other = train(patches, job.model_copy(update={"seed": 4}))
+    for one, two in zip(first.classifier.parameters(), again.classifier.parameters(), strict=True):
+        assert torch.equal(one, two)
+    assert torch.equal(first.rails, again.rails)
+    assert not torch.equal(first.classifier.head.weight, other.classifier.head.weight)
+
+
+def test_the_global_generator_is_left_alone(patches):
+    before = torch.get_rng_state()
+    train(patches, PatchJob(photons=BUDGET, patch=4, training=SMALL))
+    assert torch.equal(before, torch.get_rng_state())
+
+
+def test_it_learns_in_bright_light(data, patches):
+    how = SMALL.model_copy(update={"epochs": 15, "lr": 5e-3})
+    made = train(patches, PatchJob(photons=1e6, patch=4, training=how))
+    result = evaluate(made, data, 1e6, draws=1)[0]
+    assert result.accuracy > 0.8
+    assert 0 < result.throughput <= 1 + FLOAT32
+
+
+def test_the_throughput_is_what_is_counted(data, patches, learned):
+    rates = learned.scanner().rates(
+        learned.seen(photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.mean_light))
+    )
+    counted = rates.sum(dim=(1, 2, 3)).mean()
+    assert float(learned.shares.sum()) == pytest.approx(float(counted), rel=1e-4)
+
+
+def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
+    again = PatchDesign.load(learned.save(tmp_path / "made.safetensors"))
+    x = learned.seen(torch.from_numpy(data.x_test))
+    assert torch.equal(learned.logits(x, BUDGET), again.logits(x, BUDGET))
+    for name in ("name", "light", "mean_light", "image_shape", "classes", "patch", "info"):
+        assert getattr(again, name) == getattr(learned, name)
+    assert torch.equal(again.rails, learned.rails)
+
+
+def test_probabilities_of_one_exposure(data, learned):
+    counts = learned.scanner().counts(
+        learned.seen(photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.mean_light)),
+        generator(),
+    )
+    chances = learned.classify(counts.numpy(), photons=BUDGET)
+    assert chances.shape == (5, 3)
+    assert np.allclose(chances.sum(axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header: header.pop("patch"),
+        lambda header: header["classifier"].update(width=32),
+        lambda header: header["classifier"].update(heads=5),
+        lambda header: header.update(light="sunlight"),
+    ],
+)
+def test_a_damaged_file_is_one_clear_line(learned, tmp_path, change):
+    from safetensors import safe_open
+
+    path = learned.save(tmp_path / "made.safetensors")
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["deepfsi"])
+    change(header)
+    path.write_bytes(save(load(path.read_bytes()), metadata={"deepfsi": json.dumps(header)}))
+    with pytest.raises(InputError, match=r"made\.safetensors"):
+        PatchDesign.load(path)
+
+
+def test_the_two_kinds_of_design_are_told_apart(digits, learned, tmp_path):
+    patched = learned.save(tmp_path / "patched.safetensors")
+    with pytest.raises(InputError, match=r"PatchDesign\.load"):
+        Design.load(patched)
+    whole = quick(digits).save(tmp_path / "whole.safetensors")
+    with pytest.raises(InputError, match=r"Design\.load"):
+        PatchDesign.load(whole)
+
+
+def test_fixed_masks_stay_as_they_are(patches):
+    masks = patches.masks("hadamard")
+    assert isinstance(masks, Fixed)
+    assert torch.allclose(masks()[0].abs(), torch.tensor(1 / 16))
+    made = train(patches, PatchJob(design="hadamard", photons=BUDGET, patch=4, training=SMALL))
+    assert np.array_equal(made.matrix, masks()[0].numpy())
+
+
+def test_diverging_is_said(patches):
+    wild = SMALL.model_copy(update={"mask_lr": 1e38, "lr": 1e38})
+    with pytest.raises(InputError, match="diverged"):
+        train(patches, PatchJob(photons=BUDGET, patch=4, training=wild))
