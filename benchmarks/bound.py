@@ -16,7 +16,7 @@ from torch import nn
 from torch.nn import functional
 
 from deepfsi import load_dataset
-from deepfsi.optics.budget import mean_light, photons_per_pixel
+from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
 from deepfsi.statistics.intervals import wilson
 
 
@@ -42,7 +42,7 @@ def main(words: list[str] | None = None) -> None:
     arguments = parser.parse_args(words)
 
     data = load_dataset(arguments.data)
-    side, light = data.image_shape[0], mean_light(data.x_train)
+    side, light = data.image_shape[0], summed_reflectance(data.x_train)
     x, y = torch.from_numpy(data.x_train), torch.from_numpy(data.y_train)
     steps = len(x) // arguments.batch
     print("| photons | accuracy | 95 % interval, test images |")

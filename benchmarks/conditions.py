@@ -19,7 +19,7 @@ from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import mean_light
+from deepfsi.optics.budget import summed_reflectance
 from deepfsi.training.learning import learn
 
 STRAY = 1.0
@@ -35,7 +35,7 @@ def under(design: Design, data: Dataset, learned: float, share: float) -> Design
     centre = design.centre * (1 + learned) + (share - learned) * stray
     return replace(
         design,
-        mean_light=mean_light(ambient(data, share).x_train),
+        summed_reflectance=summed_reflectance(ambient(data, share).x_train),
         centre=centre / (1 + share),
         spread=design.spread * (1 + learned) / (1 + share),
         shares=design.shares,

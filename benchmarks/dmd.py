@@ -99,7 +99,7 @@ def export(rails: np.ndarray, form: Format) -> int:
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
             rails, "equal-dwell", SHAPE, DEVICE, 1e-3, Path(folder) / "patterns",
-            mean_light=1.0, format=form,
+            summed_reflectance=1.0, format=form,
         )  # fmt: skip
     return len(patterns.manifest.frames)
 

@@ -34,8 +34,8 @@ from deepfsi.optics import constraints
 from deepfsi.optics.masks import Learned
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.scanner import measure, project
-from deepfsi.training.job import Job, Training
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.training_set import TrainingSet
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
 """Learning rates of classifier and masks to choose from."""
@@ -213,7 +213,7 @@ def descend(
 
 
 def learn(
-    scenes: Scenes, job: Job, estimator: Estimator | None, keep: np.ndarray | None = None
+    scenes: TrainingSet, job: Job, estimator: Estimator | None, keep: np.ndarray | None = None
 ) -> Design:
     """Train one dual-rail design as `deepfsi.training.train` does, but for the estimator.
 
@@ -272,7 +272,7 @@ def learn(
     return finish(scenes, job, masks, network.eval())
 
 
-def finish(scenes: Scenes, job: Job, masks: Learned, network: Mlp) -> Design:
+def finish(scenes: TrainingSet, job: Job, masks: Learned, network: Mlp) -> Design:
     """The design as the package would store it: masks of all pixels, statistics of all scenes."""
     with torch.no_grad():
         rails = torch.zeros(2, job.masks, scenes.data.pixels)
@@ -287,7 +287,7 @@ def finish(scenes: Scenes, job: Job, masks: Learned, network: Mlp) -> Design:
             centre=(plus - minus).mean(dim=0) / scenes.light,
             spread=power.mean().sqrt().expand(job.masks) / scenes.light,
             shares=light / scenes.light,
-            mean_light=scenes.light,
+            summed_reflectance=scenes.light,
             light=job.light,
             image_shape=scenes.data.image_shape,
             classes=scenes.data.classes,
@@ -320,7 +320,7 @@ class Study:
         held = replace(held, x_train=held.x_train[:images], y_train=held.y_train[:images])
         tested = replace(held, x_test=whole.x_test, y_test=whole.y_test)
         self.parts = {"validation": held, "test": tested}
-        self.scenes = Scenes(held, "cpu")
+        self.scenes = TrainingSet(held, "cpu")
         self.arguments = arguments
         self.trials: list[Trial] = []
 
@@ -336,7 +336,7 @@ class Study:
         """Train once and classify the scenes of a part."""
         longer = self.arguments.longer if name == LONGER else 1
         lr, mask_lr = rates
-        how = Training(
+        how = TrainingSettings(
             epochs=self.arguments.epochs * longer, lr=lr, mask_lr=mask_lr, precision="float32"
         )
         job = Job(masks=masks, photons=photons, seed=seed, training=how)

@@ -69,7 +69,7 @@ def main(words: list[str] | None = None) -> None:
             data, photons=PHOTONS, masks=masks, hidden=hidden, epochs=1, design="truncated-hadamard"
         )
         rows = np.arange(arguments.exposures) % len(data.x_test)
-        scenes = torch.from_numpy(data.x_test[rows]) * (PHOTONS / design.mean_light)
+        scenes = torch.from_numpy(data.x_test[rows]) * (PHOTONS / design.summed_reflectance)
         counts = design.scanner().counts(scenes, torch.Generator().manual_seed(0)).numpy()
         ways = {"onnxruntime": exported(design), "torch": design.classify}
         np.testing.assert_allclose(
@@ -97,7 +97,7 @@ def main(words: list[str] | None = None) -> None:
     rng, spans = np.random.default_rng(0), []
     for _ in range(exposures):
         began = time.perf_counter_ns()
-        design.watch(lambda dwell: rng.poisson(PHOTONS * 0.3 * dwell), PHOTONS)
+        design.classify_live(lambda dwell: rng.poisson(PHOTONS * 0.3 * dwell), PHOTONS)
         spans.append((time.perf_counter_ns() - began) / 1e3 / looks)
     print(
         f"one look of {looks}, {design.masks} masks: {statistics.median(spans):.0f} µs, "

@@ -31,9 +31,9 @@ from deepfsi.sweeps.queue import workers_for
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.run import run
 from deepfsi.sweeps.trial import plan
-from deepfsi.training.job import Job, Training
+from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 BUDGETS, SEEDS, EPOCHS, BATCH = (1e3, 1e4, 1e5, 1e6), 5, 20, 500
 PAPER_SECONDS = 2.87e4
@@ -83,7 +83,7 @@ def sample(data: Dataset, device: str, workers: int) -> None:
         )
 
 
-def seconds_an_epoch(scenes: Scenes, jobs: list[Job]) -> float:
+def seconds_an_epoch(scenes: TrainingSet, jobs: list[Job]) -> float:
     """Of jobs trained together; the second epoch of two."""
     ticks: list[float] = []
     train(scenes, jobs, progress=lambda share: ticks.append(time.perf_counter()))
@@ -91,11 +91,11 @@ def seconds_an_epoch(scenes: Scenes, jobs: list[Job]) -> float:
 
 
 def short(masks: int, photons: float = 1e4, epochs: int = 2, **changes: object) -> Job:
-    how = Training(epochs=epochs, batch=BATCH, precision="bfloat16")
+    how = TrainingSettings(epochs=epochs, batch=BATCH, precision="bfloat16")
     return Job(masks=masks, photons=photons, training=how, **changes)
 
 
-def one_against_many(scenes: Scenes) -> None:
+def one_against_many(scenes: TrainingSet) -> None:
     """Seconds an epoch of a trial alone and of one among eight budgets."""
     print("seconds an epoch and trial, one thread\nmasks  alone  of 2  of 4  of 8")
     for masks in (10, 92, 369, 1024):
@@ -140,13 +140,15 @@ def growth(data: Dataset, device: str) -> None:
     print("seconds an epoch, times those of the first, at 1, 2, 4 and 8 times as many")
     rng = np.random.default_rng(0)
     images = {
-        n: Scenes(replace(data, x_train=data.x_train[:n], y_train=data.y_train[:n]), device)
+        n: TrainingSet(replace(data, x_train=data.x_train[:n], y_train=data.y_train[:n]), device)
         for n in (7500, 15000, 30000, 60000)
     }
     scenes = images[15000]
     y = np.arange(15000) % 10
     pixels = {
-        n: Scenes(from_arrays(rng.random((15000, n), dtype=np.float32), y, name="random"), device)
+        n: TrainingSet(
+            from_arrays(rng.random((15000, n), dtype=np.float32), y, name="random"), device
+        )
         for n in (256, 512, 1024, 2048)
     }
     rows = {
@@ -165,12 +167,12 @@ def growth(data: Dataset, device: str) -> None:
 
 def accuracy(data: Dataset, device: str) -> None:
     """Test accuracies: float32 alone against bfloat16 with all budgets together."""
-    scenes = Scenes(data, device)
+    scenes = TrainingSet(data, device)
     print("accuracy after 20 epochs\nmasks  photons  float32 alone  bfloat16 together  difference")
     differences = []
     for masks in (10, 92):
         budgets = BUDGETS[:3]
-        how = Training(epochs=EPOCHS, batch=BATCH, precision="float32")
+        how = TrainingSettings(epochs=EPOCHS, batch=BATCH, precision="float32")
         fast = how.model_copy(update={"precision": "bfloat16"})
         together = train(scenes, [Job(masks=masks, photons=b, training=fast) for b in budgets])
         for photons, design in zip(budgets, together, strict=True):
@@ -197,7 +199,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     data = load_dataset(arguments.data)
-    scenes = Scenes(data, arguments.device)
+    scenes = TrainingSet(data, arguments.device)
     device = scenes.device.type
     workers = arguments.workers or workers_for(scenes.device)
     print(

@@ -22,9 +22,9 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.training.job import Job, Training
+from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 BUDGET, BATCH, LR, MASK_LR = 1e4, 500, 5e-3, 5e-2
 
@@ -101,10 +101,10 @@ def plain_epochs(
 
 
 def our_epochs(
-    scenes: Scenes, data: Dataset, masks: int, epochs: int, precision: str
+    scenes: TrainingSet, data: Dataset, masks: int, epochs: int, precision: str
 ) -> tuple[list[float], float]:
     """Seconds of each epoch, and test accuracy."""
-    how = Training(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
+    how = TrainingSettings(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
     ticks: list[float] = []
     job = Job(masks=masks, photons=BUDGET, training=how)
     design = train(scenes, [job], progress=lambda share: ticks.append(time.perf_counter()))[0]
@@ -137,7 +137,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     data = load_dataset(arguments.data)
-    scenes = Scenes(data, "cpu")
+    scenes = TrainingSet(data, "cpu")
     print(
         f"{data.name}, {len(data.x_train)} scenes of {data.pixels} pixels, batch {BATCH}, ", end=""
     )

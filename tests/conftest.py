@@ -150,7 +150,7 @@ def good(digits: Dataset) -> Design:
 
 def light_on(design: Design, x: np.ndarray, photons: float = PHOTONS) -> Tensor:
     """λ of scenes, float64."""
-    return torch.from_numpy(x).double() * (photons / design.mean_light)
+    return torch.from_numpy(x).double() * (photons / design.summed_reflectance)
 
 
 def assert_moments(

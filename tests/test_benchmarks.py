@@ -15,10 +15,11 @@ from torch.nn import functional
 
 from conftest import generator
 from deepfsi.design.classifiers import Mlp
-from deepfsi.optics.noise import follow
-from deepfsi.training.job import Job, Training
+from deepfsi.hardware.patterns.folder import recount, unpack
+from deepfsi.optics.noise import attach_gradient
+from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 DRAWS = 400_000
 RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
@@ -94,7 +95,7 @@ def test_paired_is_what_the_package_trains_with():
     gradients, net = benchmark("gradients"), network()
     rates = RATES.repeat(50, 1, 1).requires_grad_()
     counts = torch.poisson(rates.detach(), generator=generator(2))
-    y = follow(counts[:, 0] - counts[:, 1], rates[:, 0] - rates[:, 1], rates.sum(dim=1))
+    y = attach_gradient(counts[:, 0] - counts[:, 1], rates[:, 0] - rates[:, 1], rates.sum(dim=1))
     labels = torch.zeros(len(rates)).long()
     losses = functional.cross_entropy(net(0.3 * y), labels, reduction="none")
     wanted, slope = torch.autograd.grad(losses.sum(), [rates, y])
@@ -124,8 +125,8 @@ def test_a_step_with_straight_slopes_is_what_autograd_gives():
 
 
 def test_the_comparison_trains_as_the_package(digits):
-    scenes = Scenes(digits, "cpu")
-    how = Training(epochs=2, precision="float32")
+    scenes = TrainingSet(digits, "cpu")
+    how = TrainingSettings(epochs=2, precision="float32")
     job = Job(masks=6, photons=300, seed=3, training=how)
     (theirs,) = train(scenes, [job])
     ours = benchmark("gradients").learn(scenes, job, None)
@@ -139,8 +140,8 @@ def test_the_comparison_trains_as_the_package(digits):
 
 
 def test_masks_to_keep_stay_while_their_classifier_learns(digits):
-    gradients, scenes = benchmark("gradients"), Scenes(digits, "cpu")
-    job = Job(masks=6, photons=300, training=Training(epochs=1, precision="float32"))
+    gradients, scenes = benchmark("gradients"), TrainingSet(digits, "cpu")
+    job = Job(masks=6, photons=300, training=TrainingSettings(epochs=1, precision="float32"))
     first = gradients.learn(scenes, job, None)
     again = gradients.learn(scenes, job, gradients.straight, keep=first.matrix)
     assert torch.allclose(again.rails, first.rails, rtol=0, atol=1e-5)
@@ -165,8 +166,8 @@ def test_frames_are_compared_on_the_same_work(capsys):
         assert (ours == plain).all()
     for way in (frames.our_random, frames.plain_random):
         for counts, frame in zip(on, way(on), strict=True):
-            mirrors = frames.dmd.unpack(frame, frames.DEVICE)
-            assert (frames.dmd.recount(mirrors, frames.GRID) == counts).all()
+            mirrors = unpack(frame, frames.DEVICE)
+            assert (recount(mirrors, frames.GRID) == counts).all()
     frames.main(["--quick"])
     printed = capsys.readouterr().out
     for row in ("| hadamard | ordered |", "| grey | random |", "| grey |", "| 11 | 1.1 |"):
@@ -230,7 +231,7 @@ def test_a_design_elsewhere_sees_the_same_features(digits):
     there = conditions.under(design, digits, 0.0, 2.0)
     bright = ambient(digits, 2.0)
     here, other = (
-        made.scanner("none")(torch.from_numpy(x) / made.mean_light) * 1e3
+        made.scanner("none")(torch.from_numpy(x) / made.summed_reflectance) * 1e3
         for made, x in ((design, digits.x_test), (there, bright.x_test * 1.0))
     )
     own, seen = design.logits(here, 1e3), there.logits(3 * other, 3e3)

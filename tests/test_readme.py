@@ -62,13 +62,14 @@ def test_a_camera_by_files_alone(tmp_path, monkeypatch, capsys):
 
 def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
     """On digits and small; the cluster's line is for `test_cluster`."""
+    from test_experiments import EVERY, experiment, tiny
+
     from deepfsi import cli
-    from test_experiments import EVERY, study, tiny
 
     monkeypatch.chdir(tmp_path)
     recipes = {name: tiny(each, 1, name) for each in EVERY for name in (each.name, *each.also)}
     monkeypatch.setattr(
-        study.Experiment,
+        experiment.Experiment,
         "recipe",
         lambda self, quick, trials, name=None: recipes[name or self.name],
     )

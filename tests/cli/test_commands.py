@@ -113,7 +113,7 @@ def test_a_design_that_forgives(call, tmp_path):
     code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--json")
     assert code == 0
     found = json.loads(out)
-    assert found["policy"]["after"] == [2, 3, 4, 5, 6]
+    assert found["rule"]["after"] == [2, 3, 4, 5, 6]
     code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1)
     assert code == 0
     assert "1.0000" in out

@@ -10,14 +10,14 @@ import pytest
 from conftest import quick, synthetic
 from deepfsi.datasets import ambient, jitter
 from deepfsi.errors import InputError
-from deepfsi.optics.budget import mean_light, photons_per_pixel
+from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
 
 
 def test_stray_light_adds_the_same_photons_to_every_pixel(digits):
     """λ at (1 + b) Φ is that of the scene at Φ, and b Φ / N more."""
     bright = ambient(digits, 0.5)
-    own = photons_per_pixel(digits.x_test, 1e4, mean_light(digits.x_train))
-    both = photons_per_pixel(bright.x_test, 1.5e4, mean_light(bright.x_train))
+    own = photons_per_pixel(digits.x_test, 1e4, summed_reflectance(digits.x_train))
+    both = photons_per_pixel(bright.x_test, 1.5e4, summed_reflectance(bright.x_train))
     np.testing.assert_allclose(both, own + 0.5 * 1e4 / 64, rtol=1e-4)
     assert bright.x_train.max() <= 1
     assert np.array_equal(ambient(digits, 0).x_train, digits.x_train)

@@ -11,12 +11,12 @@ from safetensors.torch import save_file
 
 from conftest import RECIPE
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.adaptive import Exposure, Schedule, expose
+from deepfsi.design.adaptive import AdaptiveDwells, Exposure, expose
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.design.stopping import Policy
+from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import Learned
@@ -24,7 +24,7 @@ from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import _chosen
 from deepfsi.training.job import Job, training_for
 from deepfsi.training.learning import learn, train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 LOOKS = 3
 ONE_DMD = {"light": "free-dwell", "rails": "single"}
@@ -46,7 +46,7 @@ def exposures(design: Design, data: Dataset, photons: float, draws: int = 1, noi
     scanner, generator = design.scanner(noise), torch.Generator().manual_seed(1)
     x = torch.from_numpy(data.x_test).repeat_interleave(draws, dim=0)
     with torch.no_grad():
-        rates = scanner.rates(x / design.mean_light)
+        rates = scanner.rates(x / design.summed_reflectance)
         *_, seen = design.expose(scanner, rates, generator, photons)
     return seen
 
@@ -72,13 +72,13 @@ def test_masks_that_are_all_on_count_what_a_scene_sends(digits, design):
     data = replace(digits, x_test=few, y_test=digits.y_test[:20])
     seen = exposures(design, data, photons, draws)
     counted = seen.features.sum(dim=-1).view(20, draws).mean(dim=1) * photons
-    sent = torch.from_numpy(few).sum(dim=-1) / design.mean_light * photons
+    sent = torch.from_numpy(few).sum(dim=-1) / design.summed_reflectance * photons
     assert ((counted - sent).abs() < 5 * (sent / draws).sqrt()).all()
 
 
 def test_expected_counts_are_those_of_the_dwells(digits, design):
     seen = exposures(design, digits, 1e3, noise="none")
-    x = torch.from_numpy(digits.x_test) / design.mean_light
+    x = torch.from_numpy(digits.x_test) / design.summed_reflectance
     expected = 6 * seen.dwell * (x @ design.rails[0].T)
     assert torch.allclose(seen.features, expected, rtol=1e-5, atol=1e-7)
 
@@ -86,9 +86,9 @@ def test_expected_counts_are_those_of_the_dwells(digits, design):
 def test_counts_at_known_dwells_are_poisson(digits, design):
     """Of (y − r)² / r the mean is 1 and the variance 2 + 1/r. Later dwells follow from counts."""
     photons, generator = 1e5, torch.Generator().manual_seed(1)
-    design = replace(design, schedule=Schedule(design.schedule.network, looks=1))
+    design = replace(design, schedule=AdaptiveDwells(design.schedule.network, looks=1))
     scanner = design.scanner()
-    x = torch.from_numpy(digits.x_test).repeat_interleave(20, dim=0) / design.mean_light
+    x = torch.from_numpy(digits.x_test).repeat_interleave(20, dim=0) / design.summed_reflectance
     with torch.no_grad():
         [seen] = design.expose(scanner, scanner.rates(x), generator, photons)
     rates = (photons * 6 * seen.dwell * (x @ design.rails[0].T)).double()
@@ -107,7 +107,7 @@ def test_dwells_follow_the_counts_and_only_from_the_second_look(design):
 
         return read
 
-    dark, bright = design.watch(camera(0), 1e3), design.watch(camera(1), 1e3)
+    dark, bright = design.classify_live(camera(0), 1e3), design.classify_live(camera(1), 1e3)
     assert dark.sum() == pytest.approx(1)
     assert len(shown) == 2 * LOOKS
     assert np.array_equal(shown[0], shown[LOOKS])
@@ -122,11 +122,11 @@ def test_a_camera_of_ones_own_has_the_accuracy_of_the_test(digits, design):
     patterns = design.rails[0].numpy() * 6
 
     def camera(scene):
-        rates = patterns @ scene * photons / design.mean_light
+        rates = patterns @ scene * photons / design.summed_reflectance
         return lambda dwell: rng.poisson(dwell * rates)
 
     right = [
-        design.watch(camera(scene), photons).argmax() == label
+        design.classify_live(camera(scene), photons).argmax() == label
         for scene, label in zip(digits.x_test, digits.y_test, strict=True)
     ]
     (tested,) = evaluate(design, digits, photons, draws=20)
@@ -143,17 +143,17 @@ def test_what_was_really_shown_is_what_counts(digits, design):
         shown.append(kept)
         return 1e3 * kept, kept
 
-    chances = design.watch(camera, 1e3)
+    chances = design.classify_live(camera, 1e3)
     told = np.sum(shown, axis=0)
     assert np.allclose(chances, design.classify(1e3 * told, 1e3, dwell=told), atol=1e-6)
-    assert not np.allclose(chances, design.watch(lambda dwell: 1e3 * dwell, 1e3), atol=1e-6)
+    assert not np.allclose(chances, design.classify_live(lambda dwell: 1e3 * dwell, 1e3), atol=1e-6)
 
 
 def test_exposures_read_again_are_classified_as_before(digits, design):
     seen = exposures(design, digits, 1e4)
     again = design.classify(seen.features * 1e4, 1e4, dwell=seen.dwell)
     with torch.no_grad():
-        logits = design.judged(seen)
+        logits = design.adaptive_logits(seen)
     assert np.allclose(again, logits.softmax(-1).numpy(), atol=1e-6)
 
 
@@ -184,7 +184,7 @@ def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
     job = Job(
         photons=1e4, masks=3, training=training_for("deepfsi", **{**RECIPE, "looks": 2}), **ONE_DMD
     )
-    scenes = Scenes(digits, "cpu")
+    scenes = TrainingSet(digits, "cpu")
     scenes.full = scenes.full.double()
     start = torch.from_numpy(scenes.matrix("class-pairs", 3, 0)).abs()[None]
     masks = Learned(start[..., scenes.varying], "equal-dwell", "single").double()
@@ -246,9 +246,9 @@ def test_replicas_learn_as_they_would_alone(digits):
         for seed in (0, 1)
         for photons in (1e3, 1e5)
     ]
-    together = train(Scenes(digits, "cpu"), jobs)
+    together = train(TrainingSet(digits, "cpu"), jobs)
     for job, design in zip(jobs, together, strict=True):
-        (alone,) = train(Scenes(digits, "cpu"), [job])
+        (alone,) = train(TrainingSet(digits, "cpu"), [job])
         assert torch.allclose(alone.rails, design.rails, rtol=1e-3, atol=1e-5)
         for mine, other in zip(
             alone.schedule.parameters(), design.schedule.parameters(), strict=True
@@ -328,7 +328,7 @@ def test_what_cannot_look_again_is_refused(digits, settings, words):
 
 
 def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
-    with pytest.raises(InputError, match=r"Design\.watch"):
+    with pytest.raises(InputError, match=r"Design\.classify_live"):
         to_onnx(design)
     with pytest.raises(InputError, match="photon noise"):
         evaluate(design, digits, 1e3, noise="gaussian")
@@ -338,16 +338,18 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
         design.classify(np.zeros(6), 1e3, dwell=np.zeros(5))
     for wrong in (np.zeros(5), tuple(range(6)), "six", (np.zeros(6), np.zeros(5))):
         with pytest.raises(InputError, match="a look does not fit"):
-            design.watch(lambda dwell, wrong=wrong: wrong, 1e3)
+            design.classify_live(lambda dwell, wrong=wrong: wrong, 1e3)
     with pytest.raises(InputError, match="was to take"):
-        design.watch(lambda dwell: (np.zeros(6), 2 * dwell), 1e3)
+        design.classify_live(lambda dwell: (np.zeros(6), 2 * dwell), 1e3)
     with pytest.raises(InputError, match="not judged after 1"):
-        design.watch(lambda dwell: np.zeros(6), 1e3, Policy((3, 4), (1.0, 1.0), 0.5).judge)
+        design.classify_live(
+            lambda dwell: np.zeros(6), 1e3, StoppingRule((3, 4), (1.0, 1.0), 0.5).decide
+        )
     with pytest.raises(InputError, match="finite"):
-        design.watch(lambda dwell: np.full(6, np.nan), 1e3)
+        design.classify_live(lambda dwell: np.full(6, np.nan), 1e3)
     fixed = seeing(digits, looks=1)
     with pytest.raises(InputError, match="--looks"):
-        fixed.watch(lambda dwell: np.zeros(6), 1e3)
+        fixed.classify_live(lambda dwell: np.zeros(6), 1e3)
     with pytest.raises(InputError, match="leave dwell out"):
         fixed.classify(np.zeros(6), 1e3, dwell=np.ones(6) / 6)
 
@@ -376,12 +378,12 @@ def test_at_the_command_line(call, tmp_path):
     assert "12 masks and 3 looks" in out
     code, out, _ = call("stop", file, "--photons", "3e3", "--hold-out", 300, "--json")
     assert code == 0
-    assert json.loads(out)["policy"]["after"] == [1, 2, 3]
+    assert json.loads(out)["rule"]["after"] == [1, 2, 3]
     for refused in (
         ["dmd", "export", file, "--dwell", "1ms", "-o", tmp_path / "patterns"],
         ["export", file, "--onnx", "-o", tmp_path / "x.onnx"],
     ):
         code, _, err = call(*refused)
         assert code == 2
-        assert "Design.watch" in err
+        assert "Design.classify_live" in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["looks.safetensors"]

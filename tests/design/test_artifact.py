@@ -23,9 +23,9 @@ from conftest import RECIPE, every_design, generator, light_on
 from deepfsi.design.artifact import Design
 from deepfsi.design.artifact_file import SCHEMA
 from deepfsi.errors import InputError
-from deepfsi.training.job import Job, Training
+from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 
 @pytest.fixture
@@ -59,16 +59,16 @@ def test_saved_and_loaded_designs_agree_bit_for_bit(made, digits, tmp_path, desi
         mine, theirs = getattr(before, name), getattr(after, name)
         assert torch.equal(mine, theirs)
         assert mine.dtype == theirs.dtype
-    for name in ("name", "mean_light", "light", "image_shape", "classes", "info"):
+    for name in ("name", "summed_reflectance", "light", "image_shape", "classes", "info"):
         assert getattr(before, name) == getattr(after, name)
     features = before.scanner()(light_on(before, digits.x_test), generator()).float()
     assert torch.equal(before.logits(features, 1e4), after.logits(features, 1e4))
 
 
 def test_a_design_trained_with_others_saves_only_itself(digits, tmp_path):
-    how = Training(**RECIPE)
+    how = TrainingSettings(**RECIPE)
     jobs = [Job(masks=5, photons=photons, training=how) for photons in (1e3, 1e5)]
-    for design in train(Scenes(digits, "cpu"), jobs):
+    for design in train(TrainingSet(digits, "cpu"), jobs):
         path = design.save(tmp_path / "design.safetensors")
         assert path.stat().st_size < 20_000
         assert torch.equal(Design.load(path).rails, design.rails)
@@ -188,7 +188,7 @@ def test_a_tensor_of_another_shape_is_refused(saved, key):
 
 
 @pytest.mark.parametrize(
-    "key", ["name", "light", "mean_light", "image_shape", "classes", "classifier", "info"]
+    "key", ["name", "light", "summed_reflectance", "image_shape", "classes", "classifier", "info"]
 )
 def test_a_header_without_an_entry_is_refused(saved, key):
     rewrite(saved, lambda header, _: header.pop(key))
@@ -199,10 +199,10 @@ def test_a_header_without_an_entry_is_refused(saved, key):
     ("key", "value"),
     [
         ("light", "sunlight"),
-        ("mean_light", 0.0),
-        ("mean_light", -3.0),
-        ("mean_light", float("nan")),
-        ("mean_light", "bright"),
+        ("summed_reflectance", 0.0),
+        ("summed_reflectance", -3.0),
+        ("summed_reflectance", float("nan")),
+        ("summed_reflectance", "bright"),
         ("image_shape", [8, 9]),
         ("image_shape", "8x8"),
         ("classes", ["a", "b"]),

@@ -11,16 +11,16 @@ import torch
 from conftest import every_optics, generator, quick
 from deepfsi.design.artifact import Design
 from deepfsi.design.artifact_file import read_design
-from deepfsi.design.conditioning import Told, chances
+from deepfsi.design.conditioning import Conditioning, chances
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.scanner import measure
 from deepfsi.training.features import _exposures
-from deepfsi.training.job import BFLOAT16_COUNTS, Job, Training, products
+from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, products
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
 
@@ -42,7 +42,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
     digits, light, rails
 ):
     design = quick(digits, light=light, rails=rails, **TRAINED)
-    scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.mean_light)
+    scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.summed_reflectance)
     counts = design.scanner().counts(scenes, generator(1))
     for masks in (3, 5, 8):
         part = design.first(masks)
@@ -60,7 +60,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
 
 
 def test_what_is_told_is_written_out():
-    told = Told(photons=10.0, span=100.0, masks=4)
+    told = Conditioning(photons=10.0, span=100.0, masks=4)
     scaled = torch.tensor([[1.0, 2.0, 3.0]])
     inputs = told.inputs(scaled, torch.tensor(100.0), torch.tensor(2))
     assert inputs.tolist() == [[1.0, 2.0, 0.0, 0.0, 1.0, 0.5]]
@@ -80,9 +80,11 @@ def test_chances_are_of_the_fewest_masks_and_more():
 def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, span, nested):
     """Simulated with noise of its own, to five standard errors of the mean square."""
     job = Job(
-        masks=6, photons=300.0, training=Training(epochs=1, scale=scale, span=span, nested=nested)
+        masks=6,
+        photons=300.0,
+        training=TrainingSettings(epochs=1, scale=scale, span=span, nested=nested),
     )
-    [design] = train(Scenes(digits, "cpu"), [job])
+    [design] = train(TrainingSet(digits, "cpu"), [job])
     rng = np.random.default_rng(2)
     n, repeats = len(digits.x_train), 20
     squares = []
@@ -91,8 +93,8 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
         budget = 300.0 * span ** rng.random((n, 1))
         likely = chances(6, nested).double().numpy()
         shown = rng.choice(6, n, p=likely / likely.sum())[:, None] + 1
-        mean = digits.x_train @ design.matrix.T / design.mean_light
-        light = digits.x_train @ np.abs(design.matrix).T / design.mean_light
+        mean = digits.x_train @ design.matrix.T / design.summed_reflectance
+        light = digits.x_train @ np.abs(design.matrix).T / design.summed_reflectance
         noise = np.sqrt(light / budget * used[shown - 1] / used[-1])
         features = mean + noise * rng.standard_normal(mean.shape)
         scaled = (features - design.centre.numpy()) / design.spread.numpy()
@@ -127,7 +129,7 @@ def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
 
 def test_the_noise_of_a_range_is_its_mean_over_budgets():
     """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
-    job = Job(masks=2, photons=10.0, training=Training(span=1000.0))
+    job = Job(masks=2, photons=10.0, training=TrainingSettings(span=1000.0))
     rails = torch.rand(1, 2, 2, 5, generator=generator())
     factor, often = _exposures(job, rails)
     draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
@@ -161,14 +163,14 @@ def test_nested_masks_do_alone_and_others_do_not(digits):
 
 
 def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
-    how = Training(epochs=2, span=30.0, nested=2, precision="float32", hidden=(8,))
+    how = TrainingSettings(epochs=2, span=30.0, nested=2, precision="float32", hidden=(8,))
     jobs = [Job(masks=5, photons=p, training=how) for p in (100.0, 1e4)]
-    scenes = Scenes(digits, "cpu")
+    scenes = TrainingSet(digits, "cpu")
     together = train(scenes, jobs)
     for job, design in zip(jobs, together, strict=True):
         [alone] = train(scenes, [job])
         torch.testing.assert_close(design.rails, alone.rails, rtol=1e-3, atol=1e-5)
-        assert design.told == alone.told == Told(job.photons, 30.0, 5)
+        assert design.told == alone.told == Conditioning(job.photons, 30.0, 5)
 
 
 @pytest.mark.parametrize("design", ["pca", "raster", "random"])
@@ -190,7 +192,7 @@ def test_the_file_keeps_what_is_told(digits, tmp_path):
 
 def test_products_are_rounded_by_the_largest_budget():
     def job(span: float) -> Job:
-        return Job(masks=1, photons=BFLOAT16_COUNTS, training=Training(span=span))
+        return Job(masks=1, photons=BFLOAT16_COUNTS, training=TrainingSettings(span=span))
 
     if products(job(1.0), torch.device("cpu")) is torch.float32:
         pytest.skip("this processor has no bfloat16")

@@ -142,7 +142,7 @@ def test_classify_agrees_with_evaluate(made, digits, rails):
     design = made("deepfsi", "free-dwell", rails)
     result = evaluate(design, digits, PHOTONS, draws=1, seed=5)[0]
     scanner = design.scanner()
-    shares = scanner.rates(torch.from_numpy(digits.x_test) / design.mean_light)
+    shares = scanner.rates(torch.from_numpy(digits.x_test) / design.summed_reflectance)
     counts = scanner.read(shares * PHOTONS, generator(5)).numpy()
     given = counts if rails == "dual" else counts[..., 0, :]
     guess = design.classify(given, PHOTONS).argmax(axis=-1)

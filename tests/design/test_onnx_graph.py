@@ -32,7 +32,7 @@ def opened(graph: bytes) -> onnxruntime.InferenceSession:
 
 def counted(design: Design, x: np.ndarray, photons: np.ndarray) -> np.ndarray:
     """Counts of scenes as the graph takes them, each at its own budget."""
-    light = photons_per_pixel(torch.from_numpy(x), 1.0, design.mean_light)
+    light = photons_per_pixel(torch.from_numpy(x), 1.0, design.summed_reflectance)
     scenes = light * torch.from_numpy(photons)[:, None]
     counts = design.scanner().counts(scenes, torch.Generator().manual_seed(1)).numpy()
     return counts if len(design.rails) == 2 else counts[:, 0]
@@ -103,7 +103,7 @@ def test_the_graph_says_what_it_is(made):
         "masks": design.masks,
         "rails": 1,
         "light": "free-dwell",
-        "mean_light": design.mean_light,
+        "summed_reflectance": design.summed_reflectance,
         "image_shape": [8, 8],
         "classes": list(design.classes),
     }

@@ -65,15 +65,15 @@ def test_photons_used_fall_with_the_threshold(stopped):
 
 
 def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
-    """Counts of whole exposures, shown to the policy mask by mask: nothing is drawn again."""
+    """Counts of whole exposures, shown to the rule mask by mask: nothing is drawn again."""
     found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1, seed=7)
     scanner = nested.scanner()
-    scenes = torch.from_numpy(digits.x_test) / nested.mean_light
+    scenes = torch.from_numpy(digits.x_test) / nested.summed_reflectance
     counts = scanner.read(scanner.rates(scenes) * PHOTONS, generator(7))[:, 0].numpy()
     right, used, ends = [], [], []
     for exposure, label in zip(counts, digits.y_test, strict=True):
-        for shown in found.policy.after:
-            chances, enough = found.policy.ask(nested, exposure[:shown], PHOTONS)
+        for shown in found.rule.after:
+            chances, enough = found.rule.classify(nested, exposure[:shown], PHOTONS)
             if enough:
                 break
         right.append(chances.argmax() == label)
@@ -81,7 +81,7 @@ def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
         ends.append(shown)
     assert np.mean(right) == pytest.approx(found.stopped.mean)
     assert np.mean(used) == pytest.approx(found.used.mean)
-    for shown, share in zip(found.policy.after, found.stops, strict=True):
+    for shown, share in zip(found.rule.after, found.stops, strict=True):
         assert np.mean(np.equal(ends, shown)) == pytest.approx(share)
 
 
@@ -91,7 +91,7 @@ def test_the_choice_does_not_look_at_the_test_scenes(nested, digits, stopped):
     scenes = replace(digits, x_test=np.ascontiguousarray(digits.x_test[::-1]))
     for other in (labels, scenes):
         again = stop(nested, other, PHOTONS, held_out=HELD_OUT, draws=2)
-        assert again.policy == stopped.policy
+        assert again.rule == stopped.rule
         assert again.validation == stopped.validation
     assert stop(nested, labels, PHOTONS, held_out=HELD_OUT).stopped.mean < 0.3
 
@@ -105,8 +105,8 @@ def test_temperatures_make_confidence_honest(nested, digits, stopped):
     """A network three times as sure is found out, and then says what it said before."""
     loud = replace(nested, classifier=torch.nn.Sequential(nested.classifier, _Times(3.0)))
     heard = stop(loud, digits, PHOTONS, held_out=HELD_OUT, draws=2)
-    assert heard.policy.temperatures == pytest.approx(
-        [3 * t for t in stopped.policy.temperatures], rel=3e-3
+    assert heard.rule.temperatures == pytest.approx(
+        [3 * t for t in stopped.rule.temperatures], rel=3e-3
     )
     assert heard.log_loss == pytest.approx(stopped.log_loss, rel=1e-3)
     assert heard.log_loss < 0.8 * heard.uncalibrated_log_loss
@@ -133,7 +133,7 @@ def test_the_surest_answers_are_right_more_often(stopped):
 def test_a_difference_is_that_of_its_means(stopped):
     assert stopped.difference.mean == pytest.approx(stopped.stopped.mean - stopped.whole.mean)
     assert stopped.difference.low < stopped.difference.mean < stopped.difference.high
-    assert stopped.as_dict()["policy"]["threshold"] == stopped.policy.threshold
+    assert stopped.as_dict()["rule"]["threshold"] == stopped.rule.threshold
 
 
 def test_calibration_error_is_that_of_groups_written_out():
@@ -153,7 +153,7 @@ def looking(digits):
 def test_an_exposure_of_several_looks_may_stop_after_each(looking, digits):
     found = stop(looking, digits, 2e4, held_out=HELD_OUT, draws=2, seed=4)
     [whole] = evaluate(looking, digits, 2e4, draws=2, seed=4)
-    assert found.policy.after == (1, 2, 3, 4)
+    assert found.rule.after == (1, 2, 3, 4)
     assert found.whole.mean == pytest.approx(whole.accuracy, abs=1e-12)
     assert found.used.mean == pytest.approx(np.dot(found.stops, [0.25, 0.5, 0.75, 1]))
     assert found.used.high < 0.95
@@ -167,11 +167,11 @@ def test_a_camera_that_looks_again_stops_as_the_study_says(looking, digits):
     for scene, label in zip(digits.x_test, digits.y_test, strict=True):
         shown = []
 
-        def read(dwell, rates=patterns @ scene * 2e4 / looking.mean_light, shown=shown):
+        def read(dwell, rates=patterns @ scene * 2e4 / looking.summed_reflectance, shown=shown):
             shown.append(dwell)
             return rng.poisson(dwell * rates)
 
-        chances = looking.watch(read, 2e4, until=found.policy.judge)
+        chances = looking.classify_live(read, 2e4, until=found.rule.decide)
         assert chances.sum() == pytest.approx(1)
         looks.append(len(shown) / 4)
         right.append(chances.argmax() == label)
@@ -199,8 +199,8 @@ def test_what_cannot_stop_is_refused(nested, digits):
 
 def test_counts_of_too_few_masks_are_refused(nested, stopped):
     with pytest.raises(InputError, match="2 to 10"):
-        stopped.policy.ask(nested, np.ones(1), PHOTONS)
-    assert stopped.policy.ask(nested, np.ones(10), PHOTONS)[1]
+        stopped.rule.classify(nested, np.ones(1), PHOTONS)
+    assert stopped.rule.classify(nested, np.ones(10), PHOTONS)[1]
 
 
 def test_features_are_those_of_evaluate(nested, digits):
@@ -209,7 +209,7 @@ def test_features_are_those_of_evaluate(nested, digits):
         nested, np.tile(digits.x_test, (4, 1)), np.tile(digits.y_test, 4), 1e3, (10,), 2, 3
     )
     draw, scanner = generator(3), nested.scanner()
-    scenes = torch.from_numpy(np.tile(digits.x_test, (4, 1))) / nested.mean_light
+    scenes = torch.from_numpy(np.tile(digits.x_test, (4, 1))) / nested.summed_reflectance
     head = scanner.rates(scenes[:1024]) * 1e3
     first, second = (subtract(scanner.read(head, draw)) for _ in range(2))
     assert torch.equal(seen.drawn[0:2048:2], first)

@@ -63,7 +63,7 @@ def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001
                 "calibration_error": 0.01,
                 "uncalibrated_error": 0.02,
                 "stops": [0.5, 0.5],
-                "policy": {"after": [1, 2]},
+                "rule": {"after": [1, 2]},
                 "curve": [{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
                 "rejection": [{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
             }

@@ -300,8 +300,8 @@ def test_grid_holds_every_point_once_and_gaps_are_nan():
 
 def test_heat_maps_share_one_scale_and_one_bar():
     figure = FIGURES["heat"]()
-    *maps, bar = figure.axes
-    meshes = [next(c for c in ax.collections if isinstance(c, QuadMesh)) for ax in maps]
+    *panels, bar = figure.axes
+    meshes = [next(c for c in ax.collections if isinstance(c, QuadMesh)) for ax in panels]
     assert len(meshes) == 3
     assert len({mesh.norm for mesh in meshes}) == 1
     assert meshes[0].get_clim() == (0.0, 1.0)

@@ -9,7 +9,12 @@ import pytest
 import torch
 
 from deepfsi.errors import InputError
-from deepfsi.optics.budget import check_budget, impulse_imaging_error, mean_light, photons_per_pixel
+from deepfsi.optics.budget import (
+    check_budget,
+    impulse_imaging_error,
+    photons_per_pixel,
+    summed_reflectance,
+)
 from deepfsi.optics.noise import readout
 
 
@@ -29,18 +34,18 @@ def test_a_budget_may_be_written_in_any_way(good):
 
 
 def test_the_training_mean_gets_the_budget(digits):
-    photons = photons_per_pixel(digits.x_train, 1e4, mean_light(digits.x_train))
+    photons = photons_per_pixel(digits.x_train, 1e4, summed_reflectance(digits.x_train))
     assert photons.sum(axis=1, dtype=np.float64).mean() == pytest.approx(1e4, rel=1e-6)
 
 
 def test_a_brighter_scene_sends_more():
     x = np.array([[0.1, 0.2], [0.2, 0.4]])
-    photons = photons_per_pixel(x, 300.0, mean_light(x))
+    photons = photons_per_pixel(x, 300.0, summed_reflectance(x))
     assert photons == pytest.approx(300 * x / 0.45)
 
 
 def test_arrays_and_tensors_agree(digits):
-    light = mean_light(digits.x_train)
+    light = summed_reflectance(digits.x_train)
     numbers = photons_per_pixel(digits.x_test, 1e5, light)
     tensor = photons_per_pixel(torch.from_numpy(digits.x_test), 1e5, light)
     assert np.allclose(numbers, tensor.numpy(), rtol=1e-6)
@@ -49,7 +54,7 @@ def test_arrays_and_tensors_agree(digits):
 @pytest.mark.parametrize(("noise", "sigma"), [("poisson", 1.0), ("gaussian", 1.0), ("gaussian", 4)])
 @pytest.mark.parametrize("budget", [1e3, 1e6])
 def test_noise_axis_is_the_error_of_impulse_imaging(digits, noise, sigma, budget):
-    light = mean_light(digits.x_train)
+    light = summed_reflectance(digits.x_train)
     x = torch.from_numpy(digits.x_train).double()
     generator = torch.Generator().manual_seed(0)
     counts = readout(photons_per_pixel(x, budget, light), noise, sigma, generator)

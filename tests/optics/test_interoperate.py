@@ -45,7 +45,7 @@ def adapter(monkeypatch):
 
 
 def images_of(design: Design, x: np.ndarray) -> torch.Tensor:
-    light = photons_per_pixel(torch.from_numpy(x), PHOTONS, design.mean_light)
+    light = photons_per_pixel(torch.from_numpy(x), PHOTONS, design.summed_reflectance)
     return light.reshape(-1, 1, *design.image_shape)
 
 

@@ -26,9 +26,9 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.noise import variance
 from deepfsi.optics.scanner import Scanner, lit
-from deepfsi.training.job import Job, Training
+from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 N = 64
 DRAWS = 20_000
@@ -210,8 +210,10 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         x_test=whole.x_train[-2_000:],
         y_test=whole.y_train[-2_000:],
     )
-    scenes = Scenes(data, "cpu")
-    how = Training(**{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)})
+    scenes = TrainingSet(data, "cpu")
+    how = TrainingSettings(
+        **{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
+    )
     accuracy = []
     for design, masks in (
         ("impulse", 1024),

@@ -103,7 +103,7 @@ def test_readouts_are_independent():
 
 
 def test_trap_exact_poisson_gives_the_rate_no_gradient():
-    """Why masks must be trained with ml_gauss, or through `follow`."""
+    """Why masks must be trained with ml_gauss, or through `attach_gradient`."""
     for sample in (torch.poisson, noise.poisson):
         rate = torch.full((100,), 50.0, requires_grad=True)
         sample(rate).square().sum().backward()
@@ -122,7 +122,7 @@ def slopes(name: str, rate: float, function) -> torch.Tensor:
     rates = torch.full((DRAWS,), rate, dtype=torch.float64, requires_grad=True)
     y = noise.readout(rates, name, 1.0, generator())
     if name == "poisson":
-        y = noise.follow(y, rates, rates)
+        y = noise.attach_gradient(y, rates, rates)
     function(y).sum().backward()
     return rates.grad
 
@@ -159,7 +159,7 @@ def test_counts_of_two_rails_follow_mean_and_variance(plus, minus):
     rates = torch.tensor([plus, minus], dtype=torch.float64).repeat(DRAWS, 1).requires_grad_()
     mean, light = rates[:, 0] - rates[:, 1], rates.sum(dim=1)
     counts = noise.poisson(rates.detach(), generator())
-    y = noise.follow(counts[:, 0] - counts[:, 1], mean, light)
+    y = noise.attach_gradient(counts[:, 0] - counts[:, 1], mean, light)
     assert torch.equal(y, counts[:, 0] - counts[:, 1])
     y.square().sum().backward()
     for slope, sign in zip(rates.grad.T, (1, -1), strict=True):
@@ -170,7 +170,7 @@ def test_counts_follow_as_ml_gauss_does_at_the_same_noise():
     rate = torch.tensor([0.3, 4.0, 1e3, 1e8], dtype=torch.float64, requires_grad=True)
     counts = noise.poisson(rate.detach(), generator())
     epsilon = ((counts - rate) / rate.sqrt()).detach()
-    (ours,) = torch.autograd.grad(noise.follow(counts, rate, rate).sum(), rate)
+    (ours,) = torch.autograd.grad(noise.attach_gradient(counts, rate, rate).sum(), rate)
     (theirs,) = torch.autograd.grad((rate + noise.root(rate) * epsilon).sum(), rate)
     assert torch.allclose(ours, theirs, rtol=1e-12)
 

@@ -23,7 +23,7 @@ from ray.cluster_utils import Cluster
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps import ray_cluster, run
-from deepfsi.sweeps.ray_cluster import spread
+from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
@@ -52,7 +52,7 @@ def nodes(no_token: None) -> Iterator[Cluster]:
 
 @pytest.fixture(params=["joins", "is connected"])
 def joined(nodes: Cluster, request: pytest.FixtureRequest) -> Iterator[str]:
-    """Give the address, to a process that `spread` must connect or that is connected already."""
+    """Give the address, to a process that must connect or is connected already."""
     if request.param == "is connected":
         ray.init(nodes.address, log_to_driver=False, logging_level="error")
     yield nodes.address
@@ -128,7 +128,7 @@ def test_every_result_arrives_once_and_shared_is_sent_once(joined):
         return shared[task] * 2, shared.flags.owndata
 
     Counted.packed = 0
-    results = list(spread(work, Counted(), range(30), address=joined))
+    results = list(run_on_ray(work, Counted(), range(30), address=joined))
     assert sorted(results) == [(task, (2.0 * task, False)) for task in range(30)]
     assert Counted.packed == 1
 
@@ -139,7 +139,7 @@ def test_results_come_as_they_finish(nodes, tmp_path):
             time.sleep(0.02)
         return task
 
-    results = spread(work, tmp_path, range(6), address=nodes.address)
+    results = run_on_ray(work, tmp_path, range(6), address=nodes.address)
     first = [next(results)[0] for _ in range(5)]
     (tmp_path / "go").touch()
     assert sorted(first) == [1, 2, 3, 4, 5]
@@ -154,7 +154,7 @@ def test_few_tasks_are_in_flight(nodes):
             next(submitted)
             return int, ()
 
-    results = spread(lambda _, task: task, None, [Task()] * 20, address=nodes.address)
+    results = run_on_ray(lambda _, task: task, None, [Task()] * 20, address=nodes.address)
     next(results)
     assert next(submitted) == ray_cluster.AHEAD * 2
     results.close()
@@ -184,7 +184,7 @@ def test_a_dead_node_costs_no_result(nodes, tmp_path):
             time.sleep(0.02)
         return np.full(200_000, task)  # too big to travel with the news that it is finished
 
-    results = spread(work, (tmp_path, name), range(12), address=nodes.address)
+    results = run_on_ray(work, (tmp_path, name), range(12), address=nodes.address)
     arrived = [next(results)]
     lost = {int(path.name.split()[1]) for path in tmp_path.glob(f"started * {name}")}
     assert len(lost) == 2
@@ -212,7 +212,7 @@ def test_a_task_that_always_kills_its_worker_is_named(nodes, tmp_path):
         return task
 
     with pytest.raises(InputError, match=r"task 1 was lost and 1 retries .*WorkerCrashedError"):
-        list(spread(work, tmp_path, range(3), address=nodes.address, retries=1))
+        list(run_on_ray(work, tmp_path, range(3), address=nodes.address, retries=1))
     assert (tmp_path / "deaths").read_text() == "xx"
 
 
@@ -223,7 +223,7 @@ def test_what_work_raises_arrives_once_as_it_is(nodes, tmp_path):
         raise InputError("photons are 0: give more")
 
     with pytest.raises(InputError, match=r"^photons are 0: give more$") as raised:
-        list(spread(work, tmp_path, [1], address=nodes.address))
+        list(run_on_ray(work, tmp_path, [1], address=nodes.address))
     assert type(raised.value) is InputError
     assert (tmp_path / "tries").read_text() == "x"
 
@@ -241,7 +241,7 @@ def test_stopping_early_cancels_the_rest(joined, tmp_path, end):
             raise InputError("enough")
         return task
 
-    results = spread(work, tmp_path, [0, 1, 2] if end == "error" else [0, 1], address=joined)
+    results = run_on_ray(work, tmp_path, [0, 1, 2] if end == "error" else [0, 1], address=joined)
     assert next(results) == (0, 0)
     pid = int((tmp_path / "pid").read_text())
     assert alive(pid)
@@ -257,15 +257,15 @@ def test_workers_use_as_many_threads_as_they_have_cpus(nodes):
     def work(_: None, task: int) -> str:
         return os.environ["OMP_NUM_THREADS"]
 
-    assert list(spread(work, None, [0], address=nodes.address, cpus=2)) == [(0, "2")]
-    assert list(spread(work, None, [0], address=nodes.address, cpus=0.5)) == [(0, "1")]
+    assert list(run_on_ray(work, None, [0], address=nodes.address, cpus=2)) == [(0, "2")]
+    assert list(run_on_ray(work, None, [0], address=nodes.address, cpus=0.5)) == [(0, "1")]
 
 
 def test_what_no_node_has_is_refused(nodes):
     with pytest.raises(InputError, match=r"no node .* 3 CPUs and 0 GPUs .*\(2.0, 0.0\)"):
-        next(spread(max, 0, [0], address=nodes.address, cpus=3))
+        next(run_on_ray(max, 0, [0], address=nodes.address, cpus=3))
     with pytest.raises(InputError, match=r"no node .* 1 CPUs and 0.5 GPUs"):
-        next(spread(max, 0, [0], address=nodes.address, gpus=0.5))
+        next(run_on_ray(max, 0, [0], address=nodes.address, gpus=0.5))
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,7 @@ def test_what_no_node_has_is_refused(nodes):
 )
 def test_what_no_task_can_ask_for_is_refused(cpus, gpus):
     with pytest.raises(InputError, match="cannot ask for"):
-        next(spread(max, 0, [0], cpus=cpus, gpus=gpus))
+        next(run_on_ray(max, 0, [0], cpus=cpus, gpus=gpus))
 
 
 @pytest.mark.parametrize("scheme", ["", "ray://"])
@@ -283,12 +283,12 @@ def test_no_cluster_at_the_address(scheme):
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = f"{scheme}127.0.0.1:{server.getsockname()[1]}"
     with pytest.raises(InputError, match=f"no Ray cluster answers at '{free}'"):
-        next(spread(max, 0, [0], address=free))
+        next(run_on_ray(max, 0, [0], address=free))
 
 
 def test_no_address_at_all():
     with pytest.raises(InputError, match="no Ray cluster answers at 'nonsense'"):
-        next(spread(max, 0, [0], address="nonsense"))
+        next(run_on_ray(max, 0, [0], address="nonsense"))
 
 
 def test_auto_is_the_running_cluster(nodes):
@@ -298,7 +298,7 @@ def test_auto_is_the_running_cluster(nodes):
 
         return ray.get_runtime_context().gcs_address
 
-    assert list(spread(work, None, [0])) == [(0, nodes.address)]
+    assert list(run_on_ray(work, None, [0])) == [(0, nodes.address)]
 
 
 def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
@@ -312,7 +312,7 @@ def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
     monkeypatch.setattr(
         "ray._private.services.get_ray_address_from_environment", lambda *_: crashed
     )
-    [(_, address)] = spread(work, None, [0])
+    [(_, address)] = run_on_ray(work, None, [0])
     assert address != crashed
     assert not ray.is_initialized()
     until(lambda: not ray_cluster._answers(address), 10)
@@ -321,4 +321,4 @@ def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
 def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"pip install 'deepfsi\[ray\]'"):
-        next(spread(max, 0, [0]))
+        next(run_on_ray(max, 0, [0]))

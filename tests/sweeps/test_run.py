@@ -24,14 +24,14 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.sweeps import queue, run
 from deepfsi.sweeps.forecast import forecast
-from deepfsi.sweeps.queue import Bench, batches, effort, work
+from deepfsi.sweeps.queue import SweepContext, batches, effort, train_batch
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import rows, write_table
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import SCHEMA, Trial, plan
 from deepfsi.training.job import REVISION
 from deepfsi.training.loop import footprint
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 RECIPES = [
     path
@@ -285,7 +285,7 @@ def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
 
 def test_batches_are_split_to_fit_the_memory(digits):
     trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
-    scenes = Scenes(digits, "cpu")
+    scenes = TrainingSet(digits, "cpu")
     need = [footprint(scenes, [trial.job for trial in trials[:n]]) for n in (1, 2, 4)]
     assert need == sorted(set(need))
     for limit, sizes in ((0, [1, 1, 1, 1]), (need[1], [2, 2]), (need[2], [4])):
@@ -295,7 +295,7 @@ def test_batches_are_split_to_fit_the_memory(digits):
 def test_a_processor_is_not_crowded_with_learned_masks(digits, monkeypatch):
     monkeypatch.setattr(queue, "CROWD", 12)
     recipe = small(designs=("pca", "deepfsi"), masks=6, photons=(1e1, 1e2, 1e3, 1e4))
-    found = batches(plan(recipe, digits), Scenes(digits, "cpu"), 1e12)
+    found = batches(plan(recipe, digits), TrainingSet(digits, "cpu"), 1e12)
     assert {batch[0].job.design: len(batch) for batch in found} == {"pca": 4, "deepfsi": 2}
 
 
@@ -314,7 +314,7 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
 
 def test_every_trial_is_in_one_batch(digits):
     trials = plan(small(trials=3, photons=(1e2, 1e7)), digits)
-    found = batches(trials, Scenes(digits, "cpu"), 1e12)
+    found = batches(trials, TrainingSet(digits, "cpu"), 1e12)
     assert sorted(trial.key for batch in found for trial in batch) == sorted(
         trial.key for trial in trials
     )
@@ -383,9 +383,9 @@ def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path
 def test_a_machine_that_batches_otherwise_still_works(digits, monkeypatch):
     """The one that planned had no bfloat16, this one has."""
     trials = plan(small(designs="deepfsi", masks=3, photons=(1e3, 1e9)), digits)
-    bench = Bench(digits, 0, "cpu")
+    context = SweepContext(digits, 0, "cpu")
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
-    assert len(work(bench, trials)) == len(trials)
+    assert len(train_batch(context, trials)) == len(trials)
 
 
 def test_settings_of_masks_do_not_multiply_fixed_designs(digits):
@@ -544,8 +544,8 @@ def test_without_validation_nothing_is_chosen(digits):
 
 def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
     seen = []
-    real = run.Scenes
-    monkeypatch.setattr(run, "Scenes", lambda data, *_: seen.append(data) or real(data))
+    real = run.TrainingSet
+    monkeypatch.setattr(run, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
     run.run(plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
     (parts,) = seen
     assert len(parts.x_train) == len(digits.x_train) - 200

@@ -26,11 +26,11 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.training import loop
-from deepfsi.training.job import BFLOAT16_COUNTS, Job, Training, products
+from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, products
 from deepfsi.training.learning import learn, train
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
-HOW = Training(**{**RECIPE, "epochs": 3, "dropout": 0.1})
+HOW = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
 CPU = torch.device("cpu")
 
 
@@ -68,7 +68,7 @@ def test_the_global_random_state_does_not_matter(digits):
 def together_and_alone(
     digits, design: str, light: str, rails: str, noise: str = "ml_gauss"
 ) -> list[tuple[Design, Design]]:
-    scenes = Scenes(digits, "cpu")
+    scenes = TrainingSet(digits, "cpu")
     same = {"design": design, "light": light, "rails": rails, "noise": noise}
     jobs = [Job(masks=6, photons=photons, training=HOW, **same) for photons in (1e3, 1e4, 1e6)]
     return list(zip(train(scenes, jobs), [train(scenes, [job])[0] for job in jobs], strict=True))
@@ -144,7 +144,7 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stac
         Job(design=design, masks=6, photons=photons, seed=seed, training=how, **change)
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
     ]
-    scenes = Scenes(digits, "cpu")
+    scenes = TrainingSet(digits, "cpu")
     alone = [train(scenes, [job])[0] for job in jobs]
     monkeypatch.setattr(loop, "Replicas", lambda nets, stacked: Replicas(nets, stacks))
     stacks = stacked
@@ -158,7 +158,7 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stac
 
 def test_replicas_learn_for_their_own_budget(digits):
     jobs = [Job(masks=6, photons=photons, training=HOW) for photons in (1e2, 1e6)]
-    starved, bright = train(Scenes(digits, "cpu"), jobs)
+    starved, bright = train(TrainingSet(digits, "cpu"), jobs)
     assert not torch.allclose(starved.rails, bright.rails, atol=1e-3)
     assert (starved.spread > 2 * bright.spread).all()
 
@@ -168,7 +168,7 @@ def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
         Job(design="pca", masks=6, photons=1e3, noise="gaussian", sigma=sigma, training=HOW)
         for sigma in (1.0, 30.0)
     ]
-    quiet, loud = train(Scenes(digits, "cpu"), jobs)
+    quiet, loud = train(TrainingSet(digits, "cpu"), jobs)
     assert (loud.spread > quiet.spread).all()
 
 
@@ -176,7 +176,7 @@ def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
 def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
     job = Job(masks=6, photons=1e3, training=HOW)
     with pytest.raises(ValueError, match="may differ in photons, sigma and seed only"):
-        train(Scenes(digits, "cpu"), [job, job.model_copy(update=change)])
+        train(TrainingSet(digits, "cpu"), [job, job.model_copy(update=change)])
 
 
 @pytest.mark.parametrize("design", FIXED)
@@ -324,7 +324,7 @@ def test_a_setting_that_is_not_allowed_is_one_clear_line(digits, settings):
 @pytest.mark.skipif(torch.cuda.is_available(), reason="has a GPU")
 def test_a_missing_gpu_is_said(digits):
     with pytest.raises(InputError, match="cuda is not here"):
-        Scenes(digits, "cuda")
+        TrainingSet(digits, "cuda")
 
 
 @every_optics
@@ -408,7 +408,7 @@ def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_a_precision_asked_for_is_used(precision):
-    how = Training(precision=precision)
+    how = TrainingSettings(precision=precision)
     assert products(Job(masks=2, photons=1e8, training=how), CPU) == getattr(torch, precision)
 
 
@@ -516,7 +516,7 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
         )
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
     ]
-    scenes = Scenes(digits, "cpu")
+    scenes = TrainingSet(digits, "cpu")
     together = train(scenes, jobs)
     for one, job in zip(together, jobs, strict=True):
         assert two_valued(one)

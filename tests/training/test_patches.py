@@ -166,7 +166,9 @@ def test_it_learns_in_bright_light(data, patches):
 
 def test_the_throughput_is_what_is_counted(data, patches, learned):
     rates = learned.scanner().rates(
-        learned.seen(photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.mean_light))
+        learned.as_patches(
+            photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance)
+        )
     )
     counted = rates.sum(dim=(1, 2, 3)).mean()
     assert float(learned.shares.sum()) == pytest.approx(float(counted), rel=1e-4)
@@ -174,16 +176,18 @@ def test_the_throughput_is_what_is_counted(data, patches, learned):
 
 def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
     again = PatchDesign.load(learned.save(tmp_path / "made.safetensors"))
-    x = learned.seen(torch.from_numpy(data.x_test))
+    x = learned.as_patches(torch.from_numpy(data.x_test))
     assert torch.equal(learned.logits(x, BUDGET), again.logits(x, BUDGET))
-    for name in ("name", "light", "mean_light", "image_shape", "classes", "patch", "info"):
+    for name in ("name", "light", "summed_reflectance", "image_shape", "classes", "patch", "info"):
         assert getattr(again, name) == getattr(learned, name)
     assert torch.equal(again.rails, learned.rails)
 
 
 def test_probabilities_of_one_exposure(data, learned):
     counts = learned.scanner().counts(
-        learned.seen(photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.mean_light)),
+        learned.as_patches(
+            photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.summed_reflectance)
+        ),
         generator(),
     )
     chances = learned.classify(counts.numpy(), photons=BUDGET)

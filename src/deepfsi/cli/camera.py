@@ -86,7 +86,7 @@ def dmd_export(
             target,
             mean,
             out,
-            mean_light=made.mean_light,
+            summed_reflectance=made.summed_reflectance,
             selection=selection,  # type: ignore[arg-type]
             seed=seed,
             format=kind,  # type: ignore[arg-type]
@@ -403,13 +403,13 @@ def seconds(option: str, text: str) -> float:
 def _camera(text: str) -> "Camera":
     from deepfsi.errors import closest
     from deepfsi.hardware.virtual.camera import CAMERAS, Camera
-    from deepfsi.training.job import reworded
+    from deepfsi.training.job import as_input_error
 
     if text in CAMERAS:
         return CAMERAS[text]
     if not text.endswith(".toml"):
         raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
-    with reworded():
+    with as_input_error():
         return Camera.model_validate(read_toml(Path(text)))
 
 

@@ -99,7 +99,7 @@ def plan(
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.training.job import reworded
+    from deepfsi.training.job import as_input_error
 
     if masks is not None and ratios is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
@@ -120,7 +120,7 @@ def plan(
     else:
         settings["ratios"] = numbers("ratios", ratios) or [0.01, 0.04, 0.16]
     accuracy = one("target", target)
-    with reworded():
+    with as_input_error():
         recipe = Recipe.model_validate(settings)
     scenes = load(data, size_of(size))
     check_plan(recipe, scenes, accuracy)

@@ -274,7 +274,7 @@ def _print_stopped(found: "Stopped", size: str) -> None:
         ("difference, paired", found.difference),
     ):
         rows.append((heading, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]"))
-    title = f"{size}, {found.photons:g} photons, stopped above {found.policy.threshold:.5g}"
+    title = f"{size}, {found.photons:g} photons, stopped above {found.rule.threshold:.5g}"
     print_table(title, ("", "mean", "95 % interval"), rows)
     kept = {round(each["accepted"], 2): each["stopped"] for each in found.rejection}
     print(

@@ -102,9 +102,9 @@ def compare(
         settings.pop("masks", None)
     if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
         settings["training"] = {**settings["training"], "epochs": epochs}
-    from deepfsi.training.job import reworded
+    from deepfsi.training.job import as_input_error
 
-    with reworded():
+    with as_input_error():
         chosen = Recipe.model_validate(settings)
         if own is not None and "custom" not in chosen.designs:
             chosen = chosen.model_copy(update={"designs": (*chosen.designs, "custom")})
@@ -134,11 +134,11 @@ def sweep(
     """
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.records import check_table
-    from deepfsi.training.job import reworded
+    from deepfsi.training.job import as_input_error
 
     if table is not None:
         check_table(table)
-    with reworded():
+    with as_input_error():
         chosen = Recipe.model_validate(read_toml(recipe))
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)

@@ -93,7 +93,7 @@ def expose(
         yield seen
 
 
-class Schedule(nn.Module):
+class AdaptiveDwells(nn.Module):
     """How many looks there are, and the network that chooses dwells.
 
     Parameters

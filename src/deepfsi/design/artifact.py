@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from torch import Tensor, nn
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import Exposure, Schedule
+from deepfsi.design.adaptive import AdaptiveDwells, Exposure
 from deepfsi.design.artifact_file import (
     build_mlp,
     damaged,
@@ -24,7 +24,7 @@ from deepfsi.design.artifact_file import (
     sound_schedule,
 )
 from deepfsi.design.classifiers import Mlp
-from deepfsi.design.conditioning import Told
+from deepfsi.design.conditioning import Conditioning
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.hardware.patterns.sequence import Patterns
@@ -53,17 +53,17 @@ class Design:
         Statistics of the features y / Φ, fixed at the end of training.
     shares : tensor, shape (m,)
         Share of the budget that each mask's rails count together, in the training mean.
-    mean_light : float
+    summed_reflectance : float
         s, the training scenes' mean summed reflectance; λ = Φ x / s.
     light : str
         Light constraint that the rails obey.
     image_shape : tuple of int
     classes : tuple of str
-    told : Told, optional
+    told : Conditioning, optional
         What the classifier is told besides features, if it is.
     used : float
         Share of the whole sequence's light that masks would take within it, for its first ones.
-    schedule : Schedule, optional
+    schedule : AdaptiveDwells, optional
         What chooses dwells while the exposure runs, if they are not fixed. `rails`, `centre` and
         `spread` are then those of equal dwells, 1 / m.
     info : dict
@@ -76,13 +76,13 @@ class Design:
     centre: Tensor
     spread: Tensor
     shares: Tensor
-    mean_light: float
+    summed_reflectance: float
     light: Light
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
-    told: Told | None = None
+    told: Conditioning | None = None
     used: float = 1.0
-    schedule: Schedule | None = None
+    schedule: AdaptiveDwells | None = None
     info: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -100,7 +100,7 @@ class Design:
         """N, number of pixels."""
         return self.rails.shape[2]
 
-    def seen(self, scenes: Tensor) -> Tensor:
+    def as_patches(self, scenes: Tensor) -> Tensor:
         """Scenes (..., N) as the masks see them: as they are."""
         return scenes
 
@@ -108,7 +108,7 @@ class Design:
         """The optical front end, with a noise of your choice."""
         return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
 
-    def judged(self, seen: Exposure) -> Tensor:
+    def adaptive_logits(self, seen: Exposure) -> Tensor:
         """Logits (..., C) of exposures whose dwells a schedule chose."""
         return self.classifier(seen.inputs(self.centre, self.spread))
 
@@ -154,9 +154,9 @@ class Design:
         if self.schedule is None:
             return self.logits(subtract(scanner.read(rates * photons, generator)), photons)
         *_, seen = self.expose(scanner, rates, generator, photons)
-        return self.judged(seen)
+        return self.adaptive_logits(seen)
 
-    def watch(
+    def classify_live(
         self,
         read: Callable[[np.ndarray], Any],
         photons: float,
@@ -175,7 +175,7 @@ class Design:
             Budget Φ of the whole exposure, or an estimate of it.
         until : callable, optional
             Told the looks so far and the probabilities (C,) after them; returns probabilities, and
-            whether the exposure ends there. `stopping.Policy.judge` is one.
+            whether the exposure ends there. `stopping.StoppingRule.decide` is one.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class Design:
         if (dwell is None) != (self.schedule is None):
             raise InputError(
                 "dwells go with a design that chooses them, and only with it: "
-                + ("give dwell, or use `watch`" if dwell is None else "leave dwell out")
+                + ("give dwell, or use `classify_live`" if dwell is None else "leave dwell out")
             )
         try:
             read = torch.tensor(np.asarray(counts, dtype=np.float32))
@@ -291,7 +291,7 @@ class Design:
             if shown is None:
                 logits = self.logits(features, budget)
             else:
-                logits = self.judged(Exposure(features / budget, shown.to(device)))
+                logits = self.adaptive_logits(Exposure(features / budget, shown.to(device)))
         return logits.softmax(dim=-1).cpu().numpy()
 
     def check_fixed(self) -> None:
@@ -299,7 +299,7 @@ class Design:
         if self.schedule is not None:
             raise InputError(
                 "this design chooses dwells while the exposure runs, which a fixed sequence of "
-                "patterns or one graph cannot: use Design.watch in a program of yours"
+                "patterns or one graph cannot: use Design.classify_live in a program of yours"
             )
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
@@ -320,7 +320,7 @@ class Design:
         """The design as shown with k / `steps` of each frame's peak (paper: 768).
 
         Classifier and statistics stay as they are. A device of L grey levels, dark among them, has
-        L − 1 steps; `Training.levels` trains for one.
+        L − 1 steps; `TrainingSettings.levels` trains for one.
         """
         rails = constraints.quantise(self.rails, self.light, steps)
         return replace(self, rails=rails)
@@ -435,14 +435,14 @@ class Design:
             raise InputError(f"{path} is a design of image patches: load it with PatchDesign.load")
         try:
             network = header["classifier"]
-            told = Told(**header["told"]) if "told" in header else None
+            told = Conditioning(**header["told"]) if "told" in header else None
             masks, how = tensors["rails"].shape[1], header.get("schedule")
             inputs = 2 * masks if how else told.masks + 2 if told else masks
             sizes = inputs, len(header["classes"]), network["hidden"], network["dropout"]
             schedule = None
             if how:
                 chooser = build_mlp(tensors, "schedule.", 2 * masks + 1, masks, how["hidden"])
-                schedule = Schedule(chooser, how["looks"])
+                schedule = AdaptiveDwells(chooser, how["looks"])
             design = cls(
                 name=header["name"],
                 rails=torch.from_numpy(tensors["rails"]),
@@ -450,7 +450,7 @@ class Design:
                 centre=torch.from_numpy(tensors["centre"]),
                 spread=torch.from_numpy(tensors["spread"]),
                 shares=torch.from_numpy(tensors["shares"]),
-                mean_light=header["mean_light"],
+                summed_reflectance=header["summed_reflectance"],
                 light=header["light"],
                 image_shape=tuple(header["image_shape"]),
                 classes=tuple(header["classes"]),
@@ -472,8 +472,8 @@ class Design:
                 == {(design.masks,)}
                 and np.prod(design.image_shape) == design.pixels
                 and all(bool(torch.isfinite(torch.from_numpy(t)).all()) for t in tensors.values())
-                and design.mean_light > 0
-                and math.isfinite(design.mean_light)
+                and design.summed_reflectance > 0
+                and math.isfinite(design.summed_reflectance)
                 and bool((design.spread > 0).all())
                 and (told is None or (design.masks <= told.masks and 0 < told.photons < math.inf))
                 and (told is None or (1 <= told.span < math.inf and 0 < design.used < math.inf))

@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_bytes
 from torch import Tensor
 
-from deepfsi.design.adaptive import Schedule
+from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.classifiers import Mlp
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
@@ -40,7 +40,7 @@ def build_mlp(
     return network.eval()
 
 
-def sound_schedule(schedule: Schedule, design: "Design") -> bool:
+def sound_schedule(schedule: AdaptiveDwells, design: "Design") -> bool:
     """Whether a schedule of a design file fits its design."""
     whole = type(schedule.looks) is int and 2 <= schedule.looks <= 64
     alone = design.light == "free-dwell" and design.told is None and len(design.rails) == 1
@@ -60,7 +60,7 @@ def pack(design: "Design", schema: int, classifier: dict[str, Any], **more: Any)
         "deepfsi": version("deepfsi"),
         "name": design.name,
         "light": design.light,
-        "mean_light": design.mean_light,
+        "summed_reflectance": design.summed_reflectance,
         "image_shape": list(design.image_shape),
         "classes": list(design.classes),
         "classifier": classifier,

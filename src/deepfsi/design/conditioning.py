@@ -21,7 +21,7 @@ WHOLE = 0.25
 
 
 @dataclass(frozen=True)
-class Told:
+class Conditioning:
     """What the classifier of a design has learned to be told.
 
     Attributes

@@ -121,7 +121,7 @@ def evaluate(
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             scenes, truth = torch.from_numpy(data.x_test[rows]), data.y_test[rows]
-            shares = scanner.rates(design.seen(scenes.to(device)) / design.mean_light)
+            shares = scanner.rates(design.as_patches(scenes.to(device)) / design.summed_reflectance)
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
                 for _ in range(draws):
                     guess = design.answer(scanner, shares, generator, budget).argmax(dim=-1)

@@ -124,7 +124,7 @@ def metadata(design: Design) -> dict[str, Any]:
         "masks": design.masks,
         "rails": len(design.rails),
         "light": design.light,
-        "mean_light": design.mean_light,
+        "summed_reflectance": design.summed_reflectance,
         "image_shape": list(design.image_shape),
         "classes": list(design.classes),
     }

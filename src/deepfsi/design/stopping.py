@@ -44,7 +44,7 @@ COVERS = "test images and noise draws, for this one trained design (images as th
 
 
 @dataclass(frozen=True)
-class Policy:
+class StoppingRule:
     """When an exposure stops.
 
     Attributes
@@ -61,13 +61,15 @@ class Policy:
     temperatures: tuple[float, ...]
     threshold: float
 
-    def ask(self, design: Design, counts: ArrayLike, photons: float) -> tuple[np.ndarray, bool]:
+    def classify(
+        self, design: Design, counts: ArrayLike, photons: float
+    ) -> tuple[np.ndarray, bool]:
         """Classify an exposure of a nested design that goes on, and say whether it may stop.
 
         Parameters
         ----------
         design : Design
-            The one that the policy was made for.
+            The one that the rule was made for.
         counts : array, shape (2, k) for dual-rail designs, (k,) for single-rail ones
             Counts of the first k masks.
         photons : float
@@ -92,12 +94,12 @@ class Policy:
                 f"{self.after[-1]} masks"
             )
         part = design.first(shown)
-        return self.judge(shown, part.classify(read, photons * part.used / design.used))
+        return self.decide(shown, part.classify(read, photons * part.used / design.used))
 
-    def judge(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
+    def decide(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
         """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop.
 
-        For `Design.watch`.
+        For `Design.classify_live`.
 
         Raises
         ------
@@ -106,7 +108,7 @@ class Policy:
         """
         if shown not in self.after:
             raise InputError(
-                f"an exposure is not judged after {shown}: this policy is for {self.after[0]} to "
+                f"an exposure is not judged after {shown}: this rule is for {self.after[0]} to "
                 f"{self.after[-1]} masks or looks"
             )
         log = np.log(np.maximum(chances, np.finfo(np.float32).tiny).astype(float))
@@ -131,13 +133,13 @@ class Stopped:
     ----------
     photons : float
         Budget Φ of the whole exposure.
-    policy : Policy
+    rule : StoppingRule
     used : Rate
         Share of the budget that exposures take: of looks, share of their time.
     whole, stopped, difference : Rate
         Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
     stops : list of float
-        Share of exposures that end after each of `policy.after`.
+        Share of exposures that end after each of `rule.after`.
     confidence : float
         Mean confidence of the answers given.
     calibration_error, uncalibrated_error : float
@@ -161,7 +163,7 @@ class Stopped:
     """
 
     photons: float
-    policy: Policy
+    rule: StoppingRule
     used: Rate
     whole: Rate
     stopped: Rate
@@ -251,9 +253,9 @@ def stop(
     if threshold is None:
         threshold = choice.least_threshold(share)
     temperatures = np.sqrt(halves.prod(axis=1)).tolist()
-    policy = Policy(after, tuple(temperatures), float(threshold))
+    rule = StoppingRule(after, tuple(temperatures), float(threshold))
     test = _Exposures(design, data.x_test, data.y_test, budget, after, draws, seed)
-    return _result(policy, _Answers(test, temperatures), choice, share, budget, draws)
+    return _result(rule, _Answers(test, temperatures), choice, share, budget, draws)
 
 
 def _places(design: Design) -> tuple[tuple[int, ...], np.ndarray]:
@@ -302,7 +304,9 @@ class _Exposures:
         drawn = []
         with torch.no_grad():
             for rows in torch.arange(len(x)).split(1024):
-                rates = scanner.rates(torch.from_numpy(x[rows]).to(device) / design.mean_light)
+                rates = scanner.rates(
+                    torch.from_numpy(x[rows]).to(device) / design.summed_reflectance
+                )
                 several = [self._draw(scanner, rates, generator) for _ in range(draws)]
                 drawn.append(torch.stack(several, dim=-2).flatten(-3, -2))
         self.drawn = torch.cat(drawn, dim=-2)
@@ -312,7 +316,7 @@ class _Exposures:
         if self.design.schedule is None:
             return subtract(scanner.read(rates * self.photons, generator))
         looks = self.design.expose(scanner, rates, generator, self.photons)
-        return torch.stack([self.design.judged(seen) for seen in looks])
+        return torch.stack([self.design.adaptive_logits(seen) for seen in looks])
 
     def answers(self) -> Iterator[np.ndarray]:
         """Logits (E, C) after each number of masks or looks."""
@@ -376,14 +380,14 @@ class _Answers:
 
 
 def _result(
-    policy: Policy,
+    rule: StoppingRule,
     test: _Answers,
     choice: _Answers,
     share: np.ndarray,
     photons: float,
     draws: int,
 ) -> Stopped:
-    ends, chosen = test.ends(policy.threshold), choice.ends(policy.threshold)
+    ends, chosen = test.ends(rule.threshold), choice.ends(rule.threshold)
     sure, right = test.at(test.sure, ends), test.at(test.right, ends)
     curve = []
     for threshold in (*THRESHOLDS.tolist(), 1.0):
@@ -396,7 +400,7 @@ def _result(
     last = np.full_like(ends, len(share) - 1)
     return Stopped(
         photons=photons,
-        policy=policy,
+        rule=rule,
         used=test.rate(share[ends]),
         whole=test.rate(test.right[:, -1], spread=False),
         stopped=test.rate(right, spread=False),

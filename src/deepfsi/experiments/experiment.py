@@ -20,7 +20,7 @@ from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
-from deepfsi.training.job import reworded
+from deepfsi.training.job import as_input_error
 
 Results = Mapping[str, Any]
 Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
@@ -80,7 +80,7 @@ class Experiment:
         file = f"{name or self.name}-quick.toml" if quick else f"{name or self.name}.toml"
         text = (files("deepfsi.experiments") / "recipes" / file).read_text(encoding="utf-8")
         given = {} if trials is None else {"trials": trials}
-        with reworded():
+        with as_input_error():
             return self.adapt(self.settings.model_validate({**tomllib.loads(text), **given}))
 
     def run(

@@ -36,7 +36,7 @@ def check_budget(photons: float) -> float:
     return budget
 
 
-def mean_light(x: np.ndarray) -> float:
+def summed_reflectance(x: np.ndarray) -> float:
     """Mean over scenes of their summed reflectance, s.
 
     Parameters
@@ -62,7 +62,7 @@ def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
     photons : float
         Budget Φ, expected photons on the coding device.
     light : float
-        s of the training set, from `mean_light`.
+        s of the training set, from `summed_reflectance`.
 
     Returns
     -------

@@ -5,8 +5,8 @@
     poisson   F(r) ~ Poisson(r)       photon noise, exact; used for testing
     ml_gauss  F(r) = r + √r ε         its smooth stand-in; used for training
 
-ε is standard normal. Exact counts train masks too, with the gradient of `follow`. A rail that is
-dark by construction is not read out and adds no noise.
+ε is standard normal. Exact counts train masks too, with the gradient of `attach_gradient`.
+A rail that is dark by construction is not read out and adds no noise.
 """
 
 from typing import Any, Literal, get_args
@@ -47,7 +47,7 @@ def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     Returns
     -------
     tensor
-        Counts, of the shape and type of `rate`. No gradient flows to `rate`: see `follow`.
+        Counts, of the shape and type of `rate`. No gradient flows to `rate`: see `attach_gradient`.
     """
     exact = torch.poisson(rate.clamp(max=POISSON_LIMIT), generator=generator)
     bright = rate > POISSON_LIMIT
@@ -66,7 +66,7 @@ def ml_gauss(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     return rate + root(rate) * _normal(rate, generator)
 
 
-def follow(counts: Tensor, mean: Tensor, light: Tensor) -> Tensor:
+def attach_gradient(counts: Tensor, mean: Tensor, light: Tensor) -> Tensor:
     """Let exact counts follow what their mean and variance depend on, as those of `ml_gauss` do.
 
     Parameters

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import Fixed
-from deepfsi.optics.noise import Noise, check_noise, follow, readout, root, variance
+from deepfsi.optics.noise import Noise, attach_gradient, check_noise, readout, root, variance
 
 
 class Scanner(nn.Module):
@@ -54,7 +54,7 @@ class Scanner(nn.Module):
         if self.noise == "poisson":
             rates = self.rates(photons)
             counts = subtract(self.read(rates.detach(), generator))
-            return follow(counts, subtract(rates), rates.sum(dim=-2))
+            return attach_gradient(counts, subtract(rates), rates.sum(dim=-2))
         difference, total = self.masks()
         if self.noise == "none":
             return project(photons, difference)

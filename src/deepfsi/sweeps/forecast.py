@@ -12,14 +12,14 @@ import torch
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.sweeps.queue import Batch, Bench, batches, memory, workers_for
+from deepfsi.sweeps.queue import Batch, SweepContext, batches, memory, workers_for
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.training.job import Job, products
 from deepfsi.training.learning import train
 from deepfsi.training.loop import batch_of
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 STEPS = 6
 """Steps that a kind of training is timed with."""
@@ -74,17 +74,17 @@ def forecast(
     open_trials = [trial for trial in trials if records.read(trial) is None]
     untrained = [trial for trial in open_trials if records.design(trial) is None]
     left = list({trial.design_key: trial for trial in untrained}.values())
-    bench = Bench(data, recipe.held_out(data), device)
-    processes = workers or workers_for(bench.scenes.device)
-    todo = batches(left, bench.scenes, memory(bench.scenes.device) / processes)
+    context = SweepContext(data, recipe.held_out(data), device)
+    processes = workers or workers_for(context.scenes.device)
+    todo = batches(left, context.scenes, memory(context.scenes.device) / processes)
     kinds: dict[Any, list[Batch]] = defaultdict(list)
     for batch in todo:
-        bench.scenes.prepare(batch[0].job.drawn_from)
-        kinds[_kind(batch, bench)].append(batch)
+        context.scenes.prepare(batch[0].job.drawn_from)
+        kinds[_kind(batch, context)].append(batch)
     threads = torch.get_num_threads()
     torch.set_num_threads(max(1, threads // processes))
     try:
-        costs = [cost for members in kinds.values() for cost in _seconds(members, bench)]
+        costs = [cost for members in kinds.values() for cost in _seconds(members, context)]
     finally:
         torch.set_num_threads(threads)
     return Forecast(
@@ -92,57 +92,57 @@ def forecast(
         done=len(trials) - len(open_trials),
         batches=len(todo),
         workers=processes,
-        operations=sum(_operations(trial.job, bench) for trial in left),
+        operations=sum(_operations(trial.job, context) for trial in left),
         seconds=max(max(costs, default=0.0), sum(costs) / processes),
     )
 
 
-def _seconds(batches: Sequence[Batch], bench: Bench) -> list[float]:
+def _seconds(batches: Sequence[Batch], context: SweepContext) -> list[float]:
     """Seconds of batches of one kind, interpolated between the fewest and the most masks."""
     by_masks = {batch[0].job.masks: batch for batch in batches}
     ends = sorted({min(by_masks), max(by_masks)})
-    steps, tests = zip(*(_probe(by_masks[masks], bench) for masks in ends), strict=True)
+    steps, tests = zip(*(_probe(by_masks[masks], context) for masks in ends), strict=True)
     return [
-        _steps(batch[0].job, bench) * float(np.interp(batch[0].job.masks, ends, steps))
+        _steps(batch[0].job, context) * float(np.interp(batch[0].job.masks, ends, steps))
         + len(batch) * float(np.interp(batch[0].job.masks, ends, tests))
         for batch in batches
     ]
 
 
-def _kind(batch: Batch, bench: Bench) -> Any:
+def _kind(batch: Batch, context: SweepContext) -> Any:
     job = batch[0].job
     apart = {"photons", "sigma", "seed", "masks"}
     tests = batch[0].model_dump_json(include={"test_noise", "test_levels", "draws"})
-    kind = products(job.masks_from(), bench.scenes.device)
+    kind = products(job.masks_from(), context.scenes.device)
     return (job.model_dump_json(exclude=apart), kind, len(batch), tests)
 
 
-def _steps(job: Job, bench: Bench) -> int:
-    count = len(bench.scenes.labels)
+def _steps(job: Job, context: SweepContext) -> int:
+    count = len(context.scenes.labels)
     return job.training.epochs * (count // batch_of(job.training, count))
 
 
-def _operations(job: Job, bench: Bench) -> float:
+def _operations(job: Job, context: SweepContext) -> float:
     """Of the products with learned masks: forward and backward, with M and under PN with |M|."""
     made = job.masks_from()
     if not made.code.learned:
-        return 2.0 * bench.data.x_train.size * job.masks * 2
+        return 2.0 * context.data.x_train.size * job.masks * 2
     pair = 2 if made.noise == "ml_gauss" else 1
-    scene = int(bench.scenes.pixels(made.light).sum())
-    count = len(bench.scenes.labels)
+    scene = int(context.scenes.pixels(made.light).sum())
+    count = len(context.scenes.labels)
     return 2.0 * made.training.epochs * count * scene * made.masks * pair * 2
 
 
-def _probe(batch: Batch, bench: Bench) -> tuple[float, float]:
+def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     """Seconds of a step of this batch, and of the tests of one of its trials."""
-    count = len(bench.scenes.labels)
+    count = len(context.scenes.labels)
     size = batch_of(batch[0].job.training, count)
-    few = _first(bench.parts, STEPS * size)
+    few = _first(context.parts, STEPS * size)
     short = batch[0].job.training.model_copy(update={"epochs": 2, "batch": size})
     jobs = [trial.job.model_copy(update={"training": short}) for trial in batch]
-    scenes = Scenes(few, bench.device, dict(bench.matrices))
+    scenes = TrainingSet(few, context.device, dict(context.matrices))
     ticks: list[float] = []
-    own = bench.matrix if jobs[0].design == "custom" else None
+    own = context.matrix if jobs[0].design == "custom" else None
     designs = train(scenes, jobs, own, lambda share: ticks.append(time.perf_counter()))
     second_epochs = np.diff(ticks)[1::3]  # the control group is trained twice
     step = float(second_epochs.sum()) / (len(few.y_train) // size)
@@ -150,7 +150,7 @@ def _probe(batch: Batch, bench: Bench) -> tuple[float, float]:
     began = time.perf_counter()
     evaluate(designs[0], few, trial.job.photons, noise=trial.test_noise[0], draws=trial.draws)
     tests = len(trial.test_photons) * len(trial.test_noise) * len(trial.test_levels)
-    scale = (len(bench.data.x_test) + bench.held_out) / len(few.x_test)
+    scale = (len(context.data.x_test) + context.held_out) / len(few.x_test)
     return step, (time.perf_counter() - began) * scale * tests
 
 

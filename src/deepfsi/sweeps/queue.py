@@ -23,7 +23,7 @@ from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi.training.learning import Diverged, train
 from deepfsi.training.loop import footprint
-from deepfsi.training.training_set import Matrices, Scenes
+from deepfsi.training.training_set import Matrices, TrainingSet
 
 CROWD = 2048
 """Learned masks that a processor trains at once: with more its caches lose what batching gains."""
@@ -41,7 +41,7 @@ Done = tuple[Trial, dict[str, Any] | None, bytes | None]
 """A trial, its record and its design file; both None where it diverged."""
 
 
-class Bench:
+class SweepContext:
     """What every batch of a sweep needs; sent once to each process that works on it."""
 
     def __init__(
@@ -56,16 +56,16 @@ class Bench:
         return self.data.hold_out(self.held_out) if self.held_out else self.data
 
     @cached_property
-    def scenes(self) -> Scenes:
+    def scenes(self) -> TrainingSet:
         """What is trained on."""
-        return Scenes(self.parts, self.device, self.matrices)
+        return TrainingSet(self.parts, self.device, self.matrices)
 
     def __getstate__(self) -> dict[str, Any]:
         made_there = ("parts", "scenes")
         return {name: value for name, value in vars(self).items() if name not in made_there}
 
 
-def batches(trials: Sequence[Trial], scenes: Scenes, limit: float) -> list[Batch]:
+def batches(trials: Sequence[Trial], scenes: TrainingSet, limit: float) -> list[Batch]:
     """Trials to be trained together, the longest work first.
 
     On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share their
@@ -114,7 +114,7 @@ def effort(batch: Sequence[Trial]) -> float:
 
 def work_off(
     todo: list[Batch],
-    bench: Bench,
+    context: SweepContext,
     records: Records,
     tell: Report,
     workers: int,
@@ -127,18 +127,20 @@ def work_off(
 
     def finished_of(claimed: Iterator[Batch]) -> Generator[list[Done], None, None]:
         if ray is not None:
-            from deepfsi.sweeps.ray_cluster import spread
+            from deepfsi.sweeps.ray_cluster import run_on_ray
 
             cpus, gpus = resources.cpus, resources.gpus
-            with closing(spread(work, bench, claimed, address=ray, cpus=cpus, gpus=gpus)) as tasks:
+            with closing(
+                run_on_ray(train_batch, context, claimed, address=ray, cpus=cpus, gpus=gpus)
+            ) as tasks:
                 for _, result in tasks:
                     yield result
         elif workers > 1:
-            with closing(processes(work, bench, claimed, workers)) as results:
+            with closing(processes(train_batch, context, claimed, workers)) as results:
                 yield from results
         else:
             for batch in claimed:
-                yield work(bench, batch, inside(batch))
+                yield train_batch(context, batch, inside(batch))
 
     def inside(batch: Batch) -> Callable[[float], None]:
         return lambda share: tell((done + share * effort(batch)) / total, title_of(batch))
@@ -181,45 +183,47 @@ def _claimed(todo: Sequence[Batch], records: Records, postponed: list[Batch]) ->
             yield [trial for trial in left if trial not in finished]
 
 
-def work(bench: Bench, batch: Batch, report: Callable[[float], None] | None = None) -> list[Done]:
+def train_batch(
+    context: SweepContext, batch: Batch, report: Callable[[float], None] | None = None
+) -> list[Done]:
     """Train and test one batch.
 
     In parts where this machine would batch otherwise than the one that planned, in halves where a
     GPU's memory does not hold it whole, and one by one where a trial diverges; that one's record
     is None.
     """
-    parts = batches(batch, bench.scenes, math.inf)
+    parts = batches(batch, context.scenes, math.inf)
     if len(parts) > 1:
-        return [done for part in parts for done in work(bench, part)]
-    own = bench.matrix if batch[0].job.design == "custom" else None
+        return [done for part in parts for done in train_batch(context, part)]
+    own = context.matrix if batch[0].job.design == "custom" else None
     try:
-        designs = train(bench.scenes, [trial.job for trial in batch], own, report)
+        designs = train(context.scenes, [trial.job for trial in batch], own, report)
     except Diverged:
         if len(batch) == 1:
             return [(batch[0], None, None)]
-        return [done for trial in batch for done in work(bench, [trial])]
+        return [done for trial in batch for done in train_batch(context, [trial])]
     except torch.OutOfMemoryError:
         if len(batch) == 1:
             raise InputError(
                 f"{title_of(batch)} do not fit the memory of this GPU: use --device cpu"
             ) from None
         middle = len(batch) // 2
-        return work(bench, batch[:middle]) + work(bench, batch[middle:])
+        return train_batch(context, batch[:middle]) + train_batch(context, batch[middle:])
     pairs = zip(batch, designs, strict=True)
     return [
-        (trial, tested_record(bench, trial, design), design.to_bytes()) for trial, design in pairs
+        (trial, tested_record(context, trial, design), design.to_bytes()) for trial, design in pairs
     ]
 
 
-def tested_record(bench: Bench, trial: Trial, design: Design) -> dict[str, Any]:
+def tested_record(context: SweepContext, trial: Trial, design: Design) -> dict[str, Any]:
     """Record of a trial whose design is tested now."""
     return {
         "schema": SCHEMA,
         "key": trial.key,
         "design": trial.design_key,
         "trial": trial.model_dump(mode="json"),
-        "validation": _tested(trial, design, bench.parts) if bench.held_out else [],
-        "test": _tested(trial, design, bench.data),
+        "validation": _tested(trial, design, context.parts) if context.held_out else [],
+        "test": _tested(trial, design, context.data),
         "info": design.info,
     }
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from deepfsi.errors import InputError
 
-__all__ = ["spread"]
+__all__ = ["run_on_ray"]
 
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")
@@ -25,7 +25,7 @@ REACH = 5.0
 """Seconds in which a cluster must answer. Ray itself tries for minutes."""
 
 
-def spread(
+def run_on_ray(
     work: Callable[[Shared, Task], Result],
     shared: Shared,
     tasks: Iterable[Task],

@@ -16,7 +16,7 @@ from deepfsi.optics import codes
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.noise import Noise
-from deepfsi.training.job import Training, TrainingNoise, reworded, training_for
+from deepfsi.training.job import TrainingNoise, TrainingSettings, as_input_error, training_for
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""
@@ -40,7 +40,7 @@ def _axis(value: Any) -> Any:
 
 
 def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """Fields of `Training`, each an axis, all of whose values are allowed."""
+    """Fields of `TrainingSettings`, each an axis, all of whose values are allowed."""
     axes = {}
     for name, value in given.items():
         one = not isinstance(value, (list, tuple)) or (
@@ -53,8 +53,8 @@ def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
             faults.append(f"{name} is empty: give one value or more")
         for value in values:
             try:
-                with reworded():
-                    Training.model_validate({name: value})
+                with as_input_error():
+                    TrainingSettings.model_validate({name: value})
             except InputError as error:
                 faults.append(str(error))
     if faults:
@@ -142,7 +142,7 @@ class Recipe(BaseModel):
         description="steps from dark to a frame's peak of the masks shown in the tests, one less "
         "than the grey levels that `training.levels` counts; 0 for continuous",
     )
-    training: Axes = Field({}, description="fields of Training, for every design")
+    training: Axes = Field({}, description="fields of TrainingSettings, for every design")
     tuned: Annotated[dict[str, dict[str, Any]], AfterValidator(_tuned)] = Field(
         {}, description="the same for single designs"
     )
@@ -154,7 +154,7 @@ class Recipe(BaseModel):
             raise ValueError("give ratios or masks, not both")
         return self
 
-    def trainings(self, design: str) -> Iterator[tuple[str, Training]]:
+    def trainings(self, design: str) -> Iterator[tuple[str, TrainingSettings]]:
         """Every setting of the training of a design, with a name where there are several."""
         axes = {**self.training, **self.tuned.get(design, {})}
         if not (codes.DESIGNS[design].learned or design == "control"):

@@ -14,8 +14,8 @@ import numpy as np
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps.queue import (
-    Bench,
     Report,
+    SweepContext,
     batches,
     memory,
     tested_record,
@@ -70,24 +70,24 @@ def run(
     """
     tell = report or (lambda share, what: None)
     records = Records(folder)
-    bench = Bench(data, trials[0].validation, device, matrix)
+    context = SweepContext(data, trials[0].validation, device, matrix)
     failed: set[str] = set()
     before = 0
     while missing := [t for t in trials if t.key not in failed and records.read(t) is None]:
         if len(missing) == before:
             time.sleep(1)  # another process tests them
         before = len(missing)
-        untrained = _without_training(missing, bench, records, tell)
+        untrained = _without_training(missing, context, records, tell)
         if not untrained:
             continue
         first_of_each = list({trial.design_key: trial for trial in untrained}.values())
-        processors = workers or workers_for(bench.scenes.device)
-        todo = batches(first_of_each, bench.scenes, memory(bench.scenes.device) / processors)
+        processors = workers or workers_for(context.scenes.device)
+        todo = batches(first_of_each, context.scenes, memory(context.scenes.device) / processors)
         count = min(processors, len(todo))
         if ray is not None or count > 1:
             for trial in first_of_each:
-                bench.scenes.prepare(trial.job.drawn_from)
-        lost = work_off(todo, bench, records, tell, count, ray, resources or Resources())
+                context.scenes.prepare(trial.job.drawn_from)
+        lost = work_off(todo, context, records, tell, count, ray, resources or Resources())
         failed |= {t.key for t in trials for each in lost if t.design_key == each.design_key}
         tell(1.0, "done")
     if failed:
@@ -101,7 +101,7 @@ def run(
 
 
 def _without_training(
-    trials: Sequence[Trial], bench: Bench, records: Records, tell: Report
+    trials: Sequence[Trial], context: SweepContext, records: Records, tell: Report
 ) -> list[Trial]:
     """Test the designs that are there already, from other tests; return the other trials."""
     left = []
@@ -111,7 +111,7 @@ def _without_training(
             left.append(trial)
             continue
         tell(0.0, f"testing {trial.job.design} again")
-        record = tested_record(bench, trial, design.to(bench.scenes.device))
+        record = tested_record(context, trial, design.to(context.scenes.device))
         records.write(trial, record, None)
     return left
 

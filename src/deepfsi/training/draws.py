@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.optics.noise import follow, poisson, root, variance
+from deepfsi.optics.noise import attach_gradient, poisson, root, variance
 from deepfsi.training.job import Job
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 
 class SeedStream:
@@ -18,7 +18,7 @@ class SeedStream:
     with_mean: Tensor
 
     def __init__(
-        self, scenes: Scenes, jobs: Sequence[Job], places: list[int], steps: int, batch: int
+        self, scenes: TrainingSet, jobs: Sequence[Job], places: list[int], steps: int, batch: int
     ) -> None:
         self.jobs = slice(places[0], places[-1] + 1)
         self.noise = FeatureNoise(scenes, jobs[self.jobs])
@@ -63,7 +63,7 @@ class SeedStream:
 class FeatureNoise:
     """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts."""
 
-    def __init__(self, scenes: Scenes, jobs: Sequence[Job]) -> None:
+    def __init__(self, scenes: TrainingSet, jobs: Sequence[Job]) -> None:
         self.kind = jobs[0].noise
         gain = [[job.photons / scenes.light] for job in jobs]
         self.gain = torch.tensor(gain, device=scenes.device)
@@ -80,7 +80,7 @@ class FeatureNoise:
             rates = torch.stack([light + mean, light - mean]).mul(self.gain / 2).clamp(min=0)
             drawn = zip(rates.unbind(dim=2), self.generators, strict=True)
             plus, minus = torch.stack([poisson(*each) for each in drawn], dim=2)
-        return follow((plus - minus) / self.gain, mean, light)
+        return attach_gradient((plus - minus) / self.gain, mean, light)
 
     def deviation(self, light: Tensor, shown: Tensor) -> Tensor:
         """Standard deviation where the rails together see `light` = x S, (..., R, m)."""

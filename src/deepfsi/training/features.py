@@ -9,27 +9,27 @@ from torch.nn import functional
 
 from deepfsi.design.adaptive import expose
 from deepfsi.design.classifiers import Replicas
-from deepfsi.design.conditioning import Told, chances, first
+from deepfsi.design.conditioning import Conditioning, chances, first
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import lit, measure, project, project_pair
 from deepfsi.training.draws import FeatureNoise, SeedStream, side_by_side
 from deepfsi.training.job import Job, products
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 CHUNK = 4096
 """Scenes that are multiplied at once outside the steps."""
 
 
 def statistics(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, means: Tensor | None = None
+    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, means: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Mean and spread of the features over the training set and its noise, and mean x S.
 
     Parameters
     ----------
-    scenes : Scenes
+    scenes : TrainingSet
     jobs : sequence of Job
     masks : Fixed or Learned
     means : tensor, shape (n, R or 1, m), optional
@@ -38,7 +38,7 @@ def statistics(
     Returns
     -------
     tuple of tensor
-        Each (R, m), for scenes of unit reflectance: to be divided by `Scenes.light`.
+        Each (R, m), for scenes of unit reflectance: to be divided by `TrainingSet.light`.
     """
     difference, total = masks()
     centre, light = (project(scenes.full.mean(dim=0), rails) for rails in (difference, total))
@@ -80,7 +80,7 @@ def _exposures(job: Job, rails: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def step_features(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
+    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
 ) -> Callable[[Sequence["SeedStream"], int], Tensor]:
     """How a step gets the inputs of classifiers: features (B, R, m), and what is told."""
     job = jobs[0]
@@ -142,7 +142,7 @@ def step_features(
 
 
 def _told(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned
+    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned
 ) -> Callable[[Sequence["SeedStream"], int], Tensor]:
     """Features of scenes that each have a budget and a number of masks of their own.
 
@@ -152,7 +152,7 @@ def _told(
     job, how = jobs[0], jobs[0].training
     light, _ = job.optics
     x = _centred(scenes, job, masks)
-    told = Told(job.photons, how.span, job.masks)
+    told = Conditioning(job.photons, how.span, job.masks)
     likely = chances(job.masks, how.nested).to(scenes.device)
     brightened = how.nested > 0 and isinstance(masks, Learned)  # at the end, see `brighten`
 
@@ -183,14 +183,14 @@ def _told(
     return features
 
 
-def _centred(scenes: Scenes, job: Job, masks: Fixed | Learned) -> Tensor:
-    """`Scenes.centred` with the pixels that masks may light; fixed ones see every pixel."""
+def _centred(scenes: TrainingSet, job: Job, masks: Fixed | Learned) -> Tensor:
+    """`TrainingSet.centred` with the pixels that masks may light; fixed ones see every pixel."""
     seen_by = job.optics[0] if isinstance(masks, Learned) else "two-arm"
     return scenes.centred(seen_by, products(job, scenes.device))
 
 
 def _chosen(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
+    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
 ) -> Callable[[Sequence["SeedStream"], int], Tensor]:
     """Features and dwells (K · B, R, 2 m) after each of K looks, with masks of equal dwells."""
     job = jobs[0]
@@ -230,7 +230,7 @@ def _chosen(
 
 
 def _measured(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed
+    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed
 ) -> Callable[[Sequence["SeedStream"], int], Tensor]:
     difference, total = masks()
     shown = lit(difference, total)

@@ -54,7 +54,7 @@ def _levels(count: int) -> int:
 Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 
 
-class Training(BaseModel):
+class TrainingSettings(BaseModel):
     """How a design is trained; all that do so together share one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -111,7 +111,7 @@ class Training(BaseModel):
 
 
 LATER = {"levels": 0, "span": 1.0, "nested": 0, "looks": 1}
-"""Fields of `Training` that came after the first records, with the value of no effect."""
+"""Fields of `TrainingSettings` that came after the first records, with the value of no effect."""
 
 
 TUNED: dict[str, dict[str, Any]] = {
@@ -120,7 +120,7 @@ TUNED: dict[str, dict[str, Any]] = {
     "raster": {"lr": 5e-3, "scale": "each"},
     "hadamard": {"lr": 5e-3, "scale": "each"},
 }
-"""Where a design does better with other settings than the defaults of `Training`.
+"""Where a design does better with other settings than the defaults of `TrainingSettings`.
 
 Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, each design from
 the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
@@ -128,14 +128,14 @@ readouts at one setting at most). Designs not named here, but for learned ones a
 """
 
 
-def training_for(design: str, **settings: Any) -> Training:
+def training_for(design: str, **settings: Any) -> TrainingSettings:
     """How a design is trained: the defaults, what suits the design, then `settings`.
 
     Masks of several looks start from `class-pairs` (0.866 on MNIST's validation images at 1e4
     photons, 64 masks and 4 looks; 0.845 from principal components).
     """
     looking = {"start": "class-pairs"} if settings.get("looks", 1) != 1 else {}
-    return Training(**{**TUNED.get(design, {}), **looking, **settings})
+    return TrainingSettings(**{**TUNED.get(design, {}), **looking, **settings})
 
 
 TrainingNoise = Literal["ml_gauss", "poisson", "gaussian", "none"]
@@ -154,7 +154,7 @@ class Job(BaseModel):
     light: Light = "column"
     rails: Rails = "dual"
     seed: int = Field(0, ge=0, lt=2**32)
-    training: Training = Training()
+    training: TrainingSettings = TrainingSettings()
 
     @property
     def code(self) -> codes.Code:
@@ -268,7 +268,7 @@ def _check_looks(job: Job) -> None:
 
 
 @contextmanager
-def reworded() -> Iterator[None]:
+def as_input_error() -> Iterator[None]:
     """Turn pydantic's errors into one `InputError` that names every bad field."""
     try:
         yield

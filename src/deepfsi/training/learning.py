@@ -10,14 +10,14 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design, provenance
-from deepfsi.design.conditioning import Told
+from deepfsi.design.conditioning import Conditioning
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.training.features import CHUNK, statistics
-from deepfsi.training.job import Job, Training, check_job, reworded, training_for
+from deepfsi.training.job import Job, TrainingSettings, as_input_error, check_job, training_for
 from deepfsi.training.loop import Progress, optimise
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.training_set import TrainingSet
 
 
 class Diverged(InputError):
@@ -50,8 +50,8 @@ def learn(
         Called with the share of the work that is done.
     **settings
         Further fields of `Job` (`design`, `noise`, `sigma`, `light`, `rails`, `seed`) and of
-        `Training` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`, `decay`,
-        `start`, `precision`, `levels`, `span`, `nested`, `looks`).
+        `TrainingSettings` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`,
+        `decay`, `start`, `precision`, `levels`, `span`, `nested`, `looks`).
 
     Returns
     -------
@@ -62,15 +62,17 @@ def learn(
     InputError
         For any setting that is not allowed.
     """
-    inner = {key: settings.pop(key) for key in list(settings) if key in Training.model_fields}
-    with reworded():
+    inner = {
+        key: settings.pop(key) for key in list(settings) if key in TrainingSettings.model_fields
+    }
+    with as_input_error():
         how = training_for(settings.get("design", "deepfsi"), **inner)
         job = Job(photons=photons, masks=masks, training=how, **settings)
-    return train(Scenes(data, device), [job], matrix=matrix, progress=progress)[0]
+    return train(TrainingSet(data, device), [job], matrix=matrix, progress=progress)[0]
 
 
 def train(
-    scenes: Scenes,
+    scenes: TrainingSet,
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
     progress: Progress | None = None,
@@ -79,7 +81,7 @@ def train(
 
     Parameters
     ----------
-    scenes : Scenes
+    scenes : TrainingSet
     jobs : sequence of Job
         R jobs that agree in `Job.companions`, those of one seed one after another.
     matrix : array, shape (m, N), optional
@@ -138,11 +140,13 @@ def train(
             centre=centre[r] / scenes.light,
             spread=spread[r] / scenes.light,
             shares=light[r] / scenes.light,
-            mean_light=scenes.light,
+            summed_reflectance=scenes.light,
             light=constraint,
             image_shape=scenes.data.image_shape,
             classes=scenes.data.classes,
-            told=Told(job.photons, job.training.span, job.masks) if job.training.told else None,
+            told=Conditioning(job.photons, job.training.span, job.masks)
+            if job.training.told
+            else None,
             schedule=schedules[r] if schedules else None,
             info=provenance(job, scenes.data, scenes.device, seconds / len(jobs)),
         )
@@ -154,7 +158,7 @@ def train(
     return designs
 
 
-def _shares(design: Design, scenes: Scenes, job: Job) -> Tensor:
+def _shares(design: Design, scenes: TrainingSet, job: Job) -> Tensor:
     """Share of the budget (m,) that each mask counts, in the mean over training scenes."""
     scanner = design.scanner()
     generator = torch.Generator(scenes.device).manual_seed(job.seed)
@@ -167,7 +171,7 @@ def _shares(design: Design, scenes: Scenes, job: Job) -> Tensor:
     return shares / len(scenes.full)
 
 
-def _masks(scenes: Scenes, jobs: Sequence[Job], matrix: np.ndarray | None) -> Fixed | Learned:
+def _masks(scenes: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None) -> Fixed | Learned:
     job = jobs[0]
     light, rails = job.optics
     name = job.drawn_from
@@ -221,7 +225,7 @@ def brighten(masks: Fixed, light: constraints.Light) -> Fixed:
     return Fixed(rails / used[..., None, None])
 
 
-def _frames(scenes: Scenes, name: str, count: int, seed: int) -> Tensor:
+def _frames(scenes: TrainingSet, name: str, count: int, seed: int) -> Tensor:
     """The first `count` lit rails of a design, mask by mask; the masks are as many as needed."""
     least, most = codes.count_allowed(name, scenes.data)
     for masks in range(min(max(-(-count // 2), least), most), most + 1):

@@ -18,13 +18,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.design.adaptive import Schedule
+from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.training.draws import SeedStream, side_by_side
 from deepfsi.training.features import step_features
-from deepfsi.training.job import Job, Training
-from deepfsi.training.training_set import Scenes
+from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.training_set import TrainingSet
 
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, 0 to 1."""
@@ -49,13 +49,13 @@ GRAIN = 2**15
 
 
 def optimise(
-    scenes: Scenes, jobs: Sequence[Job], masks: Fixed | Learned, report: Progress
-) -> tuple[list[Mlp], list[Schedule]]:
+    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, report: Progress
+) -> tuple[list[Mlp], list[AdaptiveDwells]]:
     """Train the classifiers of jobs, and the masks where they learn; masks are changed in place.
 
     Parameters
     ----------
-    scenes : Scenes
+    scenes : TrainingSet
     jobs : sequence of Job
         R jobs that agree in `Job.companions`, those of one seed one after another.
     masks : Fixed or Learned
@@ -66,7 +66,7 @@ def optimise(
     Returns
     -------
     classifiers : list of Mlp
-    schedules : list of Schedule
+    schedules : list of AdaptiveDwells
         Of jobs of several looks; else none.
     """
     job, how, device = jobs[0], jobs[0].training, scenes.device
@@ -117,7 +117,7 @@ def optimise(
     for network in [*classifiers, *choosers]:
         network.generator = None
         network.eval()
-    return classifiers, [Schedule(chooser, how.looks) for chooser in choosers]
+    return classifiers, [AdaptiveDwells(chooser, how.looks) for chooser in choosers]
 
 
 def _loss(logits: Tensor, labels: Tensor) -> Tensor:
@@ -131,17 +131,17 @@ def _loss(logits: Tensor, labels: Tensor) -> Tensor:
     return last + EARLY / len(early) * sum(early)
 
 
-def batch_of(how: Training, count: int) -> int:
+def batch_of(how: TrainingSettings, count: int) -> int:
     """Scenes of one step, of `count` in all."""
     return min(how.batch or min(max(count // 100, 32), 500), count)
 
 
-def footprint(scenes: Scenes, jobs: Sequence[Job]) -> float:
+def footprint(scenes: TrainingSet, jobs: Sequence[Job]) -> float:
     """Bytes that training jobs together takes at most, the scenes included, by the tensors alive.
 
     Parameters
     ----------
-    scenes : Scenes
+    scenes : TrainingSet
     jobs : sequence of Job
         As for `optimise`.
     """

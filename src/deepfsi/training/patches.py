@@ -29,7 +29,7 @@ from deepfsi.design.artifact_file import damaged, kind_of, pack, read_design, we
 from deepfsi.design.classifiers import Vit
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
-from deepfsi.optics.budget import BUDGETS, mean_light
+from deepfsi.optics.budget import BUDGETS, summed_reflectance
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.noise import variance
 from deepfsi.optics.scanner import Scanner, lit, project
@@ -117,7 +117,7 @@ class PatchDesign(Design):
         """Number of pixels of an image."""
         return math.prod(self.image_shape)
 
-    def seen(self, scenes: Tensor) -> Tensor:
+    def as_patches(self, scenes: Tensor) -> Tensor:
         """Patches (..., P, N) of images (..., H · W), as the masks see them."""
         return cut(scenes, (self.image_shape[0], self.image_shape[1]), self.patch)
 
@@ -159,7 +159,7 @@ class PatchDesign(Design):
                 centre=parts["centre"],
                 spread=parts["spread"],
                 shares=parts["shares"],
-                mean_light=header["mean_light"],
+                summed_reflectance=header["summed_reflectance"],
                 light=header["light"],
                 image_shape=tuple(header["image_shape"]),
                 classes=tuple(header["classes"]),
@@ -194,7 +194,7 @@ class Patches:
             raise InputError(f"{data.name} holds no images: patches need two sides")
         self.data, self.side = data, side
         self.device = find_device(device)
-        self.light = mean_light(data.x_train)
+        self.light = summed_reflectance(data.x_train)
         self.labels = torch.from_numpy(data.y_train).to(self.device)
         images = torch.from_numpy(data.x_train)
         self.x = cut(images, (data.image_shape[0], data.image_shape[1]), side).to(self.device)
@@ -326,7 +326,7 @@ def train(
         centre=centre / patches.light,
         spread=spread / patches.light,
         shares=shares * tokens / patches.light,
-        mean_light=patches.light,
+        summed_reflectance=patches.light,
         light="column",
         image_shape=patches.data.image_shape,
         classes=patches.data.classes,

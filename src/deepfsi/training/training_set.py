@@ -9,13 +9,13 @@ from torch import Tensor
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.optics import codes
-from deepfsi.optics.budget import mean_light
+from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.constraints import Light
 
 Matrices = dict[tuple[str, int, int], np.ndarray]
 
 
-class Scenes:
+class TrainingSet:
     """A data set on a device, with what several trainings on it share.
 
     Parameters
@@ -24,7 +24,7 @@ class Scenes:
     device : str
         "auto" (a GPU if there is one), "cpu" or "cuda".
     matrices : dict, optional
-        Sensing matrices that another `Scenes` of the same data has made, to be shared.
+        Sensing matrices that another `TrainingSet` of the same data has made, to be shared.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class Scenes:
     ) -> None:
         self.data = data
         self.device = find_device(device)
-        self.light = mean_light(data.x_train)
+        self.light = summed_reflectance(data.x_train)
         labels = np.require(data.y_train, requirements="W")
         self.labels = torch.from_numpy(labels).to(self.device)
         x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only

@@ -314,7 +314,7 @@ def patterns_of(frames, on, rails):
         rails=rails,
         light="two-arm" if frames[0][1] == "both" else "equal-dwell",
         dimmed=1,
-        mean_light=1,
+        summed_reflectance=1,
         selection="ordered",
         format="npy",
         frames=tuple(
@@ -459,7 +459,7 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     )
     raster = np.eye(256)[None] / 256
     export_patterns(
-        raster, "equal-dwell", shape, device, 4e-3, tmp_path / "patterns", mean_light=150.0
+        raster, "equal-dwell", shape, device, 4e-3, tmp_path / "patterns", summed_reflectance=150.0
     )
     spots = cal.spot_scenes((32, 32), (3, 3), 4)
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])

@@ -158,7 +158,9 @@ def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE):
         rails /= masks
     else:
         rails /= rails.max(axis=2).sum()
-    export_patterns(rails, light, (4, 8), device, 1e-3, folder, mean_light=10.0, format=format)
+    export_patterns(
+        rails, light, (4, 8), device, 1e-3, folder, summed_reflectance=10.0, format=format
+    )
     return folder
 
 
@@ -280,7 +282,13 @@ def test_what_the_device_cannot_show_is_refused(library, tmp_path):
     folder = patterns(tmp_path / "patterns")
     other = patterns(tmp_path / "other", device=Device(name="other", columns=72, rows=24))
     slow = export_patterns(
-        np.ones((1, 1, 32)), "equal-dwell", (4, 8), DEVICE, 20.0, tmp_path / "slow", mean_light=10.0
+        np.ones((1, 1, 32)),
+        "equal-dwell",
+        (4, 8),
+        DEVICE,
+        20.0,
+        tmp_path / "slow",
+        summed_reflectance=10.0,
     )
     assert slow.manifest.frames[0].picture_us == 20_000_000
     with vialux.VialuxProjector() as projector:

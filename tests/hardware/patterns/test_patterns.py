@@ -58,7 +58,13 @@ def grey(masks: int = 5, pixels: int = 16, rails: int = 2, seed: int = 0) -> np.
 
 
 def export(folder: Path, rails: np.ndarray | None = None, light="free-dwell", **changes):
-    given = {"image_shape": (4, 4), "device": SMALL, "dwell_s": 1e-3, "mean_light": 3.0, **changes}
+    given = {
+        "image_shape": (4, 4),
+        "device": SMALL,
+        "dwell_s": 1e-3,
+        "summed_reflectance": 3.0,
+        **changes,
+    }
     return export_patterns(grey() if rails is None else rails, light, folder=folder, **given)
 
 
@@ -655,7 +661,7 @@ def test_a_short_share_costs_time(tmp_path):
         ({"dwell_s": 0}, "dwell 0 is not allowed"),
         ({"dwell_s": math.inf}, "dwell inf"),
         ({"dwell_s": 999, "rails": UNEQUAL}, "longest picture takes"),
-        ({"mean_light": 0}, "mean light 0"),
+        ({"summed_reflectance": 0}, "mean light 0"),
         ({"selection": "order"}, "did you mean 'ordered'"),
         ({"selection": "random", "seed": -1}, "seed -1"),
         ({"format": "bin"}, "Known: npy, raw, png"),

@@ -61,7 +61,7 @@ def schedule(pictures: list[int], sentinel: int = 1000) -> Manifest:
         rails=1,
         light="free-dwell",
         dimmed=1,
-        mean_light=1,
+        summed_reflectance=1,
         selection="ordered",
         format="npy",
         frames=(*ends, *masks, *ends),
@@ -362,7 +362,7 @@ def patterns_of(folder: Path, light: str = "equal-dwell", **settings) -> Pattern
         rails = rng.random((2, 6, 6))
         rails[0, 0], rails[1, 0] = 1.0, 0.0
         rails /= 11 * np.where(rails.any(axis=2), rails.max(axis=2), 1)[..., None]
-    given = {"mean_light": 2.0, "design": b"not read", **settings}
+    given = {"summed_reflectance": 2.0, "design": b"not read", **settings}
     return export_patterns(rails, light, SHAPE, DEVICE, DWELL, folder, **given)
 
 
@@ -567,7 +567,7 @@ def test_a_picture_is_the_scene(tmp_path, light):
     elif light == "free-dwell":
         rails = np.eye(6)[None] / 6
     patterns = export_patterns(
-        rails, light, SHAPE, DEVICE, DWELL, tmp_path / "patterns", mean_light=2.0
+        rails, light, SHAPE, DEVICE, DWELL, tmp_path / "patterns", summed_reflectance=2.0
     )
     arms = 2 if light == "two-arm" else 1
     flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)

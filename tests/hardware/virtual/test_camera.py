@@ -49,7 +49,9 @@ def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", mask
     wild = np.random.default_rng(3).random((masks, CELLS)) - (0.5 if rails == "dual" else 0)
     wild[1] = abs(wild[1])
     fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
-    return export_patterns(fitted, light, SHAPE, DEVICE, dwell, folder, mean_light=MEAN_LIGHT)
+    return export_patterns(
+        fitted, light, SHAPE, DEVICE, dwell, folder, summed_reflectance=MEAN_LIGHT
+    )
 
 
 def scanner_rates(shown: Patterns, x: np.ndarray, photons: float) -> np.ndarray:
@@ -211,7 +213,7 @@ def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
 def test_spectra_are_shown_too(tmp_path):
     masks = np.random.default_rng(0).random((1, 3, 6)) / 3
     shown = export_patterns(
-        masks, "equal-dwell", (6,), DEVICE, 1e-3, tmp_path / "p", mean_light=2.0
+        masks, "equal-dwell", (6,), DEVICE, 1e-3, tmp_path / "p", summed_reflectance=2.0
     )
     x = np.random.default_rng(1).random((4, 6))
     flow = rates(tmp_path / "p", x, IDEAL, 1e5)[:, shown.manifest.shown, 0]

@@ -169,7 +169,7 @@ def calibrate() -> calibration.Calibration:
             DEVICE,
             1.1 * exposure / rails.shape[1],
             Path(folder) / "raster",
-            mean_light=float(grid.down * grid.across),
+            summed_reflectance=float(grid.down * grid.across),
         )
         flow = rates(Path(folder) / "raster", scenes, LAB, FLUX)
     rng = np.random.default_rng(1)
@@ -246,7 +246,7 @@ def _export(design: Design, repeats: int, folder: Path) -> Patterns:
         DEVICE,
         1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6,
         folder,
-        mean_light=design.mean_light,
+        summed_reflectance=design.summed_reflectance,
     )
 
 

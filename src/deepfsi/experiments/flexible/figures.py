@@ -134,7 +134,7 @@ def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
     left.set_ylabel("accuracy")
     for each in stopped:
         for trial in each.trials:
-            after = np.array(trial["policy"]["after"])
+            after = np.array(trial["rule"]["after"])
             going = 1 - np.cumsum(trial["stops"])
             middle.step(after / after[-1], going, where="post", **LOOKS[each.look])
         accepted = [point["accepted"] for point in each.trials[0]["rejection"]]

@@ -193,7 +193,7 @@ def _class_map(design: Design, scene: SpectralImage, bands: int, photons: float)
     spectra = torch.from_numpy(scene.scenes(bands)[known.ravel()])
     scanner = design.scanner("poisson")
     with torch.no_grad():
-        rates = scanner.rates(spectra / design.mean_light) * photons
+        rates = scanner.rates(spectra / design.summed_reflectance) * photons
         counts = scanner.read(rates, torch.Generator().manual_seed(0))
         guess = design.logits(subtract(counts), photons).argmax(dim=-1)
     seen = np.zeros(known.shape, int)

@@ -83,7 +83,7 @@ def export_patterns(
     dwell_s: float,
     folder: str | os.PathLike[str],
     *,
-    mean_light: float,
+    summed_reflectance: float,
     selection: Selection = "ordered",
     seed: int = 0,
     format: Format = "npy",
@@ -108,7 +108,7 @@ def export_patterns(
         microseconds and to the device's shortest.
     folder : path
         New or empty. It appears when it is whole.
-    mean_light : float
+    summed_reflectance : float
         s, mean summed reflectance of the training scenes.
     selection : {"ordered", "random"}
     seed : int
@@ -133,7 +133,7 @@ def export_patterns(
     target = Path(folder)
     grid = find_grid(device, image_shape)
     rails = _check_rails(rails, light, image_shape)
-    _check_settings(target, dwell_s, mean_light, selection, seed, format)
+    _check_settings(target, dwell_s, summed_reflectance, selection, seed, format)
     shown, peaks, on = count_mirrors(rails, light, grid.mirrors)
     if not shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
@@ -164,7 +164,7 @@ def export_patterns(
             rails=2 if len(rails) == 2 else 1,
             light=light,
             dimmed=dimmed,
-            mean_light=float(mean_light),
+            summed_reflectance=float(summed_reflectance),
             selection=selection,
             seed=seed,
             format=format,
@@ -722,14 +722,14 @@ def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) ->
 
 
 def _check_settings(
-    target: Path, dwell_s: float, mean_light: float, selection: str, seed: int, format: str
+    target: Path, dwell_s: float, summed_reflectance: float, selection: str, seed: int, format: str
 ) -> None:
     if not (math.isfinite(dwell_s) and 0 < dwell_s <= LONGEST_S):
         raise InputError(
             f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to {LONGEST_S:g}"
         )
-    if not (math.isfinite(mean_light) and mean_light > 0):
-        raise InputError(f"mean light {mean_light!r} is not allowed: give a number above 0")
+    if not (math.isfinite(summed_reflectance) and summed_reflectance > 0):
+        raise InputError(f"mean light {summed_reflectance!r} is not allowed: give a number above 0")
     if selection not in ("ordered", "random"):
         raise InputError(
             f"unknown selection {selection!r}: {closest(selection, ('ordered', 'random'))}"

@@ -178,7 +178,7 @@ class Manifest(BaseModel):
     dimmed : float
         Realised matrix over designed one. Below 1 where one device cannot realise the design
         (`column`): each exposure then gives this share of its counts.
-    mean_light : float
+    summed_reflectance : float
         s, the training scenes' mean summed reflectance.
     selection : {"ordered", "random"}
         How the mirrors of a cell are chosen.
@@ -203,7 +203,7 @@ class Manifest(BaseModel):
     rails: Literal[1, 2]
     light: str
     dimmed: float = Field(gt=0, le=1)
-    mean_light: float = Field(gt=0, allow_inf_nan=False)
+    summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
     selection: Literal["ordered", "random"]
     seed: int = 0
     format: Literal["npy", "png", "raw"]

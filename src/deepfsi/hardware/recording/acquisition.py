@@ -715,7 +715,7 @@ def picture(folder: str | os.PathLike[str]) -> np.ndarray:
     read = counts.lengths_s > 0
     found = lstsq(patterns.rails[read], mean[:, read].T, cond=WEAKEST)[0].T
     out = np.full((len(valid), found.shape[1]), np.nan)
-    out[valid] = found * (patterns.manifest.mean_light / budget)
+    out[valid] = found * (patterns.manifest.summed_reflectance / budget)
     return out.reshape(len(valid), *patterns.manifest.image_shape)
 
 

@@ -217,7 +217,7 @@ def rates(
             for arm in range(arms):
                 seen = on if arm == 0 else 1 - on
                 area = seen.reshape(-1, device.rows, device.columns)[:, *_area(manifest.grid)]
-                signal = (seen @ light.T).astype(np.float64) * (flux / manifest.mean_light)
+                signal = (seen @ light.T).astype(np.float64) * (flux / manifest.summed_reflectance)
                 photons = signal + area.sum(axis=(1, 2))[:, None] * stray
                 out[first : first + len(part), place : place + len(on), arm] = photons.T
             if progress is not None:
