@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
-__all__ = ["InputError", "closest"]
+__all__ = ["InputError", "as_input_error", "closest"]
 
 
 class InputError(ValueError):
@@ -41,3 +42,40 @@ def closest(name: str, allowed: Iterable[str]) -> str:
     matches = get_close_matches(name.lower(), by_lower_case, n=1)
     guess = f"did you mean '{by_lower_case[matches[0]]}'? " if matches else ""
     return f"{guess}Known: {', '.join(allowed)}"
+
+
+@contextmanager
+def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
+    """Turn pydantic's errors into one `InputError`.
+
+    Parameters
+    ----------
+    file : str
+        File whose content is validated. Its first bad field is then named; without a file every
+        bad field, with what was given.
+    advice : str
+        What to do about the file.
+
+    Raises
+    ------
+    InputError
+        In place of a `pydantic.ValidationError`.
+    """
+    from pydantic import ValidationError
+
+    try:
+        yield
+    except ValidationError as error:
+        places = [".".join(map(str, fault["loc"])) for fault in error.errors()]
+        words = [
+            f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
+            for fault in error.errors()
+        ]
+        if file:
+            at, end = places[0] and f" at {places[0]}", advice and f"; {advice}"
+            raise InputError(f"{file} cannot be used{at}: {words[0]}{end}") from None
+        given = [
+            f"{place} = {fault['input']!r}: " if place else ""
+            for place, fault in zip(places, error.errors(), strict=True)
+        ]
+        raise InputError("; ".join(map("".join, zip(given, words, strict=True)))) from None

@@ -17,7 +17,7 @@ from deepfsi.cli.common import (
     read_toml,
     size_of,
 )
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.sequence import Patterns
@@ -403,7 +403,6 @@ def seconds(option: str, text: str) -> float:
 def _camera(text: str) -> "Camera":
     from deepfsi.errors import closest
     from deepfsi.hardware.virtual.camera import CAMERAS, Camera
-    from deepfsi.training.job import as_input_error
 
     if text in CAMERAS:
         return CAMERAS[text]

@@ -26,7 +26,7 @@ from deepfsi.cli.common import (
     size_of,
     words,
 )
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 
 
 def export(
@@ -99,7 +99,6 @@ def plan(
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.training.job import as_input_error
 
     if masks is not None and ratios is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")

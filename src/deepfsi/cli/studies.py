@@ -28,7 +28,7 @@ from deepfsi.cli.common import (
     size_of,
     words,
 )
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     import numpy as np
@@ -102,7 +102,6 @@ def compare(
         settings.pop("masks", None)
     if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
         settings["training"] = {**settings["training"], "epochs": epochs}
-    from deepfsi.training.job import as_input_error
 
     with as_input_error():
         chosen = Recipe.model_validate(settings)
@@ -134,7 +133,6 @@ def sweep(
     """
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.records import check_table
-    from deepfsi.training.job import as_input_error
 
     if table is not None:
         check_table(table)

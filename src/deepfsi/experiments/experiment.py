@@ -13,14 +13,13 @@ import polars
 from pydantic import BaseModel
 
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.report.study_page import Claim, Picture, Section, Table
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
-from deepfsi.training.job import as_input_error
 
 Results = Mapping[str, Any]
 Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]

@@ -1,7 +1,5 @@
 """What is to be trained: one design with its light, noise and settings, checked before any work."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,7 +10,6 @@ from pydantic import (
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
-    ValidationError,
     model_serializer,
 )
 
@@ -265,17 +262,3 @@ def _check_looks(job: Job) -> None:
             "several looks are for one budget under photon noise: leave a range of budgets, "
             "--nested and gaussian noise out"
         )
-
-
-@contextmanager
-def as_input_error() -> Iterator[None]:
-    """Turn pydantic's errors into one `InputError` that names every bad field."""
-    try:
-        yield
-    except ValidationError as error:
-        faults = [
-            (f"{'.'.join(map(str, fault['loc']))} = {fault['input']!r}: " if fault["loc"] else "")
-            + f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
-            for fault in error.errors()
-        ]
-        raise InputError("; ".join(faults)) from None

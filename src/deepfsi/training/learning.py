@@ -11,11 +11,11 @@ from torch import Tensor
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design, provenance
 from deepfsi.design.conditioning import Conditioning
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.training.features import CHUNK, statistics
-from deepfsi.training.job import Job, TrainingSettings, as_input_error, check_job, training_for
+from deepfsi.training.job import Job, TrainingSettings, check_job, training_for
 from deepfsi.training.loop import Progress, optimise
 from deepfsi.training.training_set import TrainingSet
 

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy import ndimage, optimize, sparse
 from skimage import measure, transform
 
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.hardware.patterns.sequence import Grid, Patterns
 from deepfsi.hardware.recording.acquisition import Counts
@@ -695,16 +695,11 @@ def load_calibration(folder: Path) -> Calibration:
     """
     path = Path(folder) / FILE
     try:
-        return Calibration.model_validate_json(path.read_bytes())
+        with as_input_error(f"'{path}'", "calibrate the camera again"):
+            return Calibration.model_validate_json(path.read_bytes())
     except OSError as error:
         raise InputError(
             f"no calibration at '{path}' ({error.strerror}): calibrate the camera first"
-        ) from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise InputError(
-            f"'{path}' is no calibration: {where}: {first['msg']}; calibrate the camera again"
         ) from None
 
 

@@ -29,9 +29,8 @@ from typing import IO, Any, Literal
 
 import numpy as np
 from PIL import Image, PngImagePlugin
-from pydantic import ValidationError
 
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.gates import find_gates
 from deepfsi.hardware.patterns.sequence import (
@@ -268,18 +267,11 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
     path = Path(folder) / "manifest.json"
     try:
         content = path.read_bytes()
-        manifest = Manifest.model_validate_json(content)
+        with as_input_error(str(path), "export the patterns again"):
+            manifest = Manifest.model_validate_json(content)
     except OSError as error:
         raise InputError(
             f"no patterns in {folder} ({error.strerror}): make them with `deepfsi dmd export`"
-        ) from None
-    except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(map(str, fault["loc"]))
-        what = fault["msg"].removeprefix("Value error, ")
-        raise InputError(
-            f"{path} cannot be used{' at ' + place if place else ''}: {what}; export the patterns "
-            "again"
         ) from None
     _check_manifest(manifest, path)
     if manifest.sha256 not in (None, _digest(content)):

@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.linalg import lstsq
 
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder, write_atomically
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.gates import Gates, find_gates
@@ -256,10 +256,8 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
     path = Path(folder) / "acquisition.json"
     hint = "a folder that `deepfsi camera simulate` wrote has one, or write it with `prepare`"
     content = _read(path, LARGEST_JSON, hint)
-    try:
+    with as_input_error(str(path)):
         acquisition = Acquisition.model_validate_json(content)
-    except ValidationError as error:
-        raise InputError(f"{path} cannot be used{_first(error)}") from None
     patterns = read_patterns(path.parent / "patterns")
     manifest = path.parent / "patterns" / "manifest.json"
     if sha256(manifest.read_bytes()).hexdigest() != acquisition.manifest_sha256:
@@ -736,11 +734,3 @@ def _read(path: Path, largest: int, hint: str) -> bytes:
 
 def _digest(acquisition: Acquisition) -> str:
     return sha256(acquisition.model_dump_json().encode()).hexdigest()
-
-
-def _first(error: ValidationError) -> str:
-    """The first of pydantic's errors, as the end of a sentence."""
-    fault = error.errors()[0]
-    place = ".".join(map(str, fault["loc"]))
-    what = fault["msg"].removeprefix("Value error, ")
-    return f"{' at ' + place if place else ''}: {what}"
