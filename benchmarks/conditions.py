@@ -32,12 +32,12 @@ def under(design: Design, data: Dataset, learned: float, share: float) -> Design
     The mean of the stray light is known and subtracted: it moves the centres of the features.
     """
     stray = constraints.combine(design.rails)[0].mean(dim=-1)
-    centre = design.centre * (1 + learned) + (share - learned) * stray
+    mean = design.mean * (1 + learned) + (share - learned) * stray
     return replace(
         design,
         summed_reflectance=summed_reflectance(ambient(data, share).x_train),
-        centre=centre / (1 + share),
-        spread=design.spread * (1 + learned) / (1 + share),
+        mean=mean / (1 + share),
+        std=design.std * (1 + learned) / (1 + share),
         shares=design.shares,
     )
 

@@ -131,7 +131,7 @@ def test_the_comparison_trains_as_the_package(digits):
     (theirs,) = train(scenes, [job])
     ours = benchmark("gradients").learn(scenes, job, None)
     assert torch.allclose(ours.rails, theirs.rails, rtol=0, atol=1e-4)
-    for name in ("centre", "spread", "shares"):
+    for name in ("mean", "std", "shares"):
         assert torch.allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-3, atol=1e-5)
     for mine, other in zip(
         ours.classifier.parameters(), theirs.classifier.parameters(), strict=True

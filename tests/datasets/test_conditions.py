@@ -28,10 +28,10 @@ def test_stray_light_costs_what_its_noise_costs(digits):
     clean = quick(digits, "pca", masks=4, photons=1e3)
     bright = ambient(digits, 2.0)
     lit = quick(bright, "pca", masks=4, photons=3e3)
-    here = clean.spread.numpy() ** 2
+    here = clean.std.numpy() ** 2
     share = np.abs(clean.matrix).mean(axis=1)
     np.testing.assert_allclose(np.abs(lit.matrix), np.abs(clean.matrix), atol=1e-5)
-    np.testing.assert_allclose((3 * lit.spread.numpy()) ** 2, here + 2 * share / 1e3, rtol=1e-3)
+    np.testing.assert_allclose((3 * lit.std.numpy()) ** 2, here + 2 * share / 1e3, rtol=1e-3)
 
 
 def test_a_known_displacement(digits):

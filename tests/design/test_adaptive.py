@@ -164,7 +164,7 @@ def test_gradients_through_all_looks_are_those_of_finite_differences():
     weight = (0.3 * draw(4, 9)).requires_grad_()
     light = (1 + draw(5, 4).abs()).requires_grad_()
     noise = draw(LOOKS, 5, 4)
-    centre, spread = draw(4).abs(), torch.ones(4, dtype=torch.float64)
+    mean, std = draw(4).abs(), torch.ones(4, dtype=torch.float64)
 
     def exposed(weight, light):
         draws = iter(noise)
@@ -173,8 +173,8 @@ def test_gradients_through_all_looks_are_those_of_finite_differences():
             rates = dwell * light
             return rates + 0.1 * rates.sqrt() * next(draws), dwell
 
-        looks = expose(lambda told: told @ weight.T, read, LOOKS, centre.expand(5, -1), spread)
-        return torch.cat([seen.inputs(centre, spread) for seen in looks]).square().sum()
+        looks = expose(lambda told: told @ weight.T, read, LOOKS, mean.expand(5, -1), std)
+        return torch.cat([seen.inputs(mean, std) for seen in looks]).square().sum()
 
     assert torch.autograd.gradcheck(exposed, (weight, light))
 

@@ -55,7 +55,7 @@ def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
 def test_saved_and_loaded_designs_agree_bit_for_bit(made, digits, tmp_path, design, light, rails):
     before = made(design, light, rails)
     after = Design.load(before.save(tmp_path / "design.safetensors"))
-    for name in ("rails", "centre", "spread", "shares"):
+    for name in ("rails", "mean", "std", "shares"):
         mine, theirs = getattr(before, name), getattr(after, name)
         assert torch.equal(mine, theirs)
         assert mine.dtype == theirs.dtype
@@ -161,24 +161,20 @@ def test_safetensors_without_our_header_are_refused(tmp_path, metadata):
     refused(path)
 
 
-@pytest.mark.parametrize(
-    "key", ["rails", "centre", "spread", "shares", "classifier.layers.0.weight"]
-)
+@pytest.mark.parametrize("key", ["rails", "mean", "std", "shares", "classifier.layers.0.weight"])
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
 def test_tensors_that_are_not_finite_are_refused(saved, key, bad):
     rewrite(saved, lambda _, tensors: tensors[key].view(-1)[0].fill_(bad))
     refused(saved)
 
 
-@pytest.mark.parametrize("key", ["rails", "centre", "spread", "shares", "classifier.layers.1.bias"])
+@pytest.mark.parametrize("key", ["rails", "mean", "std", "shares", "classifier.layers.1.bias"])
 def test_a_missing_tensor_is_refused(saved, key):
     rewrite(saved, lambda _, tensors: tensors.pop(key))
     refused(saved)
 
 
-@pytest.mark.parametrize(
-    "key", ["rails", "centre", "spread", "shares", "classifier.layers.1.weight"]
-)
+@pytest.mark.parametrize("key", ["rails", "mean", "std", "shares", "classifier.layers.1.weight"])
 def test_a_tensor_of_another_shape_is_refused(saved, key):
     def change(_: Any, tensors: dict[str, torch.Tensor]) -> None:
         tensors[key] = tensors[key][..., 1:].contiguous()
@@ -233,7 +229,7 @@ def test_rails_that_no_design_can_have_are_refused(saved, change):
 
 
 def test_a_spread_of_zero_is_refused(saved):
-    rewrite(saved, lambda _, tensors: tensors["spread"].zero_())
+    rewrite(saved, lambda _, tensors: tensors["std"].zero_())
     refused(saved)
 
 

@@ -50,7 +50,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
         chance = part.classify(seen, 5e3 * part.used)
         features = torch.zeros(20, 8)
         features[:, :masks] = seen if rails == "single" else seen[:, 0] - seen[:, 1]
-        scaled = (features / 5e3 - design.centre) / design.spread
+        scaled = (features / 5e3 - design.mean) / design.std
         scaled[:, masks:] = 0
         level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
         told = torch.tensor([level, masks / 8]).expand(20, 2)
@@ -97,7 +97,7 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
         light = digits.x_train @ np.abs(design.matrix).T / design.summed_reflectance
         noise = np.sqrt(light / budget * used[shown - 1] / used[-1])
         features = mean + noise * rng.standard_normal(mean.shape)
-        scaled = (features - design.centre.numpy()) / design.spread.numpy()
+        scaled = (features - design.mean.numpy()) / design.std.numpy()
         squares.append(np.where(np.arange(6) < shown, scaled**2, np.nan))
     every = np.concatenate(squares)
     axis = 0 if scale == "each" else None

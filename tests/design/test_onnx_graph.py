@@ -49,8 +49,8 @@ def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
     [found] = opened(to_onnx(design)).run(None, {"counts": counts, "photons": photons})
     wanted = design.classify(counts, photons)
     features = counts[:, 0] - counts[:, 1] if counts.ndim == 3 else counts
-    centre, spread = design.centre.numpy(), design.spread.numpy()
-    size = (np.abs(features / photons[:, None]) + np.abs(centre)) / spread
+    mean, std = design.mean.numpy(), design.std.numpy()
+    size = (np.abs(features / photons[:, None]) + np.abs(mean)) / std
     if design.told:
         size = np.pad(size, ((0, 0), (0, design.told.masks - design.masks)))
         size = np.pad(size, ((0, 0), (0, 2)), constant_values=30.0)  # |log Φ|, at most

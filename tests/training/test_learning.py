@@ -35,7 +35,7 @@ CPU = torch.device("cpu")
 
 
 def parameters(design: Design) -> list[torch.Tensor]:
-    return [design.rails, design.centre, design.spread, *design.classifier.parameters()]
+    return [design.rails, design.mean, design.std, *design.classifier.parameters()]
 
 
 def same(first: Design, second: Design) -> bool:
@@ -79,7 +79,7 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
 
     Not of the centre, which takes up whatever masks do where pixels do not vary.
     """
-    pairs = [(first.rails[..., pixels], second.rails[..., pixels]), (first.spread, second.spread)]
+    pairs = [(first.rails[..., pixels], second.rails[..., pixels]), (first.std, second.std)]
     pairs += zip(first.classifier.parameters(), second.classifier.parameters(), strict=True)
     return max(((a - b).abs().max() / b.abs().max()).item() for a, b in pairs)
 
@@ -160,7 +160,7 @@ def test_replicas_learn_for_their_own_budget(digits):
     jobs = [Job(masks=6, photons=photons, training=HOW) for photons in (1e2, 1e6)]
     starved, bright = train(TrainingSet(digits, "cpu"), jobs)
     assert not torch.allclose(starved.rails, bright.rails, atol=1e-3)
-    assert (starved.spread > 2 * bright.spread).all()
+    assert (starved.std > 2 * bright.std).all()
 
 
 def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
@@ -169,7 +169,7 @@ def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
         for sigma in (1.0, 30.0)
     ]
     quiet, loud = train(TrainingSet(digits, "cpu"), jobs)
-    assert (loud.spread > quiet.spread).all()
+    assert (loud.std > quiet.std).all()
 
 
 @pytest.mark.parametrize("change", [{"masks": 7}, {"light": "free-dwell"}])
@@ -213,7 +213,7 @@ def test_features_are_standardised_over_scenes_and_noise(digits, noise, rails, d
     one = quick(digits, design, noise=noise, sigma=4.0, rails=rails)
     photons = light_on(one, digits.x_train).repeat(20, 1)
     features = one.scanner(noise, 4.0)(photons, generator())
-    scaled = (features / PHOTONS - one.centre) / one.spread
+    scaled = (features / PHOTONS - one.mean) / one.std
     n = len(scaled)
     assert scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n)
     fourth = scaled.pow(4).mean(dim=0)
@@ -222,9 +222,9 @@ def test_features_are_standardised_over_scenes_and_noise(digits, noise, rails, d
 
 def test_a_common_scale_is_the_same_for_all_features(digits):
     each, common = (quick(digits, "pca", scale=scale) for scale in ("each", "common"))
-    assert len(set(common.spread.tolist())) == 1
-    assert common.spread[0].square() == pytest.approx(float(each.spread.square().mean()), rel=1e-5)
-    assert torch.equal(each.centre, common.centre)
+    assert len(set(common.std.tolist())) == 1
+    assert common.std[0].square() == pytest.approx(float(each.std.square().mean()), rel=1e-5)
+    assert torch.equal(each.mean, common.mean)
 
 
 @pytest.mark.parametrize("scale", ["each", "common"])
@@ -495,7 +495,7 @@ def test_statistics_of_a_two_level_design_are_of_its_own_masks(digits, noise, li
     one = quick(digits, noise=noise, sigma=4.0, light=light, rails=rails, levels=2)
     photons = light_on(one, digits.x_train).repeat(20, 1)
     features = one.scanner(noise, 4.0)(photons, generator())
-    scaled = (features / PHOTONS - one.centre) / one.spread
+    scaled = (features / PHOTONS - one.mean) / one.std
     n = len(scaled)
     assert scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n)
     fourth = scaled.pow(4).mean(dim=0)

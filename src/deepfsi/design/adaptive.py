@@ -43,24 +43,24 @@ class Exposure:
     features: Tensor
     dwell: Tensor
 
-    def inputs(self, centre: Tensor, spread: Tensor) -> Tensor:
+    def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
         """Inputs (..., 2 m) of the classifier: features and dwells, standardised.
 
         Parameters
         ----------
-        centre, spread : tensor, shape (..., m)
-            Mean and spread of features whose masks all have the same dwell, 1 / m.
+        mean, std : tensor, shape (..., m)
+            Mean and standard deviation of features whose masks all have the same dwell, 1 / m.
         """
         relative = self.dwell * self.dwell.shape[-1]
-        return torch.cat([(self.features - relative * centre) / spread, relative / 3], dim=-1)
+        return torch.cat([(self.features - relative * mean) / std, relative / 3], dim=-1)
 
 
 def expose(
     choose: Callable[[Tensor], Tensor],
     read: Read,
     looks: int,
-    centre: Tensor,
-    spread: Tensor,
+    mean: Tensor,
+    std: Tensor,
 ) -> Iterator[Exposure]:
     """Take one exposure, or many at once: the same loop in training, in tests and at a camera.
 
@@ -74,7 +74,7 @@ def expose(
         shares that it did show.
     looks : int
         K, each 1 / K of the exposure.
-    centre, spread : tensor, shape (..., m)
+    mean, std : tensor, shape (..., m)
         As for `Exposure.inputs`, with the leading axes of the exposures.
 
     Yields
@@ -82,11 +82,11 @@ def expose(
     Exposure
         After each look.
     """
-    none = torch.zeros_like(centre)
+    none = torch.zeros_like(mean)
     seen = Exposure(none, none)
     for look in range(looks):
         left = torch.full_like(none[..., :1], 1 - look / looks)
-        scores = choose(torch.cat([seen.inputs(centre, spread), left], dim=-1))
+        scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
         dwell = (REACH * torch.tanh(scores / REACH)).softmax(dim=-1) / looks
         counts, shown = read(dwell)
         seen = Exposure(seen.features + counts, seen.dwell + shown)
@@ -108,6 +108,6 @@ class AdaptiveDwells(nn.Module):
         super().__init__()
         self.network, self.looks = network, looks
 
-    def forward(self, read: Read, centre: Tensor, spread: Tensor) -> Iterator[Exposure]:
+    def forward(self, read: Read, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
         """Take exposures, look by look; as `expose`."""
-        return expose(self.network, read, self.looks, centre, spread)
+        return expose(self.network, read, self.looks, mean, std)

@@ -49,8 +49,8 @@ class Design:
         M⁺ and M⁻, or the one rail; shares of each pixel's photons.
     classifier : nn.Module
         Standardised features (..., m) to logits (..., C).
-    centre, spread : tensor, shape (m,)
-        Statistics of the features y / Φ, fixed at the end of training.
+    mean, std : tensor, shape (m,)
+        Mean and standard deviation of the features y / Φ, fixed at the end of training.
     shares : tensor, shape (m,)
         Share of the budget that each mask's rails count together, in the training mean.
     summed_reflectance : float
@@ -64,8 +64,8 @@ class Design:
     used : float
         Share of the whole sequence's light that masks would take within it, for its first ones.
     schedule : AdaptiveDwells, optional
-        What chooses dwells while the exposure runs, if they are not fixed. `rails`, `centre` and
-        `spread` are then those of equal dwells, 1 / m.
+        What chooses dwells while the exposure runs, if they are not fixed. `rails`, `mean` and
+        `std` are then those of equal dwells, 1 / m.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     """
@@ -73,8 +73,8 @@ class Design:
     name: str
     rails: Tensor
     classifier: nn.Module
-    centre: Tensor
-    spread: Tensor
+    mean: Tensor
+    std: Tensor
     shares: Tensor
     summed_reflectance: float
     light: Light
@@ -110,11 +110,11 @@ class Design:
 
     def adaptive_logits(self, seen: Exposure) -> Tensor:
         """Logits (..., C) of exposures whose dwells a schedule chose."""
-        return self.classifier(seen.inputs(self.centre, self.spread))
+        return self.classifier(seen.inputs(self.mean, self.std))
 
     def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of features y⁺ − y⁻ (..., m) in counts, at a budget of `photons`."""
-        scaled = (features / photons - self.centre) / self.spread
+        scaled = (features / photons - self.mean) / self.std
         if self.told:
             ratio = torch.as_tensor(photons).to(scaled) / (self.used * self.told.photons)
             scaled = self.told.inputs(scaled, ratio, ratio.new_tensor(self.masks))
@@ -141,8 +141,8 @@ class Design:
             shown = rates * (photons * self.masks * dwell.unsqueeze(-2))
             return subtract(scanner.read(shown, generator)) / photons, dwell
 
-        centre = self.centre.expand(*rates.shape[:-2], -1)
-        return self.schedule(read, centre, self.spread)
+        mean = self.mean.expand(*rates.shape[:-2], -1)
+        return self.schedule(read, mean, self.std)
 
     def answer(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
@@ -214,7 +214,7 @@ class Design:
             return torch.from_numpy(counts / budget).to(dwell), torch.from_numpy(shown).to(dwell)
 
         with torch.no_grad():
-            for look, seen in enumerate(self.schedule(show, self.centre, self.spread), start=1):
+            for look, seen in enumerate(self.schedule(show, self.mean, self.std), start=1):
                 if until is None and look < self.schedule.looks:
                     continue
                 chances, enough = self.classify(counted, budget, seen.dwell.cpu().numpy()), False
@@ -309,7 +309,7 @@ class Design:
     def to(self, device: str | torch.device) -> Self:
         """Move to a device; returns self."""
         self.rails = self.rails.to(device)
-        self.centre, self.spread = self.centre.to(device), self.spread.to(device)
+        self.mean, self.std = self.mean.to(device), self.std.to(device)
         self.shares = self.shares.to(device)
         self.classifier = self.classifier.to(device)
         if self.schedule is not None:
@@ -348,8 +348,8 @@ class Design:
         return replace(
             self,
             rails=self.rails[:, :masks] / share,
-            centre=self.centre[:masks] / share,
-            spread=self.spread[:masks] / share,
+            mean=self.mean[:masks] / share,
+            std=self.std[:masks] / share,
             shares=self.shares[:masks] / share,
             used=self.used * share,
         )
@@ -379,8 +379,8 @@ class Design:
             self,
             rails=rails,
             light="free-dwell" if self.light == "column" else self.light,
-            centre=self.centre * manifest.dimmed,
-            spread=self.spread * manifest.dimmed,
+            mean=self.mean * manifest.dimmed,
+            std=self.std * manifest.dimmed,
             shares=self.shares * manifest.dimmed,
             used=self.used / manifest.dimmed,
         )
@@ -447,8 +447,8 @@ class Design:
                 name=header["name"],
                 rails=torch.from_numpy(tensors["rails"]),
                 classifier=build_mlp(tensors, "classifier.", *sizes),
-                centre=torch.from_numpy(tensors["centre"]),
-                spread=torch.from_numpy(tensors["spread"]),
+                mean=torch.from_numpy(tensors["mean"]),
+                std=torch.from_numpy(tensors["std"]),
                 shares=torch.from_numpy(tensors["shares"]),
                 summed_reflectance=header["summed_reflectance"],
                 light=header["light"],
@@ -468,13 +468,12 @@ class Design:
                 and all(isinstance(side, int) and side > 0 for side in design.image_shape)
                 and design.rails.ndim == 3
                 and len(design.rails) in (1, 2)
-                and {design.centre.shape, design.spread.shape, design.shares.shape}
-                == {(design.masks,)}
+                and {design.mean.shape, design.std.shape, design.shares.shape} == {(design.masks,)}
                 and np.prod(design.image_shape) == design.pixels
                 and all(bool(torch.isfinite(torch.from_numpy(t)).all()) for t in tensors.values())
                 and design.summed_reflectance > 0
                 and math.isfinite(design.summed_reflectance)
-                and bool((design.spread > 0).all())
+                and bool((design.std > 0).all())
                 and (told is None or (design.masks <= told.masks and 0 < told.photons < math.inf))
                 and (told is None or (1 <= told.span < math.inf and 0 < design.used < math.inf))
                 and (schedule is None or sound_schedule(schedule, design))

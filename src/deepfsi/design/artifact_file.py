@@ -49,7 +49,7 @@ def sound_schedule(schedule: AdaptiveDwells, design: "Design") -> bool:
 
 def pack(design: "Design", schema: int, classifier: dict[str, Any], **more: Any) -> bytes:
     """Content of a design file: tensors, and a header with what rebuilds the classifier."""
-    tensors = {name: getattr(design, name) for name in ("rails", "centre", "spread", "shares")}
+    tensors = {name: getattr(design, name) for name in ("rails", "mean", "std", "shares")}
     for key, value in design.classifier.state_dict().items():
         tensors[f"classifier.{key}"] = value
     if design.schedule is not None:

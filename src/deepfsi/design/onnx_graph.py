@@ -68,8 +68,8 @@ def to_onnx(design: Design) -> bytes:
         features = add("Sub", "plus", "minus", to="features")
     budget = add("Unsqueeze", "photons", constant("columns", [1], np.int64), to="budget")
     shares = add("Div", features, budget, to="shares")
-    centred = add("Sub", shares, constant("centre", design.centre.cpu()), to="centred")
-    hidden = add("Div", centred, constant("spread", design.spread.cpu()), to="scaled")
+    centred = add("Sub", shares, constant("mean", design.mean.cpu()), to="centred")
+    hidden = add("Div", centred, constant("std", design.std.cpu()), to="scaled")
     layers = [
         [parameter.detach().cpu().numpy() for parameter in layer.parameters()]
         for layer in design.classifier.layers

@@ -137,8 +137,8 @@ def train(
             name=job.design,
             rails=constraints.check(every[r % len(every)].clone(), constraint),
             classifier=classifiers[r],
-            centre=centre[r] / scenes.light,
-            spread=spread[r] / scenes.light,
+            mean=centre[r] / scenes.light,
+            std=spread[r] / scenes.light,
             shares=light[r] / scenes.light,
             summed_reflectance=scenes.light,
             light=constraint,
@@ -162,7 +162,7 @@ def _shares(design: Design, scenes: TrainingSet, job: Job) -> Tensor:
     """Share of the budget (m,) that each mask counts, in the mean over training scenes."""
     scanner = design.scanner()
     generator = torch.Generator(scenes.device).manual_seed(job.seed)
-    shares = torch.zeros_like(design.centre)
+    shares = torch.zeros_like(design.mean)
     with torch.no_grad():
         for x in scenes.full.split(CHUNK):
             rates = scanner.rates(x / scenes.light)
