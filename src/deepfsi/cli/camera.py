@@ -180,6 +180,7 @@ def camera_count(
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.recording.acquisition import count
+    from deepfsi.progress import Report
 
     with progress("counting", quiet=as_json) as tell:
         counts = count(
@@ -187,7 +188,7 @@ def camera_count(
             exposure_s=None if exposure is None else seconds("exposure", exposure),
             settle_s=None if settle is None else seconds("settle", settle),
             repeats=repeats,
-            progress=lambda share: tell(share, ""),
+            report=Report(tell),
         )
     summary = _summary(counts)
     if as_json:
@@ -298,9 +299,10 @@ def camera_inspect(
     Example: deepfsi camera inspect photons.ptu
     """
     from deepfsi.hardware.ptu.reader import inspect
+    from deepfsi.progress import Report
 
     with progress("records", quiet=as_json) as tell:
-        contents = inspect(file, lambda share: tell(share, ""))
+        contents = inspect(file, Report(tell))
     if as_json:
         print_json(contents.model_dump())
         return

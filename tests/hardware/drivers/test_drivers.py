@@ -14,7 +14,8 @@ from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.drivers.protocols import PatternProjector, PhotonCounter, scan
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Device
-from deepfsi.hardware.ptu import reader as ptu
+from deepfsi.hardware.ptu.header import read_header
+from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
 from deepfsi.hardware.virtual.devices import VirtualCounter, VirtualProjector
 
@@ -359,12 +360,12 @@ def test_a_scan_records_each_scene_as_the_camera_would(tmp_path):
     manifest = read_patterns(folder).manifest
     scenes = list(np.random.default_rng(1).random((3, 4, 8)) * np.array([1, 0, 3])[:, None, None])
     flow = virtual_run(folder, scenes, tmp_path / "a.ptu")
-    ticks, _ = ptu.read_markers(tmp_path / "a.ptu")
+    ticks, _ = read_markers(tmp_path / "a.ptu")
     assert len(ticks) == 3 * len(manifest.frames)
-    starts = ticks * ptu.read_header(tmp_path / "a.ptu").tick_s
+    starts = ticks * read_header(tmp_path / "a.ptu").tick_s
     np.testing.assert_allclose(np.diff(starts), np.tile(manifest.picture_s, 3)[:-1], atol=1e-9)
     ends = np.append(ticks[1:], ticks[-1] + round(manifest.picture_s[-1] / 1e-12))
-    counts = ptu.count_gates(tmp_path / "a.ptu", ticks, ends)[:, 0]
+    counts = count_gates(tmp_path / "a.ptu", ticks, ends)[:, 0]
     expected = (flow[..., 0] * manifest.picture_s).ravel()
     assert (np.abs(counts - expected) < 5 * np.sqrt(expected) + 5).all()
     assert expected.max() > 1000

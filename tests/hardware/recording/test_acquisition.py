@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import DEVICES, Frame, Manifest, Patterns, find_device
-from deepfsi.hardware.ptu.reader import Writer
+from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording import acquisition
 from deepfsi.hardware.recording import acquisition as acq
 from deepfsi.hardware.recording.acquisition import (
@@ -30,6 +30,7 @@ from deepfsi.hardware.recording.acquisition import (
     read_counts,
 )
 from deepfsi.hardware.recording.alignment import Counter, align, find_steps
+from deepfsi.progress import Report
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
 """Examples of each test on random faults, and mutated folders."""
@@ -683,7 +684,7 @@ def test_a_file_cut_while_recording_keeps_whole_exposures(run):
 
 def test_progress_rises_to_one(run):
     told: list[float] = []
-    count(run.folder, progress=told.append)
+    count(run.folder, report=Report(lambda share, what: told.append(share)))
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1)
 

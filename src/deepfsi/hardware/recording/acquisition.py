@@ -16,7 +16,6 @@ import math
 import os
 import struct
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -31,8 +30,10 @@ from deepfsi.files import new_folder, write_atomically
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.gates import Gates, find_gates
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.ptu.reader import count_gates, read_header, read_markers
+from deepfsi.hardware.ptu.header import read_header
+from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.recording.alignment import MOST_PLACES, Alignment, Fault, align, find_steps
+from deepfsi.progress import SILENT, Report
 
 __all__ = [
     "Acquisition",
@@ -61,7 +62,6 @@ FINEST = 10
 WEAKEST = 1e-3
 """Least singular value of the sensing matrix, of its largest, that a picture is made from."""
 
-Progress = Callable[[float], None]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -304,7 +304,7 @@ def count(
     exposure_s: float | None = None,
     settle_s: float | None = None,
     repeats: int | None = None,
-    progress: Progress | None = None,
+    report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz.
 
@@ -319,8 +319,8 @@ def count(
     repeats : int, optional
         Exposures of each scene, from gates that follow each other in each frame. Unless given, as
         recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
-    progress : callable, optional
-        Told the share done.
+    report : Report
+        Given the share that is done.
 
     Raises
     ------
@@ -339,7 +339,7 @@ def count(
             f"{path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
             f"{gates.length_s.min():g} s: give a longer exposure"
         )
-    times, bits = read_markers(path, _part(progress, 0.0, 0.4))
+    times, bits = read_markers(path, report.part(0.0, 0.4))
     times = times[bits & acquisition.marker_bit != 0]
     end = int(times.max(initial=0)) - header.kind.wrap if header.problems else None
 
@@ -367,7 +367,7 @@ def count(
         raise InputError(f"{path} has no whole exposure ({why}): record again")
     opens = starts[whole][:, plan.frame] + plan.offset
     found, seconds = _count_windows(
-        path, opens, plan.length, header.tick_s, acquisition.inputs, _part(progress, 0.4, 1.0)
+        path, opens, plan.length, header.tick_s, acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = plan.sum_frames(found), plan.sum_frames(seconds)
     fits = np.array([_shows_ends(*each) for each in zip(photons[..., 0], spent, strict=True)])
@@ -461,7 +461,7 @@ def _count_windows(
     length: np.ndarray,
     tick_s: float,
     inputs: tuple[int, ...],
-    progress: Progress | None,
+    report: Report,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Photons (S, g, inputs) in windows (S, g), and for how long each was open, seconds (S, g).
 
@@ -475,7 +475,7 @@ def _count_windows(
     stops[:-1] = np.minimum(stops[:-1], starts[1:])
     found = np.zeros((opens.size, len(inputs)), np.int64)
     seconds = np.zeros(opens.size)
-    found[known] = count_gates(path, starts, stops, inputs, progress)
+    found[known] = count_gates(path, starts, stops, inputs, report)
     seconds[known] = (stops - starts) * tick_s
     return found.reshape(*opens.shape, len(inputs)), seconds.reshape(opens.shape)
 
@@ -532,13 +532,6 @@ def _assemble(
 
 def _ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
     return np.rint(seconds / tick_s).astype(np.int64)
-
-
-def _part(progress: Progress | None, first: float, last: float) -> Progress | None:
-    """Progress of a part of the work."""
-    if progress is None:
-        return None
-    return lambda share: progress(first + (last - first) * share)
 
 
 _READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {

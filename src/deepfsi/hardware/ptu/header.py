@@ -1,0 +1,218 @@
+"""Header of a PTU file: tags that describe the recording."""
+
+import contextlib
+import os
+import stat
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.kinds import KINDS, Kind
+
+MAGIC = b"PQTTTR"
+"""First bytes of a file."""
+
+LONGEST_HEADER = 2**22
+"""Bytes of a header, or of one tag, at most."""
+
+TICKS_S = (1e-15, 1.0)
+"""Shortest and longest tick that is believed, seconds."""
+
+NUMBERS = {
+    0xFFFF0008: "Empty8",
+    0x00000008: "Bool8",
+    0x10000008: "Int8",
+    0x11000008: "BitSet64",
+    0x12000008: "Color8",
+    0x20000008: "Float8",
+    0x21000008: "TDateTime",
+}
+"""Types of tags whose value is a number."""
+
+SIZED = {
+    0x2001FFFF: "Float8Array",
+    0x4001FFFF: "AnsiString",
+    0x4002FFFF: "WideString",
+    0xFFFFFFFF: "BinaryBlob",
+}
+"""Types of tags whose value is the number of bytes that follow."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """Header of a PTU file: its tags, the type of its records and faults of its size.
+
+    Attributes
+    ----------
+    path : Path
+        Of the file.
+    tags : dict
+        Values by name; of a tag with an index, by `Name(index)`. Dates are days since 1899-12-30.
+    kind : Kind
+        Type of the records.
+    records : int
+        Records to read: as many as the header says, or as are there if those are fewer or the
+        header does not say.
+    offset : int
+        Bytes before the first record.
+    tick_s : float
+        Seconds of a tick.
+    delay_s : float or None
+        T3: seconds of one unit of the delay after the sync, if the header says.
+    problems : tuple of str
+        Why the recording may be incomplete. Empty if the file holds what its header says.
+    """
+
+    path: Path
+    tags: dict[str, Any]
+    kind: Kind
+    records: int
+    offset: int
+    tick_s: float
+    delay_s: float | None
+    problems: tuple[str, ...]
+
+
+def read_header(path: str | os.PathLike[str]) -> Header:
+    """Header of a PTU file.
+
+    Raises
+    ------
+    InputError
+        If it is not a PTU file, or its header is damaged or names no type of record known here.
+    """
+    with open_file(path) as file:
+        tags = _read_tags(file, path)
+        offset, size = file.tell(), os.fstat(file.fileno()).st_size
+    code = _integer(tags, "TTResultFormat_TTTRRecType", path)
+    if code not in KINDS:
+        raise bad_file(
+            path, f"has records of unknown type {code:#010x}: the file is damaged or newer"
+        )
+    kind = KINDS[code]
+    if _integer(tags, "TTResultFormat_BitsPerRecord", path, 32) not in (0, 32):
+        raise bad_file(path, "has records that are not of 32 bits, and only those are known")
+    if _integer(tags, "Measurement_Mode", path, int(kind.mode[1])) != int(kind.mode[1]):
+        raise bad_file(path, f"has {kind.name} records but another measurement mode: it is damaged")
+    tick = tags.get("MeasDesc_GlobalResolution")
+    if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
+        raise bad_file(
+            path, f"is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
+        )
+    delay = tags.get("MeasDesc_Resolution") if kind.mode == "T3" else None
+    claimed = _integer(tags, "TTResult_NumberOfRecords", path, 0)
+    held = (size - offset) // 4
+    problems = []
+    if claimed > held:
+        problems.append(f"{claimed - held} of {claimed} records are missing: the file is cut")
+    elif claimed <= 0 < size - offset:
+        problems.append("the header gives no number of records: the recording was not ended")
+    elif 4 * claimed < size - offset:
+        extra = size - offset - 4 * claimed
+        problems.append(f"{extra} bytes follow the {claimed} records that the header gives")
+    return Header(
+        path=Path(path),
+        tags=tags,
+        kind=kind,
+        records=min(claimed, held) if claimed > 0 else held,
+        offset=offset,
+        tick_s=tick,
+        delay_s=delay if isinstance(delay, float) else None,
+        problems=tuple(problems),
+    )
+
+
+def _read_tags(file: FileIO, path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Tags of a header by name; the file is then at its first record."""
+    start = file.read(16)
+    if start[:8].rstrip(b"\0") != MAGIC:
+        raise bad_file(path, f"is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
+    tags: dict[str, Any] = {}
+    while True:
+        raw = file.read(48)
+        if len(raw) < 48 or file.tell() > LONGEST_HEADER:
+            raise bad_file(path, f"has a header without an end within {LONGEST_HEADER} bytes")
+        ident, index, code, value = struct.unpack("<32siI8s", raw)
+        name = ident.split(b"\0")[0].decode("ascii", "replace")
+        if name == "Header_End":
+            return tags
+        key = name if index < 0 else f"{name}({index})"
+        if code in NUMBERS:
+            tags[key] = _number(NUMBERS[code], value)
+        elif code in SIZED:
+            (size,) = struct.unpack("<q", value)
+            content = file.read(size) if 0 <= size <= LONGEST_HEADER else b""
+            if len(content) != size:
+                raise bad_file(path, f"is damaged: its tag {key!r} is of {size} bytes")
+            tags[key] = _text(SIZED[code], content)
+        else:
+            raise bad_file(path, f"is damaged: its tag {key!r} is of unknown type {code:#010x}")
+
+
+def _number(kind: str, value: bytes) -> bool | int | float | None:
+    """Value of a tag that is a number."""
+    if kind == "Empty8":
+        return None
+    number: int | float = struct.unpack("<d" if kind in ("Float8", "TDateTime") else "<q", value)[0]
+    return bool(number) if kind == "Bool8" else number
+
+
+def _text(kind: str, content: bytes) -> str | bytes | np.ndarray:
+    """Value of a tag whose bytes follow it."""
+    if kind == "AnsiString":
+        return content.rstrip(b"\0").decode("windows-1252", "replace")
+    if kind == "WideString":
+        return content.decode("utf-16-le", "replace").rstrip("\0")
+    if kind == "Float8Array":
+        return np.frombuffer(content[: len(content) // 8 * 8], "<f8")
+    return content
+
+
+def encode_tag(name: str, value: str | int | float | None) -> bytes:
+    """One tag as bytes."""
+    content = b""
+    if isinstance(value, str):
+        content = value.encode("windows-1252") + b"\0"
+        content += bytes(-len(content) % 8)
+        code, packed = 0x4001FFFF, struct.pack("<q", len(content))
+    elif isinstance(value, float):
+        code, packed = 0x20000008, struct.pack("<d", value)
+    elif isinstance(value, int):
+        code, packed = 0x10000008, struct.pack("<q", value)
+    else:
+        code, packed = 0xFFFF0008, bytes(8)
+    return struct.pack("<32siI8s", name.encode("ascii"), -1, code, packed) + content
+
+
+def _integer(
+    tags: dict[str, Any], name: str, path: str | os.PathLike[str], default: int | None = None
+) -> int:
+    """Integer of a tag, or the default where there is none."""
+    value = tags.get(name, default)
+    if not isinstance(value, int):
+        raise bad_file(path, f"is damaged: its tag {name!r} is {str(value)[:40]!r}, not an integer")
+    return value
+
+
+@contextlib.contextmanager
+def open_file(path: str | os.PathLike[str]) -> Iterator[FileIO]:
+    """Open a file to read, without a buffer; raise `InputError` unless it is a regular file."""
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise bad_file(path, "is not a file")
+        file = open(path, "rb", buffering=0)  # noqa: SIM115 - errors of what follows are not ours
+    except OSError as error:
+        raise bad_file(path, f"cannot be read: {error.strerror}") from None
+    with file:
+        yield file
+
+
+def bad_file(path: str | os.PathLike[str], what: str) -> InputError:
+    """Error of a file, to raise: its path and what is wrong with it."""
+    return InputError(f"{path} {what}")

@@ -1,0 +1,137 @@
+"""T2 files written event by event."""
+
+import contextlib
+import os
+import struct
+from importlib.metadata import version
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.files import open_atomically
+from deepfsi.hardware.ptu.header import MAGIC, TICKS_S, encode_tag
+from deepfsi.hardware.ptu.kinds import GENERIC_T2
+
+LATEST_WRITTEN_TICK = 2**55
+"""Latest time that is written, ticks."""
+
+EVENTS_IN_MEMORY = 2**18
+"""Events that are encoded at once."""
+
+MOST_WRAPS = 127
+"""Overflows that are written as one record at most: ptufile 2026.2 multiplies them in 32 bits."""
+
+
+class Writer:
+    """Writer of a T2 file of type Generic, as a context manager.
+
+    The file appears when the block ends. If the block fails there is none.
+
+    Parameters
+    ----------
+    path : path
+        Of the file.
+    tick_s : float
+        Seconds of a tick.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], tick_s: float = 1e-12) -> None:
+        if not TICKS_S[0] <= tick_s <= TICKS_S[1]:
+            raise InputError(f"a tick of {tick_s!r} s is not allowed: give 1e-15 to 1")
+        self._path, self._tick_s = path, float(tick_s)
+        self._records = self._latest = self._wraps = 0
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
+            self._file = stack.enter_context(open_atomically(self._path))
+            stack.push(self._finish)
+            self._file.write(self._header())
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def write(self, times: np.ndarray, codes: np.ndarray) -> None:
+        """Append events.
+
+        Parameters
+        ----------
+        times : integer array, shape (n,)
+            Ticks, rising over all calls; equal ones are allowed.
+        codes : integer array, shape (n,)
+            0 to 63: a photon on that input, 0 for input 1. -1 to -15: a marker with the bits of
+            the negative.
+
+        Raises
+        ------
+        InputError
+            If times run back, are negative or above 2^55 (ten hours of ps), or a code is none of
+            these.
+        """
+        times, codes = np.asarray(times), np.asarray(codes)
+        if times.ndim != 1 or times.shape != codes.shape:
+            raise InputError(f"{times.shape} times and {codes.shape} codes: give one for each")
+        for given in (times, codes):
+            if given.dtype.kind not in "iu":
+                raise InputError(f"times and codes of {given.dtype} are not allowed: give integers")
+        for start in range(0, len(times), EVENTS_IN_MEMORY):
+            stop = start + EVENTS_IN_MEMORY
+            self._write(times[start:stop], codes[start:stop])
+
+    def _write(self, times: np.ndarray, codes: np.ndarray) -> None:
+        """Append few events."""
+        if int(times[0]) < self._latest or (times[1:] < times[:-1]).any():
+            raise InputError("times run back: give events in order, none before 0")
+        if int(times[-1]) > LATEST_WRITTEN_TICK:
+            raise InputError(f"time {times[-1]} is not allowed: give at most {LATEST_WRITTEN_TICK}")
+        if int(codes.min()) < -15 or int(codes.max()) > 63:
+            raise InputError("codes are 0 to 63 for photons and -1 to -15 for markers")
+        times, codes = times.astype(np.int64), codes.astype(np.int64)
+        special = np.where(codes < 0, 1 << 31 | -codes << 25, codes << 25)
+        words = special | times & GENERIC_T2.time_mask
+        wraps = times >> GENERIC_T2.time_bits
+        steps = np.diff(wraps, prepend=self._wraps)
+        places = np.flatnonzero(steps)
+        copies = -(-steps[places] // MOST_WRAPS)
+        left = np.full(int(copies.sum()), MOST_WRAPS)
+        left[np.cumsum(copies) - 1] = steps[places] - (copies - 1) * MOST_WRAPS
+        words = np.insert(words, np.repeat(places, copies), 1 << 31 | 63 << 25 | left)
+        self._file.write(words.astype("<u4").tobytes())
+        self._records += len(words)
+        self._latest, self._wraps = int(times[-1]), int(wraps[-1])
+
+    def _finish(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write the header again, which now knows the number of records."""
+        if error is None:
+            self._file.seek(0)
+            self._file.write(self._header())
+
+    def _header(self) -> bytes:
+        """Header, with the number of records so far."""
+        tags: dict[str, str | int | float | None] = {
+            "CreatorSW_Name": "deepfsi",
+            "CreatorSW_Version": version("deepfsi"),
+            "Measurement_Mode": 2,
+            "Measurement_SubMode": 1,
+            "TTResultFormat_TTTRRecType": GENERIC_T2.code,
+            "TTResultFormat_BitsPerRecord": 32,
+            "MeasDesc_GlobalResolution": self._tick_s,
+            "TTResult_NumberOfRecords": self._records,
+            "Header_End": None,
+        }
+        return struct.pack("<8s8s", MAGIC, b"1.0.00") + b"".join(
+            encode_tag(name, value) for name, value in tags.items()
+        )
