@@ -396,7 +396,7 @@ def test_a_missing_or_broken_file_is_named(tmp_path):
     with pytest.raises(InputError, match="no calibration at"):
         cal.load_calibration(tmp_path)
     (tmp_path / "calibration.json").write_bytes(b"{\xff")
-    with pytest.raises(InputError, match="calibration.json. cannot be used"):
+    with pytest.raises(InputError, match=r"calibration.json. cannot be used"):
         cal.load_calibration(tmp_path)
 
 
