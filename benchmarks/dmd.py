@@ -33,14 +33,9 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi.hardware.patterns.folder import (
-    Format,
-    count_mirrors,
-    export_patterns,
-    make_frames,
-    order_mirrors,
-)
-from deepfsi.hardware.patterns.sequence import DEVICES, find_grid
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
+from deepfsi.hardware.patterns.sequence import DEVICES, Format, find_grid
 from deepfsi.optics import codes
 
 DEVICE = DEVICES["dlp7000"]

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from conftest import generator
 from deepfsi.design.classifiers import Mlp
-from deepfsi.hardware.patterns.folder import recount, unpack
+from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.noise import attach_gradient
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train

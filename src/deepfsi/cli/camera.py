@@ -429,8 +429,7 @@ def _check_shown(file: Path, patterns: "Patterns") -> None:
 def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.hardware.patterns.folder import find_cost
-    from deepfsi.hardware.patterns.gates import longest_exposure
+    from deepfsi.hardware.patterns.gates import find_cost, longest_exposure
 
     manifest = patterns.manifest
     sentinels = len(manifest.frames) - len(manifest.shown)

@@ -24,15 +24,11 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
     export_patterns,
-    find_cost,
-    make_frames,
-    order_mirrors,
     read_frames,
     read_patterns,
-    recount,
-    unpack,
 )
-from deepfsi.hardware.patterns.gates import find_gates
+from deepfsi.hardware.patterns.gates import find_cost, find_gates
+from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
 from deepfsi.hardware.patterns.sequence import DEVICES, Device, find_device, find_grid
 from deepfsi.optics import constraints
 

@@ -28,8 +28,9 @@ from deepfsi.experiments.camera.figures import (
 )
 from deepfsi.experiments.experiment import Experiment, Finding, Results
 from deepfsi.hardware.calibration import fit as calibration
-from deepfsi.hardware.patterns.folder import export_patterns, make_frames, recount, unpack
+from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.gates import find_gates
+from deepfsi.hardware.patterns.mirrors import make_frames, recount, unpack
 from deepfsi.hardware.patterns.sequence import Grid, Patterns, find_device, find_grid
 from deepfsi.hardware.recording import acquisition
 from deepfsi.hardware.virtual import detector

@@ -83,3 +83,43 @@ def find_gates(
     if repeats is not None and not 1 <= repeats <= fit:
         raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")
     return Gates(settle, length, repeats or fit)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Shares of a pass in which nothing is counted.
+
+    Attributes
+    ----------
+    sentinels : float
+        Frames for alignment, flux and dark.
+    settling : float
+        Starts of the masks' frames, while mirrors move.
+    idle : float
+        What the gates leave of the masks' frames: pictures that are longer than their share because
+        no device shows shorter ones, and what is left where one more gate does not fit.
+    """
+
+    sentinels: float
+    settling: float
+    idle: float
+
+    @property
+    def total(self) -> float:
+        """Share of the clock in which no gate is open."""
+        return self.sentinels + self.settling + self.idle
+
+
+def find_cost(
+    manifest: Manifest,
+    exposure_s: float,
+    settle_s: float | None = None,
+    repeats: int | None = None,
+) -> Cost:
+    """What the device costs in time at an exposure; parameters and errors as `find_gates`."""
+    gates = find_gates(manifest, exposure_s, settle_s, repeats)
+    masks = float(manifest.picture_s[manifest.shown].sum())
+    settling = gates.settle_s * len(manifest.shown)
+    idle = masks - settling - gates.repeats * float(gates.length_s.sum())
+    whole = manifest.pass_s
+    return Cost((whole - masks) / whole, settling / whole, max(idle, 0.0) / whole)

@@ -31,6 +31,8 @@ MOST_FRAMES = 2**20
 
 Role = Literal["mask", "on", "off"]
 Rail = Literal["plus", "minus", "both"]
+Selection = Literal["ordered", "random"]
+Format = Literal["npy", "png", "raw"]
 
 
 class Device(BaseModel):
@@ -204,9 +206,9 @@ class Manifest(BaseModel):
     light: str
     dimmed: float = Field(gt=0, le=1)
     summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
-    selection: Literal["ordered", "random"]
+    selection: Selection
     seed: int = 0
-    format: Literal["npy", "png", "raw"]
+    format: Format
     design_sha256: str | None = None
     frames: tuple[Frame, ...] = Field(min_length=1, max_length=MOST_FRAMES)
     sha256: str | None = None

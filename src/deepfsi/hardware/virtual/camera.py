@@ -24,8 +24,9 @@ from pydantic import Field, field_validator
 
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns, unpack
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.gates import Gates, find_gates
+from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, Scene, prepare

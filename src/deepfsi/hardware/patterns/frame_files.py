@@ -1,0 +1,149 @@
+"""Files of packed frames, written and read one frame at a time.
+
+npy    frames.npy, uint8 (frames, rows, bytes of a row)
+png    frames/0000.png ..., one bit a pixel, ON white
+raw    frames.bin, the same bytes as frames.npy without its header, top row first
+"""
+
+import hashlib
+import io
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from PIL import Image, PngImagePlugin
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.sequence import Device, Format, Manifest
+
+STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
+
+
+def write_frames(
+    folder: Path,
+    format: Format,
+    device: Device,
+    total: int,
+    frames: Iterable[np.ndarray],
+    progress: Callable[[float], None] | None,
+) -> list[str]:
+    """Write frames as they come; their hashes."""
+    hashes = []
+    shape = (total, device.rows, -(-device.columns // 8))
+    if format == "png":
+        (folder / "frames").mkdir()
+    stream = None if format == "png" else (folder / STREAMS[format]).open("wb")
+    with stream or nullcontext():
+        if format == "npy" and stream:
+            _write_header(stream, np.dtype("u1"), shape)
+        for place, frame in enumerate(frames):
+            hashes.append(hashlib.sha256(frame.data).hexdigest())
+            if stream:
+                stream.write(frame.data)
+            else:
+                picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
+                picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
+            if progress is not None:
+                progress((place + 1) / total)
+    return hashes
+
+
+def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
+    """Packed frames of a folder in their order, one at a time."""
+    device, total = manifest.device, len(manifest.frames)
+    shape = (device.rows, -(-device.columns // 8))
+    if manifest.format == "png":
+        for place in range(total):
+            yield _read_png(folder / _png(place, total), device).reshape(shape)
+        return
+    header = "|u1" if manifest.format == "npy" else None
+    with open_array(folder / STREAMS[manifest.format], header, (total, *shape)) as file:
+        for _ in range(total):
+            yield np.frombuffer(file.read(device.frame_bytes), dtype=np.uint8).reshape(shape)
+
+
+def _read_png(path: Path, device: Device) -> np.ndarray:
+    try:
+        with PngImagePlugin.PngImageFile(path) as picture:
+            if picture.mode != "1" or picture.size != (device.columns, device.rows):
+                raise InputError(
+                    f"{path} is a {picture.size[0]} x {picture.size[1]} PNG of mode "
+                    f"{picture.mode}, not {device.columns} x {device.rows} at one bit a pixel: "
+                    "export the patterns again"
+                )
+            return np.frombuffer(picture.tobytes(), dtype=np.uint8)
+    except FileNotFoundError:
+        raise InputError(f"frame {path} is missing: export the patterns again") from None
+    except InputError:
+        raise
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(
+            f"frame {path} cannot be read ({error}): export the patterns again"
+        ) from None
+
+
+def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Header of an array's .npy file, as `numpy.save` writes it."""
+    content = {"descr": dtype.str, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, content)
+
+
+@contextmanager
+def open_array(
+    path: Path, kind: str | None, shape: tuple[int, ...], first: int = 0
+) -> Iterator[IO[bytes]]:
+    """Open a file at the start of an array's data, certain that all of it is there.
+
+    With a `kind` the file has a header of numpy's, which must say that type and `shape`. The
+    array's first row is of frame `first`.
+    """
+    again = "export the patterns again"
+    try:
+        with path.open("rb") as file:
+            dtype = np.dtype(kind or "u1")
+            if kind is not None:
+                header = io.BytesIO()
+                _write_header(header, dtype, shape)
+                if file.read(len(header.getvalue())) != header.getvalue():
+                    raise InputError(
+                        f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
+                        f"manifest.json says: {again}"
+                    )
+            size = dtype.itemsize
+            wanted = size * math.prod(shape)
+            here = path.stat().st_size - file.tell()
+            if here != wanted:
+                per = size * math.prod(shape[1:])
+                raise InputError(
+                    f"{path} has {here} bytes of data, and manifest.json says {wanted}: it breaks "
+                    f"off in frame {first + here // per}; {again}"
+                    if here < wanted
+                    else f"{path} has {here - wanted} bytes too many: {again}"
+                )
+            yield file
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: {again}") from None
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read ({error}): {again}") from None
+
+
+def check_hash(path: Path, sha256: str) -> None:
+    """Raise `InputError` where a design file is not the one with that hash."""
+    try:
+        with path.open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}): export the patterns again"
+        ) from None
+    if found != sha256:
+        raise InputError(f"{path} is not the design that was exported: export the patterns again")
+
+
+def _png(place: int, total: int) -> str:
+    return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"

@@ -1,0 +1,260 @@
+"""Mirrors of a frame: how many of a cell are ON, which ones, and the packed bits.
+
+A cell's grey level is the number `k` of its `K` mirrors that are ON, exact in both selections.
+`ordered` takes the first k of a fixed order in which every beginning is spread evenly over the
+cell, so that k/K of the light is taken even where a scene varies within a cell; `random` takes any
+k, drawn anew for each cell of each frame.
+
+Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1; each row
+begins a new byte.
+"""
+
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from deepfsi.hardware.patterns.sequence import Device, Grid, Rail, Selection
+
+SIDES: tuple[Rail, Rail] = ("plus", "minus")
+
+TINY = float(np.finfo(np.float64).tiny)
+"""A rail whose peak is fewer of these than a cell has mirrors is dark."""
+
+MOST_TILE_BYTES = 2**24
+"""Largest table of every grey level of a cell, packed; larger ones are not worth their memory."""
+
+HERD = 2**12
+"""Most mirrors of a cell that are put in order one by one: the time grows with the square."""
+
+SPREAD = 0.3
+"""Length over which mirrors repel each other, in sides of a cell."""
+
+UNIT = 2**15
+"""Of the repelling potential in each direction."""
+
+
+def count_mirrors(
+    rails: np.ndarray, light: str, mirrors: int
+) -> tuple[list[tuple[int, Rail]], np.ndarray, np.ndarray]:
+    """Frames that show rails, mask by mask, dark ones left out.
+
+    Parameters
+    ----------
+    rails : array, shape (2 or 1, m, N)
+    light : str
+    mirrors : int
+        K, mirrors of a cell.
+
+    Returns
+    -------
+    shown : list of (mask, rail)
+    peaks : array, shape (f,)
+        float64; on two arms the time of the mask.
+    on : array, shape (f, N)
+        uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K.
+    """
+    shown: list[tuple[int, Rail]] = []
+    peaks = []
+    on = np.empty((rails.shape[0] * rails.shape[1], rails.shape[2]), dtype=np.uint32)
+    for mask in range(rails.shape[1]):
+        parts = rails[:, mask].astype(np.float64)
+        sides: list[tuple[Rail, float, np.ndarray]] = []
+        if light == "two-arm":
+            time = parts.sum(axis=0)
+            sides.append(("both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors))
+        else:
+            for rail, part in zip(SIDES, parts, strict=False):
+                step = max(part.max() / mirrors, TINY)
+                sides.append((rail, part.max(), part / step))
+        for rail, peak, level in sides:
+            if peak > mirrors * TINY:
+                on[len(shown)] = np.rint(level)
+                shown.append((mask, rail))
+                peaks.append(peak)
+    return shown, np.array(peaks), on[: len(shown)]
+
+
+def make_frames(
+    on: Iterable[np.ndarray],
+    device: Device,
+    grid: Grid,
+    selection: Selection = "ordered",
+    seed: int = 0,
+) -> Iterator[np.ndarray]:
+    """Packed frames, one at a time.
+
+    Parameters
+    ----------
+    on : iterable of array, shape (N,)
+        Mirrors ON in each cell.
+    device : Device
+    grid : Grid
+    selection : {"ordered", "random"}
+    seed : int
+        For `random`.
+
+    Yields
+    ------
+    array, shape (rows, bytes of a row)
+        uint8; mirrors outside the grid are OFF. A new array each.
+    """
+    if selection == "random":
+        yield from _draw(on, device, grid, np.random.default_rng(seed))
+    elif _aligned(device, grid):
+        yield from _look_up(on, device, grid)
+    else:
+        yield from _compare(on, device, grid)
+
+
+def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
+    """Mirrors of a packed frame, bool (rows, columns), True where ON."""
+    return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
+
+
+def sentinel(device: Device, grid: Grid, lit: bool) -> np.ndarray:
+    """Mirrors of a frame in which every mirror of every cell is ON, or none is."""
+    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
+    mirrors[_window(grid)] = lit
+    return mirrors
+
+
+def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:
+    """Mirrors ON in each cell, shape (N,), of a frame's mirrors, bool (rows, columns)."""
+    window = mirrors[_window(grid)].view(np.uint8)
+    cells = window.reshape(grid.down, grid.height, grid.across, grid.width)
+    return cells.sum(axis=(1, 3), dtype=np.uint32).ravel()
+
+
+@lru_cache(maxsize=4)
+def order_mirrors(height: int, width: int) -> np.ndarray:
+    """Place of each mirror of a cell in the order in which grey levels switch them ON.
+
+    Each next mirror is the one that brings the mean of a repelling potential over the mirrors
+    chosen closest to its mean over the whole cell (kernel herding), so that every beginning of the
+    order represents the cell. Of very large cells whole blocks of mirrors are chosen, as often as
+    they have mirrors, and each gives those in an order of its own.
+
+    Returns
+    -------
+    array, shape (height, width)
+        0 to height · width - 1, each once; read only.
+
+    References
+    ----------
+    Y. Chen, M. Welling and A. Smola, "Super-samples from kernel herding", UAI, 2010.
+    """
+    rows, columns = height, width
+    while rows * columns > HERD:
+        rows, columns = (-(-rows // 2), columns) if rows > columns else (rows, -(-columns // 2))
+    down, across = np.arange(height) * rows // height, np.arange(width) * columns // width
+    block = np.add.outer(down * columns, across).ravel()
+    chosen = _herd(np.bincount(down), np.bincount(across))
+    order = np.empty(height * width, dtype=np.uint32)
+    order[np.lexsort((_inside(down, across), block))] = np.argsort(chosen, kind="stable")
+    order.flags.writeable = False
+    return order.reshape(height, width)
+
+
+def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Order of each mirror among those of its block; neighbouring blocks' are mirror images."""
+    places = []
+    for axis in (down, across):
+        most = np.bincount(axis).max()
+        place = np.arange(len(axis)) - np.searchsorted(axis, axis)
+        places.append(np.where(axis % 2, most - 1 - place, place))
+    most = tuple(int(place.max()) + 1 for place in places)
+    if most == (1, 1):
+        return np.zeros(len(down) * len(across), dtype=np.uint32)
+    return order_mirrors(*most)[np.ix_(*places)].ravel()
+
+
+def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Blocks of a cell in the order of herding, each as often as it has mirrors.
+
+    In whole numbers, so that every machine finds the same. They are exact although sums may pass 64
+    bits on the way: what is compared is small, and what wraps around comes back.
+    """
+    near = []
+    for sides in (heights, widths):
+        centre = (np.cumsum(sides) - sides / 2) / sides.sum()
+        distance = np.abs(np.subtract.outer(centre, centre))
+        near.append(np.rint(UNIT * np.exp(-distance / SPREAD)).astype(np.int64))
+    down, across = near
+    free = np.outer(heights, widths)
+    mirrors = int(free.sum())
+    wanted = 2 * np.outer(down @ heights, across @ widths)
+    excess = np.full(free.shape, UNIT**2 * mirrors)
+    chosen = np.empty(mirrors, dtype=np.intp)
+    for place in range(mirrors):
+        excess -= wanted
+        chosen[place] = excess.argmin()
+        row, column = divmod(int(chosen[place]), len(widths))
+        excess += np.outer(down[row], 2 * mirrors * across[column])
+        free[row, column] -= 1
+        if not free[row, column]:
+            excess[row, column] = 2**62  # beyond what any other reaches
+    return chosen
+
+
+def _aligned(device: Device, grid: Grid) -> bool:
+    """Whether every cell begins and ends with a byte, and a table of its grey levels is small."""
+    return (
+        grid.width % 8 == 0
+        and grid.left % 8 == 0
+        and (grid.mirrors + 1) * grid.mirrors <= 8 * MOST_TILE_BYTES
+    )
+
+
+def _look_up(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[np.ndarray]:
+    """Frames put together from packed cells, one for each grey level."""
+    order = order_mirrors(grid.height, grid.width)
+    levels = np.arange(grid.mirrors + 1)[:, None, None]
+    tiles = np.concatenate(
+        [np.packbits(order < some, axis=2) for some in np.array_split(levels, 64)]
+    ).transpose(1, 0, 2)
+    whole = np.ascontiguousarray(tiles).view(f"V{grid.width // 8}")[..., 0]
+    for counts in on:
+        frame = np.zeros((device.rows, -(-device.columns // 8)), dtype=np.uint8)
+        rows = frame[grid.top : grid.top + grid.down * grid.height]
+        left = grid.left // 8
+        window = rows[:, left : left + grid.across * grid.width // 8]
+        cells = whole[:, counts.reshape(grid.down, grid.across)]
+        shape = grid.down, grid.height, grid.across * grid.width // 8
+        window.reshape(shape)[...] = cells.transpose(1, 0, 2).copy().view(np.uint8).reshape(shape)
+        yield frame
+
+
+def _compare(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[np.ndarray]:
+    """Frames from comparing each mirror's place in the order with its cell's count."""
+    order = order_mirrors(grid.height, grid.width)[None, :, None, :]
+    for counts in on:
+        lit = order < counts.reshape(grid.down, 1, grid.across, 1)
+        yield _pack(lit, device, grid)
+
+
+def _draw(
+    on: Iterable[np.ndarray], device: Device, grid: Grid, rng: np.random.Generator
+) -> Iterator[np.ndarray]:
+    """Frames with mirrors drawn at random, as many as counted."""
+    places = np.arange(grid.mirrors, dtype=np.uint32)
+    for counts in on:
+        lit = places < counts[:, None]
+        grey = (counts > 0) & (counts < grid.mirrors)
+        lit[grey] = rng.permuted(lit[grey], axis=1)
+        cells = lit.reshape(grid.down, grid.across, grid.height, grid.width)
+        yield _pack(cells.transpose(0, 2, 1, 3), device, grid)
+
+
+def _pack(lit: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
+    """Packed frame of mirrors (down, height, across, width)."""
+    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
+    mirrors[_window(grid)] = lit.reshape(grid.down * grid.height, grid.across * grid.width)
+    return np.packbits(mirrors, axis=1)
+
+
+def _window(grid: Grid) -> tuple[slice, slice]:
+    return (
+        slice(grid.top, grid.top + grid.down * grid.height),
+        slice(grid.left, grid.left + grid.across * grid.width),
+    )
