@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from conftest import quick
-from deepfsi.cli.camera import seconds
+from deepfsi.cli.options import seconds
 from deepfsi.datasets import load_dataset, read_display, write_display
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate

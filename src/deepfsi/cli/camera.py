@@ -1,13 +1,12 @@
 """Commands of the camera: patterns for a device, virtual and real acquisitions, photon files."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.cli import options
 from deepfsi.cli.common import (
-    JsonOption,
     check_picture,
     check_writable,
     draw,
@@ -15,7 +14,6 @@ from deepfsi.cli.common import (
     print_table,
     progress,
     read_toml,
-    size_of,
 )
 from deepfsi.errors import InputError, as_input_error
 
@@ -62,7 +60,7 @@ def dmd_export(
     kind: Annotated[
         str, typer.Option("--format", help="npy or raw (packed bits), or png (one a frame)")
     ] = "npy",
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Turn a design into frames for a micromirror device, with a manifest.
 
@@ -72,13 +70,13 @@ def dmd_export(
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import find_device
 
-    target, mean = find_device(device), seconds("dwell", dwell)
+    target, mean = find_device(device), options.seconds("dwell", dwell)
     made = Design.load(file)
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     made.check_fixed()
     check_writable(out.parent)
-    with progress("patterns", quiet=as_json) as tell:
+    with progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(
             made.rails.numpy(),
             made.light,
@@ -91,7 +89,7 @@ def dmd_export(
             seed=seed,
             format=kind,  # type: ignore[arg-type]
             design=file.read_bytes(),
-            progress=lambda share: tell(share, ""),
+            progress=report,
         )
     _print_patterns(patterns, out, as_json)
 
@@ -99,7 +97,7 @@ def dmd_export(
 @dmd.command("check")
 def dmd_check(
     folder: Annotated[Path, typer.Argument(help="folder of patterns")],
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Read every frame of a folder back and compare it with the manifest.
 
@@ -107,8 +105,8 @@ def dmd_check(
     """
     from deepfsi.hardware.patterns.folder import check_patterns
 
-    with progress("frames", quiet=as_json) as tell:
-        patterns = check_patterns(folder, lambda share: tell(share, ""))
+    with progress("frames", quiet=as_json) as report:
+        patterns = check_patterns(folder, report)
     _print_patterns(patterns, folder, as_json)
 
 
@@ -129,7 +127,7 @@ def camera_simulate(
     settle: SettleOption = None,
     repeats: RepeatsOption = None,
     seed: Annotated[int, typer.Option(help="repeats exactly")] = 0,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Record scenes with a virtual camera: a photon file as a real one would write it.
 
@@ -141,7 +139,7 @@ def camera_simulate(
     model = _camera(settings)
     images = read_display(scene)
     check_writable(out.parent)
-    with progress("photons", quiet=as_json) as tell:
+    with progress("photons", quiet=as_json) as report:
         made = record(
             patterns,
             images.x,
@@ -150,11 +148,11 @@ def camera_simulate(
             out,
             camera=model,
             flux=flux,
-            exposure_s=seconds("exposure", exposure),
-            settle_s=None if settle is None else seconds("settle", settle),
+            exposure_s=options.seconds("exposure", exposure),
+            settle_s=options.optional_seconds("settle", settle),
             repeats=repeats,
             seed=seed,
-            progress=lambda share: tell(share, ""),
+            progress=report,
         )
     if as_json:
         print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
@@ -171,7 +169,7 @@ def camera_count(
     exposure: ExposureOption = None,
     settle: SettleOption = None,
     repeats: RepeatsOption = None,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Count the photons of each frame's gates; missing, doubled and late markers are named.
 
@@ -180,15 +178,14 @@ def camera_count(
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.recording.acquisition import count
-    from deepfsi.progress import Report
 
-    with progress("counting", quiet=as_json) as tell:
+    with progress("counting", quiet=as_json) as report:
         counts = count(
             folder,
-            exposure_s=None if exposure is None else seconds("exposure", exposure),
-            settle_s=None if settle is None else seconds("settle", settle),
+            exposure_s=options.optional_seconds("exposure", exposure),
+            settle_s=options.optional_seconds("settle", settle),
             repeats=repeats,
-            report=Report(tell),
+            report=report,
         )
     summary = _summary(counts)
     if as_json:
@@ -220,7 +217,7 @@ def camera_classify(
     photons: Annotated[
         float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Say the class of each exposure of an acquisition that was counted.
 
@@ -292,17 +289,16 @@ def camera_image(
 
 @camera.command("inspect")
 def camera_inspect(
-    file: Annotated[Path, typer.Argument(help="PicoQuant .ptu file")], as_json: JsonOption = False
+    file: Annotated[Path, typer.Argument(help="PicoQuant .ptu file")], as_json: options.Json = False
 ) -> None:
     """Say what is in a photon file: records, photons and markers by channel, overflows, span.
 
     Example: deepfsi camera inspect photons.ptu
     """
     from deepfsi.hardware.ptu.reader import inspect
-    from deepfsi.progress import Report
 
-    with progress("records", quiet=as_json) as tell:
-        contents = inspect(file, Report(tell))
+    with progress("records", quiet=as_json) as report:
+        contents = inspect(file, report)
     if as_json:
         print_json(contents.model_dump())
         return
@@ -324,7 +320,7 @@ def camera_inspect(
 def camera_spots(
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
     size: Annotated[str, typer.Option(help="pixels of the display, HEIGHTxWIDTH")] = "32x32",
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Write the pictures that calibrate a camera: bright spots, all white, all black.
 
@@ -338,7 +334,7 @@ def camera_spots(
     from deepfsi.datasets import write_pictures
     from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
 
-    height, width = size_of(size) or (32, 32)
+    height, width = options.size_of(size) or (32, 32)
     shape = (height, width)
     pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape))}
     uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
@@ -354,7 +350,7 @@ def camera_calibrate(
     folder: RunArgument,
     spots: Annotated[Path, typer.Option(help="the pictures that were shown")],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Fit the camera's view of its display to a run of spots: place, blur, flat field, dark rate.
 
@@ -384,22 +380,6 @@ def camera_calibrate(
         f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); "
         f"dark {found.dark:.4g} counts/s, ambient {found.ambient:.4g} counts/s\ncalibration: {path}"
     )
-
-
-def seconds(option: str, text: str) -> float:
-    """Seconds of a time such as 0.01, 10ms or 44us."""
-    value, scale = text.strip().lower(), 1.0
-    for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)):
-        if value.endswith(unit):
-            value, scale = value.removesuffix(unit), factor
-            break
-    try:
-        time = float(value) * scale
-    except ValueError:
-        time = math.nan
-    if not (math.isfinite(time) and time >= 0):
-        raise InputError(f"--{option} {text!r} is not a time: give seconds, or such as 10ms, 44us")
-    return time
 
 
 def _camera(text: str) -> "Camera":

@@ -1,16 +1,15 @@
-"""What the commands share: options, parsing, printing."""
+"""Input and output shared by the commands: files, tables, figures, progress."""
 
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import typer
+from typing import TYPE_CHECKING, Any, Literal
 
 from deepfsi.errors import InputError
+from deepfsi.progress import Report
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,86 +17,6 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.artifact import Design
-
-DataOption = Annotated[
-    str,
-    typer.Option(
-        "--data", help="name (deepfsi data list), folder or .zip of images, cube, or .npz"
-    ),
-]
-SizeOption = Annotated[
-    str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
-]
-ViewOption = Annotated[
-    Path | None,
-    typer.Option(help="folder of a camera's calibration: use what it sees of the scenes"),
-]
-DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
-WorkersOption = Annotated[
-    int | None, typer.Option(min=1, help="processes; one for each core unless given")
-]
-RayOption = Annotated[str | None, typer.Option(help="work on a Ray cluster: its address, or auto")]
-JsonOption = Annotated[bool, typer.Option("--json", help="print JSON and nothing else")]
-LightOption = Annotated[
-    str, typer.Option(help="light constraint: column, equal-dwell, free-dwell or two-arm")
-]
-RailsOption = Annotated[
-    str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
-]
-SigmaOption = Annotated[float, typer.Option(help="gaussian read noise, counts per readout")]
-TrainNoiseOption = Annotated[
-    str | None,
-    typer.Option(help="noise of the training, if another: ml_gauss, poisson, gaussian, none"),
-]
-MatrixOption = Annotated[
-    str | None,
-    typer.Option(
-        help="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or (m, H, W), a "
-        "folder of images, or a TIFF of m pages"
-    ),
-]
-EpochsOption = Annotated[int | None, typer.Option(help="training epochs")]
-
-
-def words(text: str | None) -> list[str] | None:
-    """Parts of a text separated by commas."""
-    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
-
-
-def numbers(option: str, text: str | None, whole: bool = False) -> list[Any] | None:
-    """Numbers separated by commas; `InputError` names the option."""
-    parts = words(text)
-    if parts is None:
-        return None
-    if not parts:
-        raise InputError(f"--{option} is empty: give one number or more, separated by commas")
-    return [whole_number(option, part) if whole else one(option, part) for part in parts]
-
-
-def one(option: str, text: str) -> float:
-    """A number, or `InputError`."""
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"--{option} {text!r} is not a number") from None
-
-
-def whole_number(option: str, text: str) -> int:
-    """A whole number, or `InputError`."""
-    value = one(option, text)
-    if not value.is_integer():
-        raise InputError(f"--{option} {text!r} is not a whole number")
-    return int(value)
-
-
-def size_of(text: str | None) -> tuple[int, int] | None:
-    """Height and width of HEIGHTxWIDTH, or of one number for both."""
-    if text is None:
-        return None
-    sides = text.lower().split("x")
-    if not all(side.isdecimal() and int(side) > 0 for side in sides) or len(sides) > 2:
-        raise InputError(f"--size {text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32")
-    return int(sides[0]), int(sides[-1])
 
 
 def load(
@@ -126,6 +45,13 @@ def open_design(path: Path) -> "Design":
     from deepfsi.hardware.patterns.folder import check_patterns
 
     return Design.load(path / "design.safetensors").as_shown(check_patterns(path))
+
+
+def check_file(path: Path, ending: str) -> None:
+    """Raise `InputError` unless a file can be written to that name."""
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: give a file name ending in {ending}")
+    check_writable(path.parent)
 
 
 def check_picture(path: Path) -> None:
@@ -208,7 +134,7 @@ def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]])
 
 
 @contextmanager
-def progress(what: str, quiet: bool) -> Iterator[Callable[[float, str], None]]:
+def progress(what: str, quiet: bool) -> Iterator[Report]:
     """Progress bar on standard error with the time left."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -219,8 +145,4 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[float, str], None]]:
     hidden = quiet or not console.is_terminal
     with Progress(*columns, console=console, disable=hidden, transient=True) as bar:
         task = bar.add_task(what, total=1.0)
-
-        def tell(share: float, now: str) -> None:
-            bar.update(task, completed=share, description=now or what)
-
-        yield tell
+        yield Report(lambda share, now: bar.update(task, completed=share, description=now or what))

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deepfsi.cli.common import JsonOption, SizeOption, load, print_json, print_table, size_of
+from deepfsi.cli import options
+from deepfsi.cli.common import load, print_json, print_table
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -14,7 +15,7 @@ app = typer.Typer(
 
 
 @app.command("list")
-def data_list(as_json: JsonOption = False) -> None:
+def data_list(as_json: options.Json = False) -> None:
     """List the data sets that have a name, and where they are.
 
     Example: deepfsi data list --json
@@ -45,7 +46,7 @@ def data_download(name: Annotated[str, typer.Argument(help="name of a data set")
 
 @app.command("check")
 def data_check(
-    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: JsonOption = False
+    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: options.Json = False
 ) -> None:
     """Compare a data set's files with their known hashes.
 
@@ -69,8 +70,8 @@ def data_export(
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
     per_class: Annotated[int, typer.Option(min=1, help="test scenes of each class")] = 1,
     seed: Annotated[int, typer.Option(help="draws them")] = 0,
-    size: SizeOption = None,
-    as_json: JsonOption = False,
+    size: options.Size = None,
+    as_json: options.Json = False,
 ) -> None:
     """Write test scenes as pictures, to be shown to a camera, with a folder for each class.
 
@@ -78,7 +79,7 @@ def data_export(
     """
     from deepfsi.datasets import write_display
 
-    written = write_display(load(name, size_of(size)), out, per_class, seed)
+    written = write_display(load(name, options.size_of(size)), out, per_class, seed)
     if as_json:
         print_json([str(path) for path in written])
     else:

@@ -7,26 +7,18 @@ from typing import Annotated, Any
 
 import typer
 
+from deepfsi.cli import options
 from deepfsi.cli.common import (
-    DataOption,
-    DeviceOption,
-    EpochsOption,
-    JsonOption,
-    SizeOption,
-    WorkersOption,
+    check_file,
     check_writable,
     command_line,
     load,
-    numbers,
-    one,
     open_design,
     print_json,
     print_table,
     progress,
-    size_of,
-    words,
 )
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.errors import InputError
 
 
 def export(
@@ -51,9 +43,7 @@ def export(
     if not onnx:
         raise InputError("a design can be exported as an ONNX graph: add --onnx")
     target = out or file.with_suffix(".onnx")
-    if target.is_dir():
-        raise InputError(f"{target} is a folder: give a file name ending in .onnx")
-    check_writable(target.parent)
+    check_file(target, ".onnx")
     design = open_design(file)
     write_atomically(target, to_onnx(design))
     shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
@@ -64,29 +54,28 @@ def export(
 
 
 def plan(
+    context: typer.Context,
     target: Annotated[str, typer.Option(help="accuracy to be reached, such as 0.95")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/plan"),
-    data: DataOption = "digits",
-    size: SizeOption = None,
-    designs: Annotated[str, typer.Option(help="names, separated by commas")] = (
-        "impulse,raster,truncated-hadamard,pca,deepfsi"
-    ),
+    out: options.Folder = Path("runs/plan"),
+    data: options.Data = "digits",
+    size: options.Size = None,
+    designs: options.Designs = "impulse,raster,truncated-hadamard,pca,deepfsi",
     photons: Annotated[
         str, typer.Option(help="budgets to try first; more are added where the target is met")
     ] = "1e2,1e3,1e4,1e5,1e6",
     ratios: Annotated[
         str | None, typer.Option(help="compression ratios m/N; 0.01,0.04,0.16 unless given")
     ] = None,
-    masks: Annotated[str | None, typer.Option(help="mask counts, instead of ratios")] = None,
-    noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
-    sigma: Annotated[float, typer.Option(help="gaussian noise, counts per readout")] = 1.0,
-    light: Annotated[str, typer.Option(help="light constraints")] = "column",
-    rails: Annotated[str, typer.Option(help="dual, single")] = "dual",
-    trials: Annotated[int, typer.Option(help="training seeds for each point")] = 2,
-    epochs: EpochsOption = None,
-    device: DeviceOption = "auto",
-    workers: WorkersOption = None,
-    as_json: JsonOption = False,
+    masks: options.MaskCounts = None,
+    noise: options.Noise = "poisson",
+    sigma: options.Sigmas = 1.0,
+    light: options.Lights = "column",
+    rails: options.RailsAxis = "dual",
+    trials: options.Trials = 2,
+    epochs: options.Epochs = None,
+    device: options.Device = "auto",
+    workers: options.Workers = None,
+    as_json: options.Json = False,
 ) -> None:
     """Say how many photons and masks a target accuracy needs, for each design.
 
@@ -98,33 +87,13 @@ def plan(
     """
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
-    from deepfsi.sweeps.recipe import Recipe
 
-    if masks is not None and ratios is not None:
-        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
-    settings: dict[str, Any] = {
-        "data": data,
-        "size": size_of(size),
-        "designs": words(designs),
-        "photons": numbers("photons", photons),
-        "noise": noise,
-        "sigma": sigma,
-        "light": words(light),
-        "rails": words(rails),
-        "trials": trials,
-        "training": {} if epochs is None else {"epochs": epochs},
-    }
-    if masks is not None:
-        settings["masks"] = numbers("masks", masks, whole=True)
-    else:
-        settings["ratios"] = numbers("ratios", ratios) or [0.01, 0.04, 0.16]
-    accuracy = one("target", target)
-    with as_input_error():
-        recipe = Recipe.model_validate(settings)
-    scenes = load(data, size_of(size))
+    accuracy = options.number("target", target)
+    recipe = options.recipe_from(context.params, {"ratios": (0.01, 0.04, 0.16)})
+    scenes = load(data, options.size_of(size))
     check_plan(recipe, scenes, accuracy)
     check_writable(out)
-    with progress("plan", quiet=as_json) as tell:
+    with progress("plan", quiet=as_json) as report:
         found, results = photons_needed(
             recipe,
             scenes,
@@ -133,14 +102,14 @@ def plan(
             command=command_line(),
             device=device,
             workers=workers,
-            report=tell,
+            report=report,
         )
     for name, value in (("plan", found), ("results", results)):
         write_atomically(out / f"{name}.json", json.dumps(value, indent=1).encode())
     if as_json:
         print_json(found)
         return
-    _print_needs(found, [axis for axis in ("light", "rails") if len(settings[axis]) > 1])
+    _print_needs(found, [axis for axis in ("light", "rails") if len(getattr(recipe, axis)) > 1])
     print(f"plan: {out / 'plan.json'}")
 
 

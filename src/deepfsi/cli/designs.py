@@ -2,35 +2,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deepfsi.cli import options
 from deepfsi.cli.common import (
-    DataOption,
-    DeviceOption,
-    EpochsOption,
-    JsonOption,
-    LightOption,
-    MatrixOption,
-    RailsOption,
-    SigmaOption,
-    SizeOption,
-    TrainNoiseOption,
-    ViewOption,
+    check_file,
     check_picture,
     check_writable,
     draw,
     load,
-    numbers,
-    one,
     open_design,
     print_json,
     print_table,
     progress,
     read_matrix,
-    size_of,
-    whole_number,
 )
 from deepfsi.errors import InputError
 
@@ -40,103 +27,47 @@ if TYPE_CHECKING:
 
 
 def design(
-    photons: Annotated[
-        str,
-        typer.Option(
-            help="budget: expected photons on the coding device; LOW:HIGH for a range of budgets"
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")],
-    masks: Annotated[str | None, typer.Option(help="number of masks, m")] = None,
-    data: DataOption = "digits",
-    size: SizeOption = None,
-    name: Annotated[
-        str | None, typer.Option("--design", help="which design; deepfsi unless given")
-    ] = None,
-    noise: Annotated[str, typer.Option(help="poisson, gaussian or none")] = "poisson",
-    train_noise: TrainNoiseOption = None,
-    sigma: SigmaOption = 1.0,
-    light: LightOption = "column",
-    rails: RailsOption = "dual",
-    nested: Annotated[
-        int, typer.Option(help="fewest masks, first ones, that must do by themselves; 0: all")
-    ] = 0,
-    levels: Annotated[
-        int, typer.Option(help="grey levels of a cell, dark included, that masks are made of")
-    ] = 0,
-    looks: Annotated[
-        int,
-        typer.Option(help="looks of an exposure: counts of each choose the dwells of the next"),
-    ] = 1,
-    epochs: EpochsOption = None,
+    context: typer.Context,
+    photons: options.PhotonRange,
+    out: options.DesignFile,
+    masks: options.MaskCount = None,
+    data: options.Data = "digits",
+    size: options.Size = None,
+    name: options.Design = None,
+    noise: options.Noise = "poisson",
+    train_noise: options.TrainNoise = None,
+    sigma: options.Sigma = 1.0,
+    light: options.Light = "column",
+    rails: options.Rails = "dual",
+    nested: options.Nested = 0,
+    levels: options.Levels = 0,
+    looks: options.Looks = 1,
+    epochs: options.Epochs = None,
     hold_out: Annotated[
         int, typer.Option(help="last training scenes to leave out, for `deepfsi stop`")
     ] = 0,
     seed: Annotated[int, typer.Option(help="repeats exactly on one device")] = 0,
-    matrix: MatrixOption = None,
-    view: ViewOption = None,
-    device: DeviceOption = "auto",
-    as_json: JsonOption = False,
+    matrix: options.Matrix = None,
+    view: options.View = None,
+    device: options.Device = "auto",
+    as_json: options.Json = False,
 ) -> None:
     """Learn masks and classifier for one budget or a range of them, and save them as one file.
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.optics import codes
-    from deepfsi.sweeps.recipe import TRAINING_NOISE
     from deepfsi.training.learning import learn
 
     own = read_matrix(matrix)
-    budgets = budget_range(photons)
-    scenes = load(data, size_of(size), view)
-    if noise not in TRAINING_NOISE:
-        from deepfsi.errors import closest
-
-        raise InputError(f"unknown noise {noise!r}: {closest(noise, TRAINING_NOISE)}")
-    if own is not None and (masks is not None or name not in (None, "custom")):
-        raise InputError("--matrix is a design with its own masks: leave --masks and --design out")
-    kind = "custom" if own is not None else codes.check_design(name or "deepfsi")
-    if own is not None:
-        count = len(own)
-    elif masks is not None:
-        count = whole_number("masks", masks)
-    elif codes.DESIGNS[kind].fixed_count:
-        count = codes.count_allowed(kind, scenes)[1]
-    else:
-        raise InputError(f"{kind} needs a number of masks: add --masks, for instance --masks 10")
-    if out.is_dir():
-        raise InputError(f"{out} is a folder: give a file name ending in .safetensors")
-    check_writable(out.parent)
-    seen = scenes.hold_out(hold_out) if hold_out else scenes
-    settings: dict[str, Any] = {
-        "levels": levels,
-        "nested": nested,
-        "looks": looks,
-        "span": budgets[1] / budgets[0],
-    }
-    if epochs is not None:
-        settings["epochs"] = epochs
-    usual = TRAINING_NOISE[noise]
-    if looks > 1 and usual == "ml_gauss":
-        usual = "poisson"  # a look shows many masks too shortly for MLGauss
-    with progress(f"{kind}, {count} masks", quiet=as_json) as tell:
-        made = learn(
-            seen,
-            photons=budgets[0],
-            masks=count,
-            design=kind,
-            noise=train_noise or usual,
-            sigma=sigma,
-            light=light,
-            rails=rails,
-            seed=seed,
-            matrix=own,
-            device=device,
-            progress=lambda share: tell(share, ""),
-            **settings,
-        )
-    results = test(made, scenes, list(dict.fromkeys(budgets)), noise=noise, sigma=sigma)
+    budgets = dict.fromkeys(options.budget_range(photons))
+    scenes = load(data, options.size_of(size), view)
+    settings = options.job_settings(context.params, scenes, own)
+    check_file(out, ".safetensors")
+    shown = scenes.hold_out(hold_out) if hold_out else scenes
+    with progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
+        made = learn(shown, matrix=own, device=device, progress=report, **settings)
+    results = test(made, scenes, list(budgets), noise=noise, sigma=sigma)
     made.save(out)
     if as_json:
         tests = [result.as_dict() for result in results]
@@ -144,21 +75,11 @@ def design(
         return
     for result in results:
         print(
-            f"{kind} with {made.masks} masks at {result.photons:g} photons: test accuracy "
+            f"{made.name} with {made.masks} masks at {result.photons:g} photons: test accuracy "
             f"{result.accuracy:.4f} [{result.low:.4f}, {result.high:.4f}], "
             f"light throughput {result.throughput:.3f}"
         )
     print(f"saved: {out}")
-
-
-def budget_range(text: str) -> tuple[float, float]:
-    """Lowest and highest budget of NUMBER or LOW:HIGH; `InputError` names the option."""
-    parts = [one("photons", part) for part in text.split(":")]
-    if len(parts) > 2 or not 0 < parts[0] <= parts[-1]:
-        raise InputError(
-            f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as 1e3:1e6"
-        )
-    return parts[0], parts[-1]
 
 
 def evaluate(
@@ -166,18 +87,18 @@ def evaluate(
         Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
     ],
     photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
-    data: DataOption = "digits",
-    size: SizeOption = None,
+    data: options.Data = "digits",
+    size: options.Size = None,
     noise: Annotated[str, typer.Option(help="poisson, gaussian, ml_gauss or none")] = "poisson",
-    sigma: SigmaOption = 1.0,
+    sigma: options.Sigma = 1.0,
     first: Annotated[
         int | None, typer.Option(help="show only so many masks of a nested design, the first ones")
     ] = None,
-    draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
-    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
-    view: ViewOption = None,
-    device: DeviceOption = "auto",
-    as_json: JsonOption = False,
+    draws: options.Draws = 3,
+    seed: options.NoiseSeed = 0,
+    view: options.View = None,
+    device: options.Device = "auto",
+    as_json: options.Json = False,
 ) -> None:
     """Test a design at any budgets, under exact photon noise.
 
@@ -186,12 +107,12 @@ def evaluate(
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.training.training_set import find_device
 
-    budgets = numbers("photons", photons) or []
+    budgets = options.numbers("photons", photons) or []
     made = open_design(file).to(find_device(device))
     if first is not None:
         made = made.first(first)
-    scenes = load(data, size_of(size), view)
-    with progress("evaluate", quiet=as_json) as tell:
+    scenes = load(data, options.size_of(size), view)
+    with progress("evaluate", quiet=as_json) as report:
         results = test(
             made,
             scenes,
@@ -200,7 +121,7 @@ def evaluate(
             sigma=sigma,
             draws=draws,
             seed=seed,
-            progress=lambda share: tell(share, ""),
+            progress=report,
         )
     if as_json:
         print_json({"design": str(file), "results": [result.as_dict() for result in results]})
@@ -225,8 +146,8 @@ def stop(
         Path, typer.Argument(help="design file for one device, nested or of several looks")
     ],
     photons: Annotated[str, typer.Option(help="budget of a whole exposure")],
-    data: DataOption = "digits",
-    size: SizeOption = None,
+    data: options.Data = "digits",
+    size: options.Size = None,
     hold_out: Annotated[
         int | None,
         typer.Option(help="last training scenes that the training left out; a sixth unless given"),
@@ -234,10 +155,10 @@ def stop(
     threshold: Annotated[
         float | None, typer.Option(help="confidence above which to stop; chosen unless given")
     ] = None,
-    draws: Annotated[int, typer.Option(help="noise draws of each scene")] = 3,
-    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
-    device: DeviceOption = "auto",
-    as_json: JsonOption = False,
+    draws: options.Draws = 3,
+    seed: options.NoiseSeed = 0,
+    device: options.Device = "auto",
+    as_json: options.Json = False,
 ) -> None:
     """Stop exposures as soon as their answer is sure enough, and say what that saves.
 
@@ -247,9 +168,9 @@ def stop(
     from deepfsi.design.stopping import stop as run
     from deepfsi.training.training_set import find_device
 
-    budget = one("photons", photons)
+    budget = options.number("photons", photons)
     made = Design.load(file, find_device(device))
-    scenes = load(data, size_of(size))
+    scenes = load(data, options.size_of(size))
     with progress("stop", quiet=as_json):
         found = run(
             made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed

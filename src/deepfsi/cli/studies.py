@@ -6,29 +6,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.cli import options
 from deepfsi.cli.common import (
-    DataOption,
-    DeviceOption,
-    EpochsOption,
-    JsonOption,
-    MatrixOption,
-    RayOption,
-    SizeOption,
-    TrainNoiseOption,
-    WorkersOption,
     check_writable,
     command_line,
     load,
-    numbers,
     print_json,
     print_table,
     progress,
     read_matrix,
     read_toml,
-    size_of,
-    words,
 )
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.errors import as_input_error
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,29 +28,29 @@ if TYPE_CHECKING:
 
 def compare(
     context: typer.Context,
-    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/compare"),
-    data: DataOption = "digits",
-    size: SizeOption = None,
-    designs: Annotated[str | None, typer.Option(help="names, separated by commas")] = None,
+    out: options.Folder = Path("runs/compare"),
+    data: options.Data = "digits",
+    size: options.Size = None,
+    designs: options.Designs = None,
     photons: Annotated[str | None, typer.Option(help="budgets, such as 1e3,1e4,1e5")] = None,
     ratios: Annotated[
         str | None, typer.Option(help="compression ratios m/N, such as 0.01,0.04,0.09")
     ] = None,
-    masks: Annotated[str | None, typer.Option(help="mask counts, instead of ratios")] = None,
-    noise: Annotated[str | None, typer.Option(help="poisson, gaussian, none")] = None,
-    train_noise: TrainNoiseOption = None,
-    sigma: Annotated[float | None, typer.Option(help="gaussian noise, counts per readout")] = None,
-    light: Annotated[str | None, typer.Option(help="light constraints")] = None,
-    rails: Annotated[str | None, typer.Option(help="dual, single")] = None,
-    trials: Annotated[int | None, typer.Option(help="training seeds for each point")] = None,
-    epochs: EpochsOption = None,
-    matrix: MatrixOption = None,
+    masks: options.MaskCounts = None,
+    noise: options.Noises = None,
+    train_noise: options.TrainNoise = None,
+    sigma: options.Sigmas = None,
+    light: options.Lights = None,
+    rails: options.RailsAxis = None,
+    trials: options.Trials = None,
+    epochs: options.Epochs = None,
+    matrix: options.Matrix = None,
     recipe: Annotated[
         Path | None, typer.Option(help="TOML file; options given here override it")
     ] = None,
-    device: DeviceOption = "auto",
-    workers: WorkersOption = None,
-    as_json: JsonOption = False,
+    device: options.Device = "auto",
+    workers: options.Workers = None,
+    as_json: options.Json = False,
 ) -> None:
     """Train every design at every budget, and report which sees best.
 
@@ -73,56 +62,34 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
-    from deepfsi.sweeps.recipe import Recipe
-
-    if masks is not None and ratios is not None:
-        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
     own = read_matrix(matrix)
-    settings = read_toml(recipe) if recipe else {}
-    if not recipe and data == "digits" and not (ratios or masks or trials):
-        settings = dict(_QUICK)
-    given = {
-        "data": data if recipe is None or _given(context, "data") else None,
-        "size": size_of(size),
-        "designs": words(designs),
-        "photons": numbers("photons", photons),
-        "ratios": numbers("ratios", ratios),
-        "masks": numbers("masks", masks, whole=True),
-        "noise": words(noise),
-        "train_noise": words(train_noise),
-        "sigma": sigma,
-        "light": words(light),
-        "rails": words(rails),
-        "trials": trials,
-    }
-    settings |= {key: value for key, value in given.items() if value is not None}
-    if masks is not None:
-        settings.pop("ratios", None)
-    if ratios is not None:
-        settings.pop("masks", None)
-    if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
-        settings["training"] = {**settings["training"], "epochs": epochs}
-
-    with as_input_error():
-        chosen = Recipe.model_validate(settings)
-        if own is not None and "custom" not in chosen.designs:
-            chosen = chosen.model_copy(update={"designs": (*chosen.designs, "custom")})
-    _sweep(chosen, out, "compare", matrix=own, device=device, workers=workers, as_json=as_json)
+    asked = dict(context.params)
+    base: dict[str, Any] = {}
+    if recipe:
+        base = read_toml(recipe)
+        asked["data"] = data if _given(context, "data") else None
+    elif data == "digits" and not (ratios or masks or trials):
+        base = QUICK
+    chosen = options.recipe_from(asked, base)
+    if own is not None and "custom" not in chosen.designs:
+        chosen = chosen.model_copy(update={"designs": (*chosen.designs, "custom")})
+    results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
+    _finish(results, out, as_json)
 
 
 def sweep(
     recipe: Annotated[Path, typer.Argument(help="TOML file: every list in it is an axis")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/sweep"),
-    workers: WorkersOption = None,
-    ray: RayOption = None,
-    device: DeviceOption = "auto",
+    out: options.Folder = Path("runs/sweep"),
+    workers: options.Workers = None,
+    ray: options.Ray = None,
+    device: options.Device = "auto",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="say what it would cost here, and do nothing")
     ] = False,
     table: Annotated[
         Path | None, typer.Option(help="write all records as one table, .csv or .parquet")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Run all trials of a recipe, on all cores, a GPU or a Ray cluster.
 
@@ -132,7 +99,7 @@ def sweep(
     Example: deepfsi sweep recipes/baseline.toml -o runs/baseline --table runs/baseline.csv
     """
     from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.sweeps.records import check_table
+    from deepfsi.sweeps.records import check_table, write_table
 
     if table is not None:
         check_table(table)
@@ -141,16 +108,14 @@ def sweep(
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return
-    _sweep(
-        chosen,
-        out,
-        "sweep",
-        device=device,
-        workers=workers,
-        ray=ray,
-        table=table,
-        as_json=as_json,
-    )
+    if table is not None:
+        check_writable(table.parent)
+    results, records = _run(chosen, out, "sweep", as_json, device=device, workers=workers, ray=ray)
+    _finish(results, out, as_json)
+    if table is not None:
+        write_table(records, table)
+        if not as_json:
+            print(f"table: {table}")
 
 
 def reproduce(
@@ -161,17 +126,17 @@ def reproduce(
             "forgiving, or list"
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="output folder")] = Path("runs/paper"),
+    out: options.Folder = Path("runs/paper"),
     quick: Annotated[
         bool, typer.Option("--quick", help="a coarse grid: minutes instead of hours")
     ] = False,
     trials: Annotated[
         int | None, typer.Option(min=1, help="training seeds for each point, if not the recipe's")
     ] = None,
-    workers: WorkersOption = None,
-    ray: RayOption = None,
-    device: DeviceOption = "auto",
-    as_json: JsonOption = False,
+    workers: options.Workers = None,
+    ray: options.Ray = None,
+    device: options.Device = "auto",
+    as_json: options.Json = False,
 ) -> None:
     """Repeat an experiment of the paper: figures, the numbers behind them, and its claims.
 
@@ -190,7 +155,7 @@ def reproduce(
     chosen = experiments.find(name)
     check_writable(out)
     for each in chosen:
-        with progress(each.name, quiet=as_json) as tell:
+        with progress(each.name, quiet=as_json) as report:
             each.run(
                 out,
                 command=command_line(),
@@ -199,7 +164,7 @@ def reproduce(
                 device=device,
                 workers=workers,
                 ray=ray,
-                report=tell,
+                report=report,
             )
     page = experiments.page(out)
     sections = [section for each in chosen if (section := each.section(out))]
@@ -256,28 +221,23 @@ def _print_claims(section: "Section") -> None:
     Console().print(table)
 
 
-def _sweep(
+def _run(
     recipe: "Recipe",
     out: Path,
     what: str,
+    quiet: bool,
     *,
     matrix: "np.ndarray | None" = None,
     device: str,
     workers: int | None,
     ray: str | None = None,
-    table: Path | None = None,
-    as_json: bool,
-) -> None:
-    from deepfsi import report
-    from deepfsi.files import write_atomically
-    from deepfsi.sweeps.records import write_table
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     from deepfsi.sweeps.run import compare as run
 
     scenes = load(recipe.data, recipe.size, split=recipe.split)
-    for folder in (out, *([table.parent] if table else [])):
-        check_writable(folder)
-    with progress(what, quiet=as_json) as tell:
-        results, records = run(
+    check_writable(out)
+    with progress(what, quiet=quiet) as report:
+        return run(
             recipe,
             scenes,
             out,
@@ -286,19 +246,21 @@ def _sweep(
             device=device,
             workers=workers,
             ray=ray,
-            report=tell,
+            report=report,
         )
+
+
+def _finish(results: dict[str, Any], out: Path, as_json: bool) -> None:
+    from deepfsi.files import write_atomically
+    from deepfsi.report import build
+
     write_atomically(out / "results.json", json.dumps(results, indent=1).encode())
-    page = report.build(out)
-    if table:
-        write_table(records, table)
+    page = build(out)
     if as_json:
         print_json(results)
         return
     _print_points(results)
     print(f"report: {page}")
-    if table:
-        print(f"table: {table}")
 
 
 def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_json: bool) -> None:
@@ -326,11 +288,12 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-_QUICK: dict[str, Any] = {
+QUICK: dict[str, Any] = {
     "ratios": (0.06, 0.16, 0.36),
     "trials": 3,
     "training": {"epochs": 30},
 }
+"""Recipe of a comparison on digits, where no ratios, masks or trials are given."""
 
 
 def _given(context: typer.Context, name: str) -> bool:

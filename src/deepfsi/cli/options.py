@@ -1,0 +1,280 @@
+"""Options of the commands, their values parsed, and the job or recipe that they ask for."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepfsi.errors import InputError, as_input_error, closest
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from deepfsi.datasets import Dataset
+    from deepfsi.sweeps.recipe import Recipe
+
+Data = Annotated[
+    str,
+    typer.Option(
+        "--data", help="name (deepfsi data list), folder or .zip of images, cube, or .npz"
+    ),
+]
+Size = Annotated[
+    str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
+]
+View = Annotated[
+    Path | None,
+    typer.Option(help="folder of a camera's calibration: use what it sees of the scenes"),
+]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="processes; one for each core unless given")
+]
+Ray = Annotated[str | None, typer.Option(help="work on a Ray cluster: its address, or auto")]
+Json = Annotated[bool, typer.Option("--json", help="print JSON and nothing else")]
+Folder = Annotated[Path, typer.Option("--out", "-o", help="output folder")]
+Matrix = Annotated[
+    str | None,
+    typer.Option(
+        help="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or (m, H, W), a "
+        "folder of images, or a TIFF of m pages"
+    ),
+]
+Epochs = Annotated[int | None, typer.Option(help="training epochs")]
+TrainNoise = Annotated[
+    str | None,
+    typer.Option(help="noise of the training, if another: ml_gauss, poisson, gaussian, none"),
+]
+
+# one design
+
+PhotonRange = Annotated[
+    str,
+    typer.Option(
+        help="budget: expected photons on the coding device; LOW:HIGH for a range of budgets"
+    ),
+]
+DesignFile = Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")]
+MaskCount = Annotated[str | None, typer.Option(help="number of masks, m")]
+Design = Annotated[str | None, typer.Option("--design", help="which design; deepfsi unless given")]
+Noise = Annotated[str, typer.Option(help="poisson, gaussian or none")]
+Sigma = Annotated[float, typer.Option(help="gaussian read noise, counts per readout")]
+Light = Annotated[
+    str, typer.Option(help="light constraint: column, equal-dwell, free-dwell or two-arm")
+]
+Rails = Annotated[
+    str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
+]
+Nested = Annotated[
+    int, typer.Option(help="fewest masks, first ones, that must do by themselves; 0: all")
+]
+Levels = Annotated[
+    int, typer.Option(help="grey levels of a cell, dark included, that masks are made of")
+]
+Looks = Annotated[
+    int, typer.Option(help="looks of an exposure: counts of each choose the dwells of the next")
+]
+Draws = Annotated[int, typer.Option(help="noise draws of each scene")]
+NoiseSeed = Annotated[int, typer.Option(help="of the noise")]
+
+# many designs
+
+Designs = Annotated[str | None, typer.Option(help="names, separated by commas")]
+MaskCounts = Annotated[str | None, typer.Option(help="mask counts, instead of ratios")]
+Noises = Annotated[str | None, typer.Option(help="poisson, gaussian, none")]
+Sigmas = Annotated[float | None, typer.Option(help="gaussian noise, counts per readout")]
+Lights = Annotated[str | None, typer.Option(help="light constraints")]
+RailsAxis = Annotated[str | None, typer.Option(help="dual, single")]
+Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
+
+
+def words(text: str | None) -> list[str] | None:
+    """Parts of a text separated by commas."""
+    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
+
+
+def numbers(option: str, text: str | None, whole: bool = False) -> list[Any] | None:
+    """Numbers separated by commas.
+
+    Parameters
+    ----------
+    option : str
+        Name of the option, for the `InputError` of what is no number.
+    text : str or None
+        Its value; without one there are no numbers either.
+    whole : bool
+        Take whole numbers only.
+
+    Returns
+    -------
+    list of float or of int, or None
+    """
+    parts = words(text)
+    if parts is None:
+        return None
+    if not parts:
+        raise InputError(f"--{option} is empty: give one number or more, separated by commas")
+    return [(whole_number if whole else number)(option, part) for part in parts]
+
+
+def number(option: str, text: str) -> float:
+    """Value of an option that is a number, or `InputError`."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--{option} {text!r} is not a number") from None
+
+
+def whole_number(option: str, text: str) -> int:
+    """Value of an option that is a whole number, or `InputError`."""
+    value = number(option, text)
+    if not value.is_integer():
+        raise InputError(f"--{option} {text!r} is not a whole number")
+    return int(value)
+
+
+def seconds(option: str, text: str) -> float:
+    """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
+    value, scale = text.strip().lower(), 1.0
+    for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)):
+        if value.endswith(unit):
+            value, scale = value.removesuffix(unit), factor
+            break
+    try:
+        time = float(value) * scale
+    except ValueError:
+        time = math.nan
+    if not (math.isfinite(time) and time >= 0):
+        raise InputError(f"--{option} {text!r} is not a time: give seconds, or such as 10ms, 44us")
+    return time
+
+
+def optional_seconds(option: str, text: str | None) -> float | None:
+    """Seconds of a time, or None where none is given."""
+    return None if text is None else seconds(option, text)
+
+
+def size_of(text: str | None) -> tuple[int, int] | None:
+    """Height and width of HEIGHTxWIDTH, or of one number for both."""
+    if text is None:
+        return None
+    sides = text.lower().split("x")
+    if not all(side.isdecimal() and int(side) > 0 for side in sides) or len(sides) > 2:
+        raise InputError(f"--size {text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32")
+    return int(sides[0]), int(sides[-1])
+
+
+def budget_range(text: str) -> tuple[float, float]:
+    """Lowest and highest budget of NUMBER or LOW:HIGH, or `InputError`."""
+    parts = [number("photons", part) for part in text.split(":")]
+    if len(parts) > 2 or not 0 < parts[0] <= parts[-1]:
+        raise InputError(
+            f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as 1e3:1e6"
+        )
+    return parts[0], parts[-1]
+
+
+def job_settings(
+    options: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
+) -> dict[str, Any]:
+    """Settings of `learn` that the options of `design` ask for.
+
+    Parameters
+    ----------
+    options : mapping
+        Values of the options by the names of their parameters.
+    data : Dataset
+        What the design is for; it decides how many masks a design of a fixed number has.
+    matrix : array, shape (m, N), or None
+        The user's own masks.
+
+    Returns
+    -------
+    dict
+        All that is no device, matrix or report.
+    """
+    from deepfsi.sweeps.recipe import TRAINING_NOISE
+
+    noise = options["noise"]
+    if noise not in TRAINING_NOISE:
+        raise InputError(f"unknown noise {noise!r}: {closest(noise, TRAINING_NOISE)}")
+    usual = TRAINING_NOISE[noise]
+    if options["looks"] > 1 and usual == "ml_gauss":
+        usual = "poisson"  # a look shows many masks too shortly for MLGauss
+    design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
+    lowest, highest = budget_range(options["photons"])
+    settings = {
+        "design": design,
+        "masks": masks,
+        "photons": lowest,
+        "span": highest / lowest,
+        "noise": options["train_noise"] or usual,
+        "epochs": options["epochs"],
+    }
+    same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks")
+    settings |= {name: options[name] for name in same}
+    return {name: value for name, value in settings.items() if value is not None}
+
+
+def _design_and_masks(
+    name: str | None, masks: str | None, data: "Dataset", matrix: "np.ndarray | None"
+) -> tuple[str, int]:
+    from deepfsi.optics import codes
+
+    if matrix is not None:
+        if masks is not None or name not in (None, "custom"):
+            raise InputError(
+                "--matrix is a design with its own masks: leave --masks and --design out"
+            )
+        return "custom", len(matrix)
+    design = codes.check_design(name or "deepfsi")
+    if masks is not None:
+        return design, whole_number("masks", masks)
+    if not codes.DESIGNS[design].fixed_count:
+        raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
+    return design, codes.count_allowed(design, data)[1]
+
+
+def recipe_from(options: Mapping[str, Any], base: Mapping[str, Any]) -> "Recipe":
+    """Recipe that the options of `compare` or `plan` ask for.
+
+    Parameters
+    ----------
+    options : mapping
+        Values of the options by the names of their parameters; None where one is not given.
+    base : mapping
+        Settings of the recipe that hold where no option overrides them.
+
+    Returns
+    -------
+    Recipe
+    """
+    from deepfsi.sweeps.recipe import Recipe
+
+    if options["masks"] is not None and options["ratios"] is not None:
+        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
+    axes = {name: words(options.get(name)) for name in AXES}
+    given = axes | {
+        "data": options["data"],
+        "size": size_of(options["size"]),
+        "photons": numbers("photons", options["photons"]),
+        "ratios": numbers("ratios", options["ratios"]),
+        "masks": numbers("masks", options["masks"], whole=True),
+        "sigma": options["sigma"],
+        "trials": options["trials"],
+    }
+    given = {name: value for name, value in given.items() if value is not None}
+    replaced = {"masks": "ratios", "ratios": "masks"}
+    left_out = {replaced[name] for name in given if name in replaced}
+    settings = {name: value for name, value in base.items() if name not in left_out} | given
+    epochs = options["epochs"]
+    if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
+        settings["training"] = {**settings["training"], "epochs": epochs}
+    with as_input_error():
+        return Recipe.model_validate(settings)
+
+
+AXES = ("designs", "noise", "train_noise", "light", "rails")
+"""Options of several words that are axes of a recipe."""
