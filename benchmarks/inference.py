@@ -4,7 +4,7 @@
     python benchmarks/inference.py --masks 10 --exposures 5000 --rounds 9
 
 Both do the same work on one core, in turn, one exposure a call, from numpy counts to numpy
-probabilities: `Design.classify`, and the graph that `deepfsi export --onnx` writes of that design
+probabilities: `Design.classify`, and the graph that `deepfsi export` writes of that design
 in onnxruntime. What they give is compared before. Weights do not matter to the time, so that the
 designs are trained for one epoch. A frame of a fast DMD takes 50 µs, an exposure as many as it has
 frames. Then, in torch, what one look of a design of several takes between its counts and the dwells

@@ -54,7 +54,9 @@ def test_patterns_are_evaluated_as_they_are_realised(call, lab, tmp_path, digits
     exported(call, lab, tmp_path / "p")
     code, out, _ = call("evaluate", tmp_path / "p", "--photons", "1e4", "--json")
     assert code == 0
-    design = Design.load(lab / "design.safetensors").as_shown(read_patterns(tmp_path / "p"))
+    design = Design.load(lab / "design.safetensors").as_shown(
+        *read_patterns(tmp_path / "p").realised
+    )
     expected = evaluate(design, digits, 1e4)[0].accuracy
     assert json.loads(out)["results"][0]["accuracy"] == expected
 
@@ -70,7 +72,7 @@ def test_a_dimmed_design_reads_its_own_counts(made, lab, tmp_path, call, digits)
     assert "cost" in out
     patterns = read_patterns(tmp_path / "p")
     dimmed = patterns.manifest.dimmed
-    shown = column.as_shown(patterns)
+    shown = column.as_shown(*patterns.realised)
     counts = np.full((1, 2, column.masks), 30.0)
     np.testing.assert_allclose(
         shown.classify(counts, 1e4), column.classify(counts, 1e4 * dimmed), rtol=1e-4, atol=1e-6

@@ -381,7 +381,7 @@ def test_at_the_command_line(call, tmp_path):
     assert json.loads(out)["rule"]["after"] == [1, 2, 3]
     for refused in (
         ["dmd", "export", file, "--dwell", "1ms", "-o", tmp_path / "patterns"],
-        ["export", file, "--onnx", "-o", tmp_path / "x.onnx"],
+        ["export", file, "-o", tmp_path / "x.onnx"],
     ):
         code, _, err = call(*refused)
         assert code == 2

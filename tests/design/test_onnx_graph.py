@@ -155,9 +155,7 @@ def test_the_example_in_the_docs(good, digits, tmp_path, monkeypatch, capsys):
 
 def test_the_command(good, tmp_path, monkeypatch, capsys):
     good.save(tmp_path / "d.safetensors")
-    monkeypatch.setattr(
-        sys, "argv", ["deepfsi", "export", str(tmp_path / "d.safetensors"), "--onnx"]
-    )
+    monkeypatch.setattr(sys, "argv", ["deepfsi", "export", str(tmp_path / "d.safetensors")])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 0
@@ -170,19 +168,11 @@ def test_a_folder_of_patterns_exports_what_the_device_shows(good, tmp_path, monk
     good.save(file)
     for words in (
         ["dmd", "export", file, "--device", "64x48", "-o", folder],
-        ["export", folder, "--onnx", "-o", tmp_path / "shown.onnx"],
+        ["export", folder, "-o", tmp_path / "shown.onnx"],
     ):
         monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
         with pytest.raises(SystemExit) as stop:
             cli.main()
         assert stop.value.code == 0
-    shown = Design.load(folder / "design.safetensors").as_shown(check_patterns(folder))
+    shown = Design.load(folder / "design.safetensors").as_shown(*check_patterns(folder).realised)
     assert (tmp_path / "shown.onnx").read_bytes() == to_onnx(shown) != to_onnx(good)
-
-
-def test_the_format_must_be_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["deepfsi", "export", "d.safetensors"])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
-    assert "--onnx" in capsys.readouterr().err

@@ -229,7 +229,7 @@ def camera_classify(
     acquisition, patterns = read_acquisition(folder)
     counts = read_counts(folder)
     _check_shown(file, patterns)
-    made = Design.load(file).as_shown(patterns)
+    made = Design.load(file).as_shown(*patterns.realised)
     probabilities = made.classify(made.readouts(counts.signal()), photons or counts.photons)
     scenes: list[dict[str, Any]] = []
     for scene, chances, whole in zip(acquisition.scenes, probabilities, counts.valid, strict=True):

@@ -44,7 +44,7 @@ def open_design(path: Path) -> "Design":
         return Design.load(path)
     from deepfsi.hardware.patterns.folder import check_patterns
 
-    return Design.load(path / "design.safetensors").as_shown(check_patterns(path))
+    return Design.load(path / "design.safetensors").as_shown(*check_patterns(path).realised)
 
 
 def check_file(path: Path, ending: str) -> None:

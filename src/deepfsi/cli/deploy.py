@@ -25,23 +25,20 @@ def export(
     file: Annotated[
         Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
     ],
-    onnx: Annotated[bool, typer.Option("--onnx", help="as an ONNX graph")] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="the design's name with .onnx unless given")
     ] = None,
 ) -> None:
-    """Write the classifier of a design as a file that runs without this package.
+    """Write the classifier of a design as an ONNX graph, which runs without this package.
 
     Counts and budget in, class probabilities out; all scaling is inside. `dmd export` writes the
     masks.
 
-    Example: deepfsi export digits.safetensors --onnx -o digits.onnx
+    Example: deepfsi export digits.safetensors -o digits.onnx
     """
     from deepfsi.design.onnx_graph import to_onnx
     from deepfsi.files import write_atomically
 
-    if not onnx:
-        raise InputError("a design can be exported as an ONNX graph: add --onnx")
     target = out or file.with_suffix(".onnx")
     check_file(target, ".onnx")
     design = open_design(file)

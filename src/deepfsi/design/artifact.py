@@ -27,7 +27,6 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.conditioning import Conditioning
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.constraints import Light
@@ -354,11 +353,20 @@ class Design:
             used=self.used * share,
         )
 
-    def as_shown(self, patterns: Patterns) -> "Design":
+    def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
         """The design as patterns on a device realise it.
 
-        The classifier stays as it is. Where one device gives a design less light (`dimmed`), its
-        features are as much smaller, and so are the statistics that scale them.
+        The classifier stays as it is. Where one device gives a design less light, its features are
+        as much smaller, and so are the statistics that scale them.
+
+        Parameters
+        ----------
+        rails : array, shape (2 or 1, m, N)
+            What the patterns realise.
+        image_shape : tuple of int
+            Cells of a pattern.
+        dimmed : float
+            Realised matrix over designed one, up to 1.
 
         Raises
         ------
@@ -366,23 +374,20 @@ class Design:
             If the patterns are of a design of another shape, or dwells are not fixed.
         """
         self.check_fixed()
-        manifest = patterns.manifest
-        shape = (manifest.rails, manifest.masks, patterns.on.shape[1])
-        if shape != tuple(self.rails.shape) or manifest.image_shape != self.image_shape:
+        if rails.shape != tuple(self.rails.shape) or image_shape != self.image_shape:
             raise InputError(
-                f"patterns of {manifest.masks} masks of {manifest.image_shape} cells and "
-                f"{manifest.rails} rails are not of this design, with {self.masks} masks of "
+                f"patterns of {rails.shape[1]} masks of {image_shape} cells and "
+                f"{len(rails)} rails are not of this design, with {self.masks} masks of "
                 f"{self.image_shape} and {len(self.rails)} rails: export it with `deepfsi dmd`"
             )
-        rails = torch.from_numpy(patterns.rails).to(self.rails)
         return replace(
             self,
-            rails=rails,
+            rails=torch.from_numpy(rails).to(self.rails),
             light="free-dwell" if self.light == "column" else self.light,
-            mean=self.mean * manifest.dimmed,
-            std=self.std * manifest.dimmed,
-            shares=self.shares * manifest.dimmed,
-            used=self.used / manifest.dimmed,
+            mean=self.mean * dimmed,
+            std=self.std * dimmed,
+            shares=self.shares * dimmed,
+            used=self.used / dimmed,
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:

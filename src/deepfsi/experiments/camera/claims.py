@@ -232,7 +232,7 @@ def show_design(design: Design, scenes: np.ndarray) -> Shown:
         light = rates(there, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
         glow = rates(there, np.zeros_like(scenes[:1]), one, 0.0)
-    return Shown(design.as_shown(patterns), patterns, light, glow)
+    return Shown(design.as_shown(*patterns.realised), patterns, light, glow)
 
 
 def _export(design: Design, repeats: int, folder: Path) -> Patterns:
@@ -344,7 +344,7 @@ def in_laboratory(
         rails = design.rails.numpy().tobytes()  # the same for every budget where masks are fixed
         if rails not in looks:
             looks[rails] = show_design(design, laboratory.images)
-        shown = replace(looks[rails], design=design.as_shown(looks[rails].patterns))
+        shown = replace(looks[rails], design=design.as_shown(*looks[rails].patterns.realised))
         for effect, value, camera, exposures in _settings(point["photons"]):
             for exposure in exposures:
                 rng = np.random.default_rng([0, len(result["tests"])])
@@ -393,7 +393,7 @@ def run_time(design: Design, scene: np.ndarray) -> dict[str, Any]:
         )  # fmt: skip
         began = time.perf_counter()
         counts = acquisition.count(run)
-        shown = design.as_shown(acquisition.read_acquisition(run)[1])
+        shown = design.as_shown(*acquisition.read_acquisition(run)[1].realised)
         shown.classify(shown.readouts(counts.signal()), counts.photons)
         seconds = time.perf_counter() - began
         return {

@@ -298,3 +298,8 @@ class Patterns:
             if frame.rail in ("minus", "both"):
                 out[1, frame.mask] = share * (1 - part if frame.rail == "both" else part)
         return out
+
+    @property
+    def realised(self) -> tuple[np.ndarray, tuple[int, ...], float]:
+        """Rails, image shape and dimming, as `Design.as_shown` takes them."""
+        return self.rails, self.manifest.image_shape, self.manifest.dimmed
