@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
@@ -9,6 +11,8 @@ from test_maps import assert_legible
 
 from deepfsi.errors import InputError
 from deepfsi.experiments.camera import figures
+from deepfsi.experiments.camera.figures import Accuracy
+from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
 
 DESIGNS = {
@@ -23,29 +27,19 @@ DIGITS = [str(digit) for digit in range(10)]
 
 
 def points(reach=0.03, offset=0.0):
-    found = []
-    for place, (design, (label, specific)) in enumerate(DESIGNS.items()):
-        for step, exposure in enumerate(EXPOSURES):
-            accuracy = 0.3 + 0.2 * step - 0.05 * place + offset
-            found.append(
-                {
-                    "design": design,
-                    "label": label,
-                    "specific": specific,
-                    "exposure_s": exposure,
-                    "accuracy": accuracy,
-                    "low": accuracy - reach,
-                    "high": accuracy + reach,
-                }
-            )
-    return found
+    return [
+        Accuracy(design, label, specific, exposure, accuracy, accuracy - reach, accuracy + reach)
+        for place, (design, (label, specific)) in enumerate(DESIGNS.items())
+        for step, exposure in enumerate(EXPOSURES)
+        for accuracy in [0.3 + 0.2 * step - 0.05 * place + offset]
+    ]
 
 
 @pytest.mark.parametrize("count", [3, 10])
 def test_views_show_scenes_above_and_views_below_on_one_scale(count):
     rng = np.random.default_rng(0)
     raw, seen = rng.random((count, 16, 12)), rng.random((count, 8, 10))
-    figure = figures.views_figure(raw, seen, DIGITS[:count], cell=(24, 32))
+    figure = views_figure(raw, seen, DIGITS[:count], cell=(24, 32))
     assert_legible(figure)
     images = [image for ax in figure.axes for image in ax.get_images()]
     assert len(images) == 2 * count
@@ -54,13 +48,13 @@ def test_views_show_scenes_above_and_views_below_on_one_scale(count):
         assert image.get_clim() == (0, 1)
     assert images[-1].axes.get_aspect() == 24 / 32
     with pytest.raises(InputError, match="one view of each"):
-        figures.views_figure(raw, seen[:-1])
+        views_figure(raw, seen[:-1])
 
 
 def test_a_frame_is_shown_whole_and_its_close_up_mirror_by_mirror():
     grid = find_grid(find_device("dlp7000"), (32, 32))
     mirrors = np.random.default_rng(0).random((768, 1024)) < 0.3
-    figure = figures.mirrors_figure(mirrors, grid, (4, 9), (2, 3))
+    figure = mirrors_figure(mirrors, grid, (4, 9), (2, 3))
     assert_legible(figure)
     whole, near = (ax.get_images()[0] for ax in figure.axes)
     assert whole.get_array().mean() == pytest.approx(mirrors.mean())
@@ -78,13 +72,13 @@ def test_a_frame_is_shown_whole_and_its_close_up_mirror_by_mirror():
 def test_the_close_up_lies_within_masks_that_leave_a_margin():
     device = Device(name="d", columns=103, rows=77)
     grid = find_grid(device, (2, 5))
-    figure = figures.mirrors_figure(np.ones((77, 103), bool), grid)
+    figure = mirrors_figure(np.ones((77, 103), bool), grid)
     assert_legible(figure)
     left, right, bottom, top = figure.axes[1].get_images()[0].get_extent()
     assert (left, right) == (grid.left + grid.width, grid.left + 4 * grid.width)
     assert (top, bottom) == (grid.top, grid.top + 2 * grid.height)
     with pytest.raises(InputError, match="leaves a mask of 2 x 5"):
-        figures.mirrors_figure(np.ones((77, 103), bool), grid, (0, 3))
+        mirrors_figure(np.ones((77, 103), bool), grid, (0, 3))
 
 
 @pytest.mark.parametrize("flux", [None, 1e7])
@@ -102,10 +96,10 @@ def test_exposures_have_lines_and_published_values_open_beside(flux):
     ]
     assert len(open_ones) == len(published)
     for line, point in zip(open_ones, published, strict=True):
-        assert line.get_ydata()[0] == pytest.approx(point["accuracy"])
-        assert point["exposure_s"] < line.get_xdata()[0] < 2 * point["exposure_s"]
-        assert line.get_marker() == ("o" if point["specific"] else "s")
-        assert line.get_color() == figures.COLOURS[point["design"]]
+        assert line.get_ydata()[0] == pytest.approx(point.accuracy)
+        assert point.exposure_s < line.get_xdata()[0] < 2 * point.exposure_s
+        assert line.get_marker() == ("o" if point.specific else "s")
+        assert line.get_color() == figures.COLOURS[point.design]
     if flux is not None:
         (top,) = ax.child_axes
         assert [tick.get_text() for tick in top.get_xticklabels()] == ["10³", "10⁴", "10⁵", "10⁶"]
@@ -158,11 +152,11 @@ VALUES = {
 
 def test_effects_have_a_column_each_and_exposures_a_row():
     rows = [
-        {**point, "effect": effect, "value": value, "accuracy": 0.5, "low": 0.4, "high": 0.5 + k}
+        replace(point, effect=effect, value=value, accuracy=0.5, low=0.4, high=0.5 + k)
         for effect, values in VALUES.items()
         for k, value in zip(np.linspace(0.1, 0.2, len(values)), values, strict=True)
         for point in points()
-        if point["exposure_s"] in (1e-3, 1e-2)
+        if point.exposure_s in (1e-3, 1e-2)
     ]
     figure = figures.effects_figure(rows, AXES, flux=1e7)
     assert_legible(figure)

@@ -14,6 +14,7 @@ from deepfsi import experiments
 from deepfsi.errors import InputError
 from deepfsi.experiments import experiment
 from deepfsi.experiments.camera import claims as camera_study
+from deepfsi.experiments.camera import laboratory
 from deepfsi.experiments.flexible import claims as flexible
 from deepfsi.experiments.indian_pines import claims as indian_pines
 from deepfsi.experiments.mnist import claims as mnist
@@ -64,7 +65,7 @@ def done(request, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(experiment.Experiment, "recipe", recipe)
-        patch.setattr(camera_study, "DRAWS", 2)
+        patch.setattr(laboratory, "DRAWS", 2)
         for each in EVERY:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
     return folder

@@ -1,7 +1,8 @@
-"""Figures of the camera: its view, its masks made of mirrors, and how well it classifies."""
+"""Figures of the camera's accuracy: by exposure, by digit, and by what the laboratory varies."""
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -11,13 +12,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.patches import ConnectionPatch, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.sequence import Grid
 from deepfsi.report.figures import (
     COLOURS,
     GRID,
@@ -25,181 +23,49 @@ from deepfsi.report.figures import (
     LINES,
     MUTED,
     PAPER,
-    Point,
     accuracy_axes,
     styled,
 )
 from deepfsi.report.maps import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, readable_ink
 
-MARGIN = 1.5  # inches beside the scenes, for words and scale
 MOST_PICTURES = 48
-FRAME_PIXELS = 512  # a whole frame is averaged to at most this many across
-BESIDE = 0.028  # of the axis, published values to the right of ours
+
+BESIDE = 0.028
+"""Shift of published values to the right of ours, share of the axis."""
 
 
-@styled
-def views_figure(
-    raw: np.ndarray,
-    seen: np.ndarray,
-    names: Sequence[str] = (),
-    *,
-    cell: tuple[float, float] = (1, 1),
-) -> Figure:
-    """Scenes as displayed above, and as the camera sees them below, on one scale.
+@dataclass(frozen=True)
+class Accuracy:
+    """Accuracy of a design in the laboratory, with its interval.
 
-    Parameters
+    Attributes
     ----------
-    raw : array, shape (n, h, w)
-        Reflectance that is displayed, in [0, 1].
-    seen : array, shape (n, down, across)
-        Relative light at the cells, in [0, 1].
-    names : sequence of str
-        Heading of each scene.
-    cell : tuple of float
-        Height and width of a cell, in any unit: 24 and 32 mirrors on a DLP7000.
-
-    Returns
-    -------
-    Figure
-
-    Raises
-    ------
-    InputError
-        If the two differ in number.
+    design, label : str
+    specific : bool
+        Whether the design is feature-specific.
+    exposure_s : float
+    accuracy, low, high : float
+    effect : str
+        What the laboratory varies.
+    value : float
+        Of the effect, 0 or more.
     """
-    if len(raw) != len(seen) or len(raw) == 0:
-        raise InputError(
-            f"{len(raw)} displayed scenes and {len(seen)} views: give one view of each"
-        )
-    shape = seen.shape[1] * cell[0] / (seen.shape[2] * cell[1])
-    tile = (PAGE_WIDTH - MARGIN) / max(len(raw), 4)
-    heights = [tile * raw.shape[1] / raw.shape[2], tile * shape]
-    figure = Figure(
-        figsize=(tile * len(raw) + MARGIN, sum(heights) + (0.4 if names else 0.16)),
-        layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04, wspace=0.02, hspace=0.02),
-    )
-    axes = figure.subplots(2, len(raw), squeeze=False, height_ratios=heights)
-    norm = Normalize(0, 1)
-    for column, images in enumerate(zip(raw, seen, strict=True)):
-        for ax, image, ratio in zip(axes[:, column], images, (1.0, cell[0] / cell[1]), strict=True):
-            ax.imshow(image, cmap=GREYS, norm=norm, aspect=ratio, interpolation="none")
-            ax.set(xticks=[], yticks=[])
-            ax.spines[:].set(visible=True, color=GRID)
-        if names:
-            axes[0, column].set_title(names[column], loc="center")
-    for ax, words in zip(axes[:, 0], ("displayed", "as the\ncamera\nsees it"), strict=True):
-        ax.set_ylabel(words, rotation=0, horizontalalignment="right", verticalalignment="center")
-    bar = figure.colorbar(ScalarMappable(norm, GREYS), ax=axes, aspect=16, pad=0.015)
-    bar.set_label("reflectance,\nrelative light", fontsize=8)
-    bar.set_ticks([0, 0.5, 1])
-    plain_bar(bar)
-    return figure
 
-
-@styled
-def mirrors_figure(
-    mirrors: np.ndarray,
-    grid: Grid,
-    close: tuple[int, int] | None = None,
-    cells: tuple[int, int] = (3, 3),
-) -> Figure:
-    """One frame of a grey mask, whole and close by, where its mirrors can be told apart.
-
-    Parameters
-    ----------
-    mirrors : array of bool, shape (rows, columns)
-        ON mirrors, as `hardware.dmd.unpack` gives them.
-    grid : Grid
-        Where the cells lie.
-    close : tuple of int, optional
-        First cell of the close-up, down and across; by default about the middle.
-    cells : tuple of int
-        Cells of the close-up, down and across.
-
-    Returns
-    -------
-    Figure
-        White is ON. Of the whole frame, a pixel is the average of a few mirrors. Below each
-        column and beside each row of the close-up stands which cell of the mask it is.
-
-    Raises
-    ------
-    InputError
-        If the close-up leaves the mask.
-    """
-    all_cells = np.array([grid.down, grid.across])
-    extent = np.minimum(cells, all_cells)
-    first = (all_cells - extent) // 2 if close is None else np.array(close)
-    if (first < 0).any() or (first + extent > all_cells).any():
-        raise InputError(
-            f"a close-up from cell {tuple(first.tolist())} leaves a mask of {grid.down} x "
-            f"{grid.across} cells: choose a smaller one, or begin nearer to the middle"
-        )
-    rows, columns = mirrors.shape
-    size = np.array([grid.height, grid.width])
-    top, left = np.array([grid.top, grid.left]) + first * size
-    height, width = extent * size
-    figure = Figure(figsize=(PAGE_WIDTH, 3.0), layout="constrained")
-    whole, near = figure.subplots(1, 2, width_ratios=(columns / rows, width / height))
-    factor = -(-columns // FRAME_PIXELS)
-    whole.imshow(
-        _averaged(mirrors, factor),
-        cmap=GREYS,
-        vmin=0,
-        vmax=1,
-        extent=(0, columns, rows, 0),
-        interpolation="none",
-    )
-    finer = -(-256 // max(height, width))  # printers smooth pixels: leave them little to smooth
-    near.imshow(
-        mirrors[top : top + height, left : left + width].repeat(finer, 0).repeat(finer, 1),
-        cmap=GREYS,
-        vmin=0,
-        vmax=1,
-        extent=(left, left + width, top + height, top),
-        interpolation="none",
-    )
-    frame = COLOURS["deepfsi"]
-    for down in range(extent[0] + 1):
-        near.axhline(top + down * grid.height, color=frame, linewidth=1.2, clip_on=False)
-    for across in range(extent[1] + 1):
-        near.axvline(left + across * grid.width, color=frame, linewidth=1.2, clip_on=False)
-    whole.add_patch(
-        Rectangle((left, top), width, height, fill=False, edgecolor=frame, linewidth=1.4, zorder=4)
-    )
-    for corner in ((1, 0), (1, 1)):
-        place = left + width * corner[0], top + height * corner[1]
-        other = left, place[1]
-        figure.add_artist(
-            ConnectionPatch(
-                place, other, "data", "data", axesA=whole, axesB=near, color=frame, linewidth=0.7
-            )
-        )
-    whole.set_title(f"one frame, {columns} × {rows} mirrors")
-    near.set_title("close by")
-    whole.set(xlabel="mirror across", ylabel="mirror down")
-    whole.set_xticks(_quarters(columns))
-    whole.set_yticks(_quarters(rows))
-    middles = left + (np.arange(extent[1]) + 0.5) * grid.width
-    near.set_xticks(middles, [str(first[1] + i + 1) for i in range(extent[1])])
-    middles = top + (np.arange(extent[0]) + 0.5) * grid.height
-    near.set_yticks(middles, [str(first[0] + i + 1) for i in range(extent[0])])
-    near.set(
-        xlabel=f"cell across, {grid.width} mirrors each",
-        ylabel=f"cell down, {grid.height} mirrors each",
-    )
-    near.tick_params(length=0)
-    near.yaxis.tick_right()
-    near.yaxis.set_label_position("right")
-    for ax in (whole, near):
-        ax.spines[:].set(visible=True)
-    return figure
+    design: str
+    label: str
+    specific: bool
+    exposure_s: float
+    accuracy: float
+    low: float
+    high: float
+    effect: str = ""
+    value: float = 0.0
 
 
 @styled
 def exposure_figure(
-    points: Iterable[Point],
-    published: Iterable[Point] = (),
+    points: Iterable[Accuracy],
+    published: Iterable[Accuracy] = (),
     *,
     classes: int = 10,
     flux: float | None = None,
@@ -208,10 +74,9 @@ def exposure_figure(
 
     Parameters
     ----------
-    points : iterable of mapping
-        `design`, `label`, `specific`, `exposure_s` (seconds), `accuracy`, `low`, `high`.
-    published : iterable of mapping
-        `design`, `exposure_s`, `accuracy`, `low`, `high`, of designs among the points.
+    points : iterable of Accuracy
+    published : iterable of Accuracy
+        Of designs among the points.
     classes : int
         Chance is one over it.
     flux : float, optional
@@ -222,14 +87,14 @@ def exposure_figure(
     Figure
         Bars are intervals. Circles are feature-specific designs, squares others.
     """
-    rows: list[Point] = [{**point, "best": True} for point in points]
-    others = list(published)
-    exposures = sorted({row["exposure_s"] for row in [*rows, *others]})
+    own, others = list(points), list(published)
+    exposures = sorted({point.exposure_s for point in [*own, *others]})
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     ax = figure.subplots()
     results = {"data": {"classes": range(classes)}}
+    rows: list[Mapping[str, Any]] = [{**asdict(point), "best": True} for point in own]
     accuracy_axes(ax, results, rows, ("design",), "exposure_s", values=exposures)
-    _published(ax, rows, others, exposures)
+    _published(ax, own, others, exposures)
     ax.set_xlabel("total exposure (s)")
     ax.xaxis.set_major_locator(FixedLocator(exposures))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
@@ -295,34 +160,10 @@ def digits_figure(
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     norm = Normalize(0, 100)
     for ax, (heading, rates) in zip(axes.flat, panels.items(), strict=False):
-        percent = 100 * np.asarray(rates, dtype=float)
-        ax.pcolormesh(
-            np.arange(len(classes) + 1),
-            np.arange(len(designs) + 1),
-            np.ma.masked_invalid(percent),
-            cmap=GREYS,
-            norm=norm,
-            edgecolors=MUTED,
-            linewidth=0.5,
-        )
-        for (row, column), value in np.ndenumerate(percent):
-            known = bool(np.isfinite(value))
-            ax.text(
-                column + 0.5,
-                row + 0.5,
-                f"{value:.0f}" if known else "–",
-                color=readable_ink(GREYS, norm(value)) if known else MUTED,
-                fontsize=SMALL,
-                horizontalalignment="center",
-                verticalalignment="center_baseline",
-            )
+        _squares(ax, 100 * np.asarray(rates, dtype=float), norm)
         ax.set_title(heading)
-        ax.set_aspect("equal")
-        ax.set_ylim(len(designs), 0)
         ax.set_xticks(np.arange(len(classes)) + 0.5, classes)
         ax.set_yticks(np.arange(len(designs)) + 0.5, designs)
-        ax.tick_params(length=0)
-        ax.spines[:].set_visible(False)
         ax.label_outer()
     for ax in list(axes.flat)[len(panels) :]:
         ax.remove()
@@ -336,15 +177,13 @@ def digits_figure(
 
 @styled
 def effects_figure(
-    points: Iterable[Point], axes: Mapping[str, str], *, flux: float | None = None
+    points: Iterable[Accuracy], axes: Mapping[str, str], *, flux: float | None = None
 ) -> Figure:
     """Accuracy against what the laboratory varies: a column for each effect.
 
     Parameters
     ----------
-    points : iterable of mapping
-        `effect`, `value` (0 or more), `design`, `label`, `specific`, `exposure_s` (seconds),
-        `accuracy`, `low`, `high`.
+    points : iterable of Accuracy
     axes : mapping of str to str
         Effect → label of its axis, with unit. Where this is "(s)" and all values are below a
         millisecond, the axis is in nanoseconds.
@@ -359,8 +198,8 @@ def effects_figure(
         at its left end.
     """
     rows = list(points)
-    exposures = sorted({row["exposure_s"] for row in rows}, reverse=True)
-    effects = [effect for effect in axes if any(row["effect"] == effect for row in rows)]
+    exposures = sorted({each.exposure_s for each in rows}, reverse=True)
+    effects = [effect for effect in axes if any(each.effect == effect for each in rows)]
     figure = Figure(
         figsize=(0.6 + 1.65 * len(effects), 0.9 + 1.9 * len(exposures)), layout="constrained"
     )
@@ -368,8 +207,8 @@ def effects_figure(
     keys: dict[str, Any] = {}
     for (row, column), ax in np.ndenumerate(grid):
         effect, exposure = effects[column], exposures[row]
-        members = [p for p in rows if (p["effect"], p["exposure_s"]) == (effect, exposure)]
-        values = [p["value"] for p in rows if p["effect"] == effect]
+        members = [each for each in rows if (each.effect, each.exposure_s) == (effect, exposure)]
+        values = [each.value for each in rows if each.effect == effect]
         unit, label = _unit(values, axes[effect])
         keys |= _effect_lines(ax, members, [value * unit for value in values], unit)
         mark = {"ambient": flux, "assumed": (flux or 0) * exposure}.get(effect)
@@ -452,34 +291,49 @@ def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
     return figure
 
 
-def _averaged(mirrors: np.ndarray, factor: int) -> np.ndarray:
-    """Mirrors averaged over squares of `factor`, without an incomplete last square."""
-    rows, columns = (size // factor * factor for size in mirrors.shape)
-    tiles = mirrors[:rows, :columns].reshape(rows // factor, factor, columns // factor, factor)
-    return np.asarray(tiles.mean(axis=(1, 3)))
-
-
-def _quarters(size: int) -> list[int]:
-    return [round(size * part / 4) for part in range(5)]
+def _squares(ax: Axes, percent: np.ndarray, norm: Normalize) -> None:
+    """Draw a grey square with its number for each value, the first row on top."""
+    rows, columns = percent.shape
+    ax.pcolormesh(
+        np.arange(columns + 1),
+        np.arange(rows + 1),
+        np.ma.masked_invalid(percent),
+        cmap=GREYS,
+        norm=norm,
+        edgecolors=MUTED,
+        linewidth=0.5,
+    )
+    for (row, column), value in np.ndenumerate(percent):
+        known = bool(np.isfinite(value))
+        ax.text(
+            column + 0.5,
+            row + 0.5,
+            f"{value:.0f}" if known else "–",
+            color=readable_ink(GREYS, norm(value)) if known else MUTED,
+            fontsize=SMALL,
+            horizontalalignment="center",
+            verticalalignment="center_baseline",
+        )
+    ax.set_aspect("equal")
+    ax.set_ylim(rows, 0)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
 
 
 def _published(
-    ax: Axes, rows: Sequence[Point], others: Sequence[Point], exposures: Sequence[float]
+    ax: Axes, own: Sequence[Accuracy], others: Sequence[Accuracy], exposures: Sequence[float]
 ) -> None:
     """Open markers a little to the right of our own of the same design."""
-    order = list(dict.fromkeys(row["design"] for row in rows))
-    specific = {row["design"]: row["specific"] for row in rows}
+    order = list(dict.fromkeys(point.design for point in own))
     decades = max(1.0, float(np.log10(exposures[-1] / exposures[0])))
     for point in others:
-        design = point["design"]
-        colour = COLOURS.get(design, INK)
-        shift = BESIDE + 0.008 * (order.index(design) - (len(order) - 1) / 2)
+        shift = BESIDE + 0.008 * (order.index(point.design) - (len(order) - 1) / 2)
         ax.errorbar(
-            point["exposure_s"] * 10 ** (shift * decades),
-            point["accuracy"],
-            yerr=[[point["accuracy"] - point["low"]], [point["high"] - point["accuracy"]]],
-            color=colour,
-            marker="o" if specific[design] else "s",
+            point.exposure_s * 10 ** (shift * decades),
+            point.accuracy,
+            yerr=[[point.accuracy - point.low], [point.high - point.accuracy]],
+            color=COLOURS.get(point.design, INK),
+            marker="o" if point.specific else "s",
             markerfacecolor=PAPER,
             markersize=4.5,
             elinewidth=0.7,
@@ -495,24 +349,23 @@ def _unit(values: Iterable[float], label: str) -> tuple[float, str]:
 
 
 def _effect_lines(
-    ax: Axes, members: Sequence[Point], values: Iterable[float], unit: float
+    ax: Axes, members: Sequence[Accuracy], values: Iterable[float], unit: float
 ) -> dict[str, ErrorbarContainer]:
     """Draw a line for each design over `value`; returns them by label."""
     ticks = sorted(set(values))
     lit = [tick for tick in ticks if tick > 0] or [1.0]
     ground = lit[0] / (lit[-1] / lit[0]) ** 0.25 if len(lit) > 1 else lit[0] / 2
     lines = {}
-    for design in dict.fromkeys(p["design"] for p in members):
-        own = sorted((p for p in members if p["design"] == design), key=lambda p: p["value"])
-        y = np.array([p["accuracy"] for p in own])
-        reach = [[p["accuracy"] - p["low"] for p in own], [p["high"] - p["accuracy"] for p in own]]
-        lines[own[0]["label"]] = ax.errorbar(
-            [p["value"] * unit or ground for p in own],
-            y,
+    for design in dict.fromkeys(point.design for point in members):
+        own = sorted((p for p in members if p.design == design), key=lambda p: p.value)
+        reach = [[p.accuracy - p.low for p in own], [p.high - p.accuracy for p in own]]
+        lines[own[0].label] = ax.errorbar(
+            [p.value * unit or ground for p in own],
+            [p.accuracy for p in own],
             yerr=np.clip(reach, 0, None),
             color=COLOURS.get(design, INK),
             linestyle=LINES.get(design, "-"),
-            marker="o" if own[0]["specific"] else "s",
+            marker="o" if own[0].specific else "s",
             markersize=3.5,
             elinewidth=0.8,
         )
