@@ -18,7 +18,6 @@ from deepfsi.cli.common import (
     print_table,
     progress,
 )
-from deepfsi.errors import InputError
 
 
 def export(
