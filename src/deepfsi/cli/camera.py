@@ -19,7 +19,7 @@ from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.sequence import Patterns
-    from deepfsi.hardware.recording.acquisition import Counts
+    from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.virtual.camera import Camera
 
 dmd = typer.Typer(
@@ -177,7 +177,7 @@ def camera_count(
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
-    from deepfsi.hardware.recording.acquisition import count
+    from deepfsi.hardware.recording.counting import count
 
     with progress("counting", quiet=as_json) as report:
         counts = count(
@@ -224,7 +224,8 @@ def camera_classify(
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
     from deepfsi.design.artifact import Design
-    from deepfsi.hardware.recording.acquisition import read_acquisition, read_counts
+    from deepfsi.hardware.recording.acquisition import read_acquisition
+    from deepfsi.hardware.recording.counts import read_counts
 
     acquisition, patterns = read_acquisition(folder)
     counts = read_counts(folder)
@@ -278,12 +279,13 @@ def camera_image(
     Example: deepfsi camera image run_0001 -o picture.png
     """
     from deepfsi.experiments.camera.figures import pictures_figure
-    from deepfsi.hardware.recording.acquisition import picture, read_acquisition
+    from deepfsi.hardware.recording.acquisition import read_acquisition
+    from deepfsi.hardware.recording.picture import reconstruct
 
     target = out or folder / "picture.png"
     check_picture(target)
     acquisition, _ = read_acquisition(folder)
-    figure = pictures_figure(picture(folder), [scene.name for scene in acquisition.scenes])
+    figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])
     draw(figure, target)
 
 
@@ -360,14 +362,16 @@ def camera_calibrate(
     """
     from deepfsi.datasets import read_display
     from deepfsi.hardware.calibration.fit import calibrate_run, save_calibration
-    from deepfsi.hardware.recording.acquisition import picture, read_acquisition, read_counts
+    from deepfsi.hardware.recording.acquisition import read_acquisition
+    from deepfsi.hardware.recording.counts import read_counts
+    from deepfsi.hardware.recording.picture import reconstruct
 
     acquisition, patterns = read_acquisition(folder)
     shown = read_display(spots)
     found = calibrate_run(
         dict(zip(shown.names, shown.x, strict=True)),
         [scene.name for scene in acquisition.scenes],
-        picture(folder),
+        reconstruct(folder),
         read_counts(folder),
         patterns.manifest.grid,
     )

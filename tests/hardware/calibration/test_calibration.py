@@ -21,7 +21,7 @@ from deepfsi.hardware.patterns.sequence import (
     find_device,
     find_grid,
 )
-from deepfsi.hardware.recording import acquisition
+from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])
@@ -274,9 +274,9 @@ def test_spot_scenes_lie_symmetrically():
     assert scenes.shape == (12, 32, 24)
     assert (scenes.sum(axis=(1, 2)) == 4).all()
     assert scenes.sum(axis=0).max() == 1
-    for count, side in (((1, 5), 2), ((5, 5), 7), ((5, 5), 0)):
+    for spots, side in (((1, 5), 2), ((5, 5), 7), ((5, 5), 0)):
         with pytest.raises(InputError, match="do not fit"):
-            cal.spot_scenes((32, 32), count, side)
+            cal.spot_scenes((32, 32), spots, side)
 
 
 def test_words_on_arrays_that_do_not_fit():
@@ -475,7 +475,7 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
         exposure_s=1.0,
         seed=0,
     )
-    counts = acquisition.count(tmp_path / "run")
+    counts = count(tmp_path / "run")
     pictures = counts.counts[:, 0, 0].reshape(-1, *shape)  # of a raster
     dark, ambient = cal.black_rates(counts.on_rate[-1:], counts.off_rate[-1:])
     assert dark == pytest.approx(1e3, abs=6 * np.sqrt(1e3 / 8e-3))

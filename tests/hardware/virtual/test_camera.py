@@ -15,7 +15,8 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.gates import Gates, find_gates
 from deepfsi.hardware.patterns.sequence import Device, Patterns, find_grid
 from deepfsi.hardware.ptu import reader as ptu
-from deepfsi.hardware.recording.acquisition import count, read_acquisition
+from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera as module
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import CAMERAS, Camera, draw_counts, irradiance, rates, record

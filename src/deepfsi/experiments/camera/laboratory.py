@@ -27,7 +27,8 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.gates import find_gates
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import Patterns, find_device, find_grid
-from deepfsi.hardware.recording import acquisition
+from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import CAMERAS, Camera, draw_counts, rates, record
 from deepfsi.statistics.differences import Point
@@ -357,8 +358,8 @@ def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
             camera=LAB, flux=FLUX, exposure_s=max(EXPOSURES), repeats=1, seed=0,
         )  # fmt: skip
         began = time.perf_counter()
-        counts = acquisition.count(run)
-        shown = design.as_shown(*acquisition.read_acquisition(run)[1].realised)
+        counts = count(run)
+        shown = design.as_shown(*read_acquisition(run)[1].realised)
         shown.classify(shown.readouts(counts.signal()), counts.photons)
         seconds = time.perf_counter() - began
         return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size

@@ -29,7 +29,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.hardware.patterns.sequence import Grid, Patterns
-from deepfsi.hardware.recording.acquisition import Counts
+from deepfsi.hardware.recording.counts import Counts
 
 __all__ = [
     "BLACK",

@@ -10,59 +10,29 @@ A recording can be counted again for another exposure: gates are shorter or long
 follow each other in a frame as there are repeats.
 """
 
-import io
-import json
-import math
 import os
-import struct
-import zipfile
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.linalg import lstsq
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import new_folder, write_atomically
+from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.gates import Gates, find_gates
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.hardware.recording.alignment import MOST_PLACES, Alignment, Fault, align, find_steps
-from deepfsi.progress import SILENT, Report
-
-__all__ = [
-    "Acquisition",
-    "Alignment",
-    "Counts",
-    "Fault",
-    "Scene",
-    "align",
-    "count",
-    "picture",
-    "prepare",
-    "read_acquisition",
-    "read_counts",
-]
+from deepfsi.hardware.recording.alignment import MOST_FRAMES
 
 MOST_READOUTS = 2**21
-"""Gates, and readouts, that are counted at once."""
+"""Gates, and readouts, that are counted at once, at most."""
 
 LARGEST_JSON = 2**24
-LARGEST_COUNTS = 2**27
-"""Bytes."""
+"""Bytes of acquisition.json at most."""
 
-FINEST = 10
-"""Ticks of the counter that a gate must have at least."""
-
-WEAKEST = 1e-3
-"""Least singular value of the sensing matrix, of its largest, that a picture is made from."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""Finite number above 0."""
 
 
 class Scene(BaseModel):
@@ -82,7 +52,7 @@ class Scene(BaseModel):
 
 
 class Acquisition(BaseModel):
-    """How scenes were recorded: one pass over the patterns each, one after another.
+    """Settings of a recording: one pass over the patterns for each scene, one after another.
 
     Attributes
     ----------
@@ -130,70 +100,6 @@ class Acquisition(BaseModel):
         return self
 
 
-@dataclass(frozen=True)
-class Counts:
-    """Photons of each readout.
-
-    Attributes
-    ----------
-    counts : array, shape (S, R, rails, m)
-        int64; 0 for a rail that is dark and for an exposure that is not valid.
-    valid : array, shape (S, R)
-        bool; whether all readouts of an exposure were recorded.
-    gate_s : array, shape (f,)
-        For how long each mask's frame is counted, seconds.
-    on_rate, off_rate : array, shape (S,)
-        Counts/s of the first input in all-ON and all-OFF frames; NaN where a scene is not valid.
-    dark_rate : array, shape (rails,)
-        Counts/s of the input that reads each rail, when no mirror sends it light: means over
-        scenes, of all-OFF frames, or of all-ON ones for the second arm.
-    exposure_s : float
-        Total exposure, seconds.
-    settle_s : float
-        Time before the first gate of each frame, seconds.
-    lengths_s : array, shape (rails, m)
-        For how long each readout is counted, seconds; 0 for a rail that is dark.
-    faults : tuple of Fault
-        What was wrong with the recording.
-    """
-
-    counts: np.ndarray
-    valid: np.ndarray
-    gate_s: np.ndarray
-    on_rate: np.ndarray
-    off_rate: np.ndarray
-    dark_rate: np.ndarray
-    exposure_s: float
-    settle_s: float
-    lengths_s: np.ndarray
-    faults: tuple[Fault, ...]
-
-    @property
-    def background(self) -> np.ndarray:
-        """Dark counts that each readout is expected to hold, float64 (rails, m)."""
-        return self.dark_rate[:, None] * self.lengths_s
-
-    def signal(self) -> np.ndarray:
-        """Counts less the background, float64 (S, R, rails, m)."""
-        return self.counts - self.background * self.valid[..., None, None]
-
-    @property
-    def flux(self) -> float:
-        """Counts/s of the scenes' light with all mirrors ON, mean over valid scenes."""
-        return float(np.nanmean(self.on_rate - self.off_rate))
-
-    @property
-    def photons(self) -> float:
-        """Budget Φ of an exposure, estimated from the all-ON frames: flux times exposure.
-
-        In counts: the detector's efficiency is part of it.
-        """
-        return self.flux * self.exposure_s
-
-
-# The folder --------------------------------------------------------------------------------------
-
-
 def prepare(
     folder: str | os.PathLike[str],
     patterns_folder: str | os.PathLike[str],
@@ -208,6 +114,7 @@ def prepare(
     patterns_folder : path
         The patterns that are shown.
     acquisition : Acquisition
+        What is recorded.
 
     Returns
     -------
@@ -246,7 +153,7 @@ def prepare(
 
 
 def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
-    """What a folder says was shown and recorded, checked for consistency.
+    """Settings and patterns of a recording, checked for consistency.
 
     Raises
     ------
@@ -255,7 +162,7 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
     """
     path = Path(folder) / "acquisition.json"
     hint = "a folder that `deepfsi camera simulate` wrote has one, or write it with `prepare`"
-    content = _read(path, LARGEST_JSON, hint)
+    content = read_limited(path, LARGEST_JSON, hint)
     with as_input_error(str(path)):
         acquisition = Acquisition.model_validate_json(content)
     patterns = read_patterns(path.parent / "patterns")
@@ -284,118 +191,42 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             f"{name} has {len(acquisition.inputs)} inputs, and its patterns need {arms}: give one "
             "for each arm"
         )
-    if len(acquisition.scenes) * len(roles) > MOST_PLACES:
+    if len(acquisition.scenes) * len(roles) > MOST_FRAMES:
         raise InputError(
             f"{name} has {len(acquisition.scenes)} scenes of {len(roles)} frames, and at most "
-            f"{MOST_PLACES} frames are allowed: split it"
+            f"{MOST_FRAMES} frames are allowed: split it"
         )
     try:
-        _find_gates(acquisition, manifest, None, None, None)
+        gates_of(acquisition, manifest, None, None, None)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 
 
-# Counting ----------------------------------------------------------------------------------------
-
-
-def count(
-    folder: str | os.PathLike[str],
-    *,
-    exposure_s: float | None = None,
-    settle_s: float | None = None,
-    repeats: int | None = None,
-    report: Report = SILENT,
-) -> Counts:
-    """Count the photons of each readout and write counts.npz.
-
-    Parameters
-    ----------
-    folder : path
-    exposure_s : float, optional
-        Total exposure in seconds; as recorded unless given. Frames need not have been shown for it:
-        a shorter one is a gate within them.
-    settle_s : float, optional
-        As recorded unless given.
-    repeats : int, optional
-        Exposures of each scene, from gates that follow each other in each frame. Unless given, as
-        recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
-    report : Report
-        Given the share that is done.
-
-    Raises
-    ------
-    InputError
-        If files are missing, damaged or do not fit each other, gates do not fit the frames, or no
-        exposure is whole.
-    """
-    acquisition, patterns = read_acquisition(folder)
-    manifest, scenes = patterns.manifest, len(acquisition.scenes)
-    gates = _find_gates(acquisition, manifest, exposure_s, settle_s, repeats)
-    plan = _Plan.of(manifest, gates)
-    path = Path(folder) / "photons.ptu"
-    header = read_header(path)
-    if gates.length_s.min() < FINEST * header.tick_s:
-        raise InputError(
-            f"{path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
-            f"{gates.length_s.min():g} s: give a longer exposure"
-        )
-    times, bits = read_markers(path, report.part(0.0, 0.4))
-    times = times[bits & acquisition.marker_bit != 0]
-    end = int(times.max(initial=0)) - header.kind.wrap if header.problems else None
-
-    def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-        edges = np.stack([_ticks(starts, header.tick_s), _ticks(stops, header.tick_s)])
-        edges = np.clip(edges, 0, end)
-        unique, places = np.unique(edges, return_inverse=True)
-        found = count_gates(path, unique[:-1], unique[1:], acquisition.inputs[:1])[:, 0]
-        before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
-        return before[1] - before[0]
-
-    try:
-        aligned = align(times * header.tick_s, manifest, scenes, counter=counter)
-    except InputError as error:
-        raise InputError(f"{path} has {len(times)} frame markers: {error}") from None
-    starts = aligned.starts_s.copy()
-    last = float(times.max(initial=0)) * header.tick_s
-    if header.problems:
-        starts[starts >= last] = np.nan  # the frame that was being recorded when the file ended
-    shown = starts[:, manifest.shown]
-    # A mask's frame is whole if a marker came after it.
-    whole = np.isfinite(shown).all(axis=1) & (shown[:, -1] < last)
-    if not whole.any():
-        why = aligned.faults[0] if aligned.faults else "it ends too early"
-        raise InputError(f"{path} has no whole exposure ({why}): record again")
-    opens = starts[whole][:, plan.frame] + plan.offset
-    found, seconds = _count_windows(
-        path, opens, plan.length, header.tick_s, acquisition.inputs, report.part(0.4, 1.0)
-    )
-    photons, spent = plan.sum_frames(found), plan.sum_frames(seconds)
-    fits = np.array([_shows_ends(*each) for each in zip(photons[..., 0], spent, strict=True)])
-    faults = list(aligned.faults)
-    for scene in np.flatnonzero(whole)[~fits].tolist():
-        detail = "its first and last frames are not the brightest and darkest: it may be shifted"
-        faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
-    if not fits.any():
-        raise InputError(
-            f"{path} has no pass that begins and ends with a bright and a dark frame: give the "
-            "patterns that were shown, and the input that the detector is wired to"
-        )
-    whole[whole] = fits
-    spent = np.where(spent > 0, spent, np.nan)
-    rates = photons[fits] / spent[fits, :, None]
-    exposure = acquisition.exposure_s if exposure_s is None else exposure_s
-    counts = _assemble(manifest, gates, plan, whole, found[fits], rates, exposure, tuple(faults))
-    _save(Path(folder) / "counts.npz", counts, acquisition)
-    return counts
-
-
-def _find_gates(
+def gates_of(
     acquisition: Acquisition,
     manifest: Manifest,
     exposure_s: float | None,
     settle_s: float | None,
     repeats: int | None,
 ) -> Gates:
+    """Gates to count an acquisition with.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+        What was recorded.
+    manifest : Manifest
+        Of the patterns that were shown.
+    exposure_s, settle_s : float or None
+        Total exposure and settle time, seconds; as recorded where None.
+    repeats : int or None
+        Gates in each frame; as recorded where all are None, else as many as fit.
+
+    Raises
+    ------
+    InputError
+        If the gates do not fit the frames, or are more than can be counted at once.
+    """
     same = exposure_s is None and settle_s is None
     wanted = acquisition.repeats if repeats is None and same else repeats
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
@@ -421,300 +252,23 @@ def _find_gates(
     return Gates(gates.settle_s, gates.length_s, most)
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """Windows of a pass in order: its gates, and what of each frame they leave after settling.
+def read_limited(path: Path, largest: int, hint: str) -> bytes:
+    """Content of a file.
 
-    Of each window its frame, when it opens after the frame's start and for how long (g,), and of
-    the gates their places among the windows (f, R).
-    """
-
-    frame: np.ndarray
-    offset: np.ndarray
-    length: np.ndarray
-    gates: np.ndarray
-    frames: int
-
-    @classmethod
-    def of(cls, manifest: Manifest, gates: Gates) -> "_Plan":
-        repeats, frames = gates.repeats, len(manifest.frames)
-        each = np.ones(frames, np.int64)
-        each[manifest.shown] += repeats
-        frame = np.repeat(np.arange(frames), each)
-        first = np.cumsum(each) - each
-        places = first[manifest.shown][:, None] + np.arange(repeats)
-        offset = np.full(len(frame), gates.settle_s)
-        offset[places] = gates.starts_s
-        offset[places[:, -1] + 1] = gates.settle_s + repeats * gates.length_s
-        length = np.maximum(manifest.picture_s[frame] - offset, 0.0)
-        length[places] = gates.length_s[:, None]
-        return cls(frame, offset, length, places, frames)
-
-    def sum_frames(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the windows of each frame: (..., g, ...) along the second axis."""
-        return np.add.reduceat(values, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
-
-
-def _count_windows(
-    path: Path,
-    opens: np.ndarray,
-    length: np.ndarray,
-    tick_s: float,
-    inputs: tuple[int, ...],
-    report: Report,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Photons (S, g, inputs) in windows (S, g), and for how long each was open, seconds (S, g).
-
-    Where two clocks and a marker's jitter make a window reach into the next it ends there. One
-    whose frame's start is not known is not open.
-    """
-    known = np.isfinite(opens).ravel()
-    starts = _ticks(opens.ravel()[known], tick_s)
-    stops = _ticks((opens + length).ravel()[known], tick_s)
-    starts = np.minimum.accumulate(starts[::-1])[::-1]
-    stops[:-1] = np.minimum(stops[:-1], starts[1:])
-    found = np.zeros((opens.size, len(inputs)), np.int64)
-    seconds = np.zeros(opens.size)
-    found[known] = count_gates(path, starts, stops, inputs, report)
-    seconds[known] = (stops - starts) * tick_s
-    return found.reshape(*opens.shape, len(inputs)), seconds.reshape(opens.shape)
-
-
-def _shows_ends(photons: np.ndarray, seconds: np.ndarray) -> bool:
-    """Whether a pass's first and last two frames are all ON and all OFF, as far as photons tell.
-
-    At least one of each must have been recorded.
-    """
-    if not (seconds[[0, -2]].any() and seconds[[1, -1]].any()):
-        return False
-    fits, _ = find_steps(photons, seconds)
-    return bool(fits[0] and fits[-1])
-
-
-def _assemble(
-    manifest: Manifest,
-    gates: Gates,
-    plan: _Plan,
-    whole: np.ndarray,
-    found: np.ndarray,
-    rates: np.ndarray,
-    exposure_s: float,
-    faults: tuple[Fault, ...],
-) -> Counts:
-    """Order windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
-    scenes, rails, masks = len(whole), manifest.rails, manifest.masks
-    counts = np.zeros((scenes, gates.repeats, rails, masks), np.int64)
-    lengths = np.zeros((rails, masks))
-    for place, length, windows in zip(manifest.shown, gates.length_s, plan.gates, strict=True):
-        frame = manifest.frames[place]
-        for rail, column in _READ_BY[frame.rail]:
-            counts[whole, :, rail, frame.mask] = found[:, windows, column]
-            lengths[rail, frame.mask] = length
-    on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
-    on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
-    on_rate[whole], off_rate[whole] = on[:, 0], off[:, 0]
-    dark = np.full(rails, off[:, 0].mean())
-    if manifest.two_arm:
-        dark[1] = on[:, 1].mean()
-    return Counts(
-        counts=counts,
-        valid=np.repeat(whole[:, None], gates.repeats, axis=1),
-        gate_s=gates.length_s,
-        on_rate=on_rate,
-        off_rate=off_rate,
-        dark_rate=dark,
-        exposure_s=exposure_s,
-        settle_s=gates.settle_s,
-        lengths_s=lengths,
-        faults=faults,
-    )
-
-
-def _ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
-    return np.rint(seconds / tick_s).astype(np.int64)
-
-
-_READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {
-    "plus": ((0, 0),),
-    "minus": ((1, 0),),
-    "both": ((0, 0), (1, 1)),
-}
-"""Rails for which a frame is read, and the place of their input."""
-
-
-# The file of counts ------------------------------------------------------------------------------
-
-
-def read_counts(folder: str | os.PathLike[str]) -> Counts:
-    """Counts of a folder as `count` wrote them.
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    largest : int
+        Bytes that it has at most.
+    hint : str
+        What to do if it cannot be read.
 
     Raises
     ------
     InputError
-        If there are none, or they are damaged or of another acquisition.
+        If it cannot be read, or is larger.
     """
-    acquisition, patterns = read_acquisition(folder)
-    return _load(Path(folder) / "counts.npz", acquisition, patterns.manifest)
-
-
-def _save(path: Path, counts: Counts, acquisition: Acquisition) -> None:
-    about = {
-        "acquisition": _digest(acquisition),
-        "repeats": counts.counts.shape[1],
-        "exposure_s": counts.exposure_s,
-        "settle_s": counts.settle_s,
-        "faults": [fault.model_dump() for fault in counts.faults],
-    }
-    text = np.frombuffer(json.dumps(about).encode(), np.uint8)
-    arrays = {name: getattr(counts, name) for name in _ARRAYS}
-    file = io.BytesIO()
-    np.savez(file, about=text, **arrays)
-    write_atomically(path, file.getvalue())
-
-
-def _load(path: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
-    content = _read(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
-    damaged = InputError(
-        f"{path} is not a whole file of counts: make it with `deepfsi camera count`"
-    )
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            about = _About.model_validate_json(_member(archive, "about", "|u1", None).tobytes())
-            if about.acquisition != _digest(acquisition):
-                raise InputError(
-                    f"{path} is of another acquisition than acquisition.json: count again with "
-                    "`deepfsi camera count`"
-                )
-            scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
-            shapes = {
-                "counts": (scenes, about.repeats, rails, masks),
-                "valid": (scenes, about.repeats),
-                "gate_s": (len(manifest.shown),),
-                "on_rate": (scenes,),
-                "off_rate": (scenes,),
-                "dark_rate": (rails,),
-                "lengths_s": (rails, masks),
-            }
-            arrays = {
-                name: _member(archive, name, dtype, shapes[name]) for name, dtype in _ARRAYS.items()
-            }
-    except InputError:
-        raise
-    except _UNREADABLE:
-        raise damaged from None
-    if arrays["valid"].view(np.uint8).max() > 1 or not arrays["valid"].any():
-        raise damaged
-    lit = arrays["valid"].any(axis=1)
-    known = [arrays[name] for name in ("gate_s", "dark_rate", "lengths_s")]
-    known += [arrays["on_rate"][lit], arrays["off_rate"][lit], arrays["counts"]]
-    if not all(bool((np.isfinite(each) & (each >= 0)).all()) for each in known):
-        raise damaged
-    return Counts(
-        **arrays, exposure_s=about.exposure_s, settle_s=about.settle_s, faults=about.faults
-    )
-
-
-class _About(BaseModel):
-    """What a file of counts says of itself; `acquisition` is the hash of what was counted."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    acquisition: str
-    repeats: int = Field(ge=1, le=MOST_READOUTS)
-    exposure_s: Positive
-    settle_s: float = Field(ge=0, allow_inf_nan=False)
-    faults: tuple[Fault, ...]
-
-
-_ARRAYS = {
-    "counts": "<i8",
-    "valid": "|b1",
-    "gate_s": "<f8",
-    "on_rate": "<f8",
-    "off_rate": "<f8",
-    "dark_rate": "<f8",
-    "lengths_s": "<f8",
-}
-
-_UNREADABLE = (
-    zipfile.BadZipFile,
-    KeyError,
-    ValueError,
-    OSError,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    struct.error,
-)
-"""What zipfile raises of damaged archives, and pydantic of what is in them."""
-
-
-def _member(
-    archive: zipfile.ZipFile, name: str, dtype: str, shape: tuple[int, ...] | None
-) -> np.ndarray:
-    """Array of that type and shape, or a vector of any length; `ValueError` if it is none."""
-    info = archive.getinfo(f"{name}.npy")
-    if info.compress_type != zipfile.ZIP_STORED or info.file_size > LARGEST_COUNTS:
-        raise ValueError(name)
-    content = archive.read(info)
-    kind = np.dtype(dtype)
-    if shape is None:
-        shape = ((len(content) - _HEADER) // kind.itemsize,)
-    header = io.BytesIO()
-    about = {"descr": dtype, "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(header, about)
-    held = header.getvalue()
-    if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
-        raise ValueError(name)
-    return np.frombuffer(content, kind, offset=len(held)).reshape(shape).copy()
-
-
-_HEADER = 128
-"""Bytes of the header of a vector in numpy's format."""
-
-
-# Pictures ----------------------------------------------------------------------------------------
-
-
-def picture(folder: str | os.PathLike[str]) -> np.ndarray:
-    """Least-squares picture of each scene from its counts, less background.
-
-    The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
-    Directions that the masks hardly see are left out (singular values below 1e-3 of the largest).
-
-    Returns
-    -------
-    array, shape (S, *image_shape)
-        float64, NaN for a scene without a valid exposure. If the acquisition gives the flux, it is
-        the reflectance times the detector's efficiency. Otherwise the budget is estimated from
-        the all-ON frames, so that the scenes have the training scenes' mean light.
-
-    Raises
-    ------
-    InputError
-        As `read_counts`, or if the flux is not known and no light was seen.
-    """
-    acquisition, patterns = read_acquisition(folder)
-    path = Path(folder) / "counts.npz"
-    counts = _load(path, acquisition, patterns.manifest)
-    budget = counts.photons if acquisition.flux is None else acquisition.flux * counts.exposure_s
-    if not budget > 0:
-        raise InputError(f"{path} has no light: its all-ON frames are not brighter than the dark")
-    valid = np.asarray(counts.valid.any(axis=1))
-    weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
-    mean = np.einsum("sr,srkm->skm", weights, counts.signal())[valid]
-    read = counts.lengths_s > 0
-    found = lstsq(patterns.rails[read], mean[:, read].T, cond=WEAKEST)[0].T
-    out = np.full((len(valid), found.shape[1]), np.nan)
-    out[valid] = found * (patterns.manifest.summed_reflectance / budget)
-    return out.reshape(len(valid), *patterns.manifest.image_shape)
-
-
-# Reading -----------------------------------------------------------------------------------------
-
-
-def _read(path: Path, largest: int, hint: str) -> bytes:
-    """Content of a file that is not larger than it can be."""
     try:
         with path.open("rb") as file:
             content = file.read(largest + 1)
@@ -723,7 +277,3 @@ def _read(path: Path, largest: int, hint: str) -> bytes:
     if len(content) > largest:
         raise InputError(f"{path} has more than {largest} bytes: {hint}")
     return content
-
-
-def _digest(acquisition: Acquisition) -> str:
-    return sha256(acquisition.model_dump_json().encode()).hexdigest()

@@ -1,0 +1,253 @@
+"""Photons of a recording counted frame by frame, for the exposure it was made for or another."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.gates import Gates
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.ptu.header import Header, read_header
+from deepfsi.hardware.ptu.reader import count_gates, read_markers
+from deepfsi.hardware.recording.acquisition import Acquisition, gates_of, read_acquisition
+from deepfsi.hardware.recording.alignment import align, find_steps
+from deepfsi.hardware.recording.counts import Counts, save_counts
+from deepfsi.hardware.recording.faults import Fault
+from deepfsi.progress import SILENT, Report
+
+LEAST_GATE_TICKS = 10
+"""Ticks of the counter that a gate must have at least."""
+
+_READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {
+    "plus": ((0, 0),),
+    "minus": ((1, 0),),
+    "both": ((0, 0), (1, 1)),
+}
+"""Rails for which a frame is read, and the place of their input."""
+
+
+def count(
+    folder: str | os.PathLike[str],
+    *,
+    exposure_s: float | None = None,
+    settle_s: float | None = None,
+    repeats: int | None = None,
+    report: Report = SILENT,
+) -> Counts:
+    """Count the photons of each readout and write counts.npz.
+
+    Parameters
+    ----------
+    folder : path
+        Of the recording.
+    exposure_s : float, optional
+        Total exposure in seconds; as recorded unless given. Frames need not have been shown for it:
+        a shorter one is a gate within them.
+    settle_s : float, optional
+        As recorded unless given.
+    repeats : int, optional
+        Exposures of each scene, from gates that follow each other in each frame. Unless given, as
+        recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
+    report : Report
+        Given the share that is done.
+
+    Returns
+    -------
+    Counts
+        As written.
+
+    Raises
+    ------
+    InputError
+        If files are missing, damaged or do not fit each other, gates do not fit the frames, or no
+        exposure is whole.
+    """
+    acquisition, patterns = read_acquisition(folder)
+    manifest = patterns.manifest
+    gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
+    header = read_header(Path(folder) / "photons.ptu")
+    if gates.length_s.min() < LEAST_GATE_TICKS * header.tick_s:
+        raise InputError(
+            f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
+            f"{gates.length_s.min():g} s: give a longer exposure"
+        )
+    starts, whole, faults = _find_frames(header, acquisition, manifest, report.part(0.0, 0.4))
+    windows = _Windows.of(manifest, gates)
+    opens = starts[whole][:, windows.frame] + windows.offset
+    found, seconds = _count_windows(
+        header, opens, windows.length, acquisition.inputs, report.part(0.4, 1.0)
+    )
+    photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
+    fits = np.array([_shows_ends(*each) for each in zip(photons[..., 0], spent, strict=True)])
+    for scene in np.flatnonzero(whole)[~fits].tolist():
+        detail = "its first and last frames are not the brightest and darkest: it may be shifted"
+        faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
+    if not fits.any():
+        raise InputError(
+            f"{header.path} has no pass that begins and ends with a bright and a dark frame: give "
+            "the patterns that were shown, and the input that the detector is wired to"
+        )
+    whole[whole] = fits
+    spent = np.where(spent > 0, spent, np.nan)
+    rates = photons[fits] / spent[fits, :, None]
+    exposure = acquisition.exposure_s if exposure_s is None else exposure_s
+    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure, tuple(faults))
+    save_counts(Path(folder) / "counts.npz", counts, acquisition)
+    return counts
+
+
+def _find_frames(
+    header: Header, acquisition: Acquisition, manifest: Manifest, report: Report
+) -> tuple[np.ndarray, np.ndarray, list[Fault]]:
+    """Start of each frame (S, F) in seconds, scenes whose masks' frames are whole (S,), faults."""
+    path, tick_s = header.path, header.tick_s
+    times, bits = read_markers(path, report)
+    times = times[bits & acquisition.marker_bit != 0]
+    end = int(times.max(initial=0)) - header.kind.wrap if header.problems else None
+
+    def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
+        edges = np.clip(np.stack([_ticks(starts, tick_s), _ticks(stops, tick_s)]), 0, end)
+        unique, places = np.unique(edges, return_inverse=True)
+        found = count_gates(path, unique[:-1], unique[1:], acquisition.inputs[:1])[:, 0]
+        before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
+        return before[1] - before[0]
+
+    try:
+        aligned = align(times * tick_s, manifest, len(acquisition.scenes), counter=counter)
+    except InputError as error:
+        raise InputError(f"{path} has {len(times)} frame markers: {error}") from None
+    starts = aligned.starts_s.copy()
+    last = float(times.max(initial=0)) * tick_s
+    if header.problems:
+        starts[starts >= last] = np.nan  # the frame that was being recorded when the file ended
+    shown = starts[:, manifest.shown]
+    # A mask's frame is whole if a marker came after it.
+    whole = np.isfinite(shown).all(axis=1) & (shown[:, -1] < last)
+    if not whole.any():
+        why = aligned.faults[0] if aligned.faults else "it ends too early"
+        raise InputError(f"{path} has no whole exposure ({why}): record again")
+    return starts, whole, list(aligned.faults)
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Windows of a pass in order: its gates, and what of each frame they leave after settling.
+
+    Attributes
+    ----------
+    frame : array, shape (g,)
+        Of each window.
+    offset, length : arrays, shape (g,)
+        When a window opens after its frame's start, and for how long, seconds.
+    gates : array, shape (f, R)
+        Places of the gates among the windows.
+    frames : int
+        Frames of a pass, F.
+    """
+
+    frame: np.ndarray
+    offset: np.ndarray
+    length: np.ndarray
+    gates: np.ndarray
+    frames: int
+
+    @classmethod
+    def of(cls, manifest: Manifest, gates: Gates) -> "_Windows":
+        """Windows of a pass over the frames of a manifest."""
+        repeats, frames = gates.repeats, len(manifest.frames)
+        each = np.ones(frames, np.int64)
+        each[manifest.shown] += repeats
+        frame = np.repeat(np.arange(frames), each)
+        first = np.cumsum(each) - each
+        places = first[manifest.shown][:, None] + np.arange(repeats)
+        offset = np.full(len(frame), gates.settle_s)
+        offset[places] = gates.starts_s
+        offset[places[:, -1] + 1] = gates.settle_s + repeats * gates.length_s
+        length = np.maximum(manifest.picture_s[frame] - offset, 0.0)
+        length[places] = gates.length_s[:, None]
+        return cls(frame, offset, length, places, frames)
+
+    def sum_frames(self, values: np.ndarray) -> np.ndarray:
+        """Sums over the windows of each frame, along the second axis."""
+        return np.add.reduceat(values, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
+
+
+def _count_windows(
+    header: Header,
+    opens: np.ndarray,
+    length: np.ndarray,
+    inputs: tuple[int, ...],
+    report: Report,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g).
+
+    Where two clocks and a marker's jitter make a window reach into the next it ends there. One
+    whose frame's start is not known is not open.
+    """
+    tick_s, known = header.tick_s, np.isfinite(opens).ravel()
+    starts = _ticks(opens.ravel()[known], tick_s)
+    stops = _ticks((opens + length).ravel()[known], tick_s)
+    starts = np.minimum.accumulate(starts[::-1])[::-1]
+    stops[:-1] = np.minimum(stops[:-1], starts[1:])
+    found = np.zeros((opens.size, len(inputs)), np.int64)
+    seconds = np.zeros(opens.size)
+    found[known] = count_gates(header.path, starts, stops, inputs, report)
+    seconds[known] = (stops - starts) * tick_s
+    return found.reshape(*opens.shape, len(inputs)), seconds.reshape(opens.shape)
+
+
+def _shows_ends(photons: np.ndarray, seconds: np.ndarray) -> bool:
+    """True if a pass's first and last two frames are all ON and all OFF, as far as photons tell.
+
+    At least one of each must have been recorded.
+    """
+    if not (seconds[[0, -2]].any() and seconds[[1, -1]].any()):
+        return False
+    fits, _ = find_steps(photons, seconds)
+    return bool(fits[0] and fits[-1])
+
+
+def _assemble(
+    manifest: Manifest,
+    gates: Gates,
+    windows: _Windows,
+    whole: np.ndarray,
+    found: np.ndarray,
+    rates: np.ndarray,
+    exposure_s: float,
+    faults: tuple[Fault, ...],
+) -> Counts:
+    """Counts of windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
+    scenes, rails, masks = len(whole), manifest.rails, manifest.masks
+    counts = np.zeros((scenes, gates.repeats, rails, masks), np.int64)
+    lengths = np.zeros((rails, masks))
+    for place, length, own in zip(manifest.shown, gates.length_s, windows.gates, strict=True):
+        frame = manifest.frames[place]
+        for rail, column in _READ_BY[frame.rail]:
+            counts[whole, :, rail, frame.mask] = found[:, own, column]
+            lengths[rail, frame.mask] = length
+    on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
+    on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
+    on_rate[whole], off_rate[whole] = on[:, 0], off[:, 0]
+    dark = np.full(rails, off[:, 0].mean())
+    if manifest.two_arm:
+        dark[1] = on[:, 1].mean()
+    return Counts(
+        counts=counts,
+        valid=np.repeat(whole[:, None], gates.repeats, axis=1),
+        gate_s=gates.length_s,
+        on_rate=on_rate,
+        off_rate=off_rate,
+        dark_rate=dark,
+        exposure_s=exposure_s,
+        settle_s=gates.settle_s,
+        lengths_s=lengths,
+        faults=faults,
+    )
+
+
+def _ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
+    """Times in ticks, rounded."""
+    return np.rint(seconds / tick_s).astype(np.int64)

@@ -1,0 +1,48 @@
+"""Least-squares pictures of scenes from their counts."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.counts import load_counts
+
+LEAST_SINGULAR_VALUE = 1e-3
+"""Least singular value that a picture is made from, of the sensing matrix's largest."""
+
+
+def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
+    """Least-squares picture of each scene from its counts, less background.
+
+    The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
+    Directions that the masks hardly see are left out (singular values below 1e-3 of the largest).
+
+    Returns
+    -------
+    array, shape (S, *image_shape)
+        float64, NaN for a scene without a valid exposure. If the acquisition gives the flux, it is
+        the reflectance times the detector's efficiency. Otherwise the budget is estimated from
+        the all-ON frames, so that the scenes have the training scenes' mean light.
+
+    Raises
+    ------
+    InputError
+        As `read_counts`, or if the flux is not known and no light was seen.
+    """
+    acquisition, patterns = read_acquisition(folder)
+    path = Path(folder) / "counts.npz"
+    counts = load_counts(path, acquisition, patterns.manifest)
+    budget = counts.photons if acquisition.flux is None else acquisition.flux * counts.exposure_s
+    if not budget > 0:
+        raise InputError(f"{path} has no light: its all-ON frames are not brighter than the dark")
+    valid = np.asarray(counts.valid.any(axis=1))
+    weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
+    mean = np.einsum("sr,srkm->skm", weights, counts.signal())[valid]
+    read = counts.lengths_s > 0
+    found = lstsq(patterns.rails[read], mean[:, read].T, cond=LEAST_SINGULAR_VALUE)[0].T
+    out = np.full((len(valid), found.shape[1]), np.nan)
+    out[valid] = found * (patterns.manifest.summed_reflectance / budget)
+    return out.reshape(len(valid), *patterns.manifest.image_shape)

@@ -1,0 +1,240 @@
+"""Recordings to test with: marker trains, their troubles, and photons that are known."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import DEVICES, Frame, Manifest, Patterns, find_device
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
+from deepfsi.hardware.recording.counting import count
+
+FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
+"""Examples of each test on random faults, and mutated folders."""
+
+TICK = 1e-12
+DWELL = 1e-3
+JITTER = 2e-7
+
+many = settings(
+    max_examples=FUZZ,
+    deadline=None,
+    derandomize="DEEPFSI_FUZZ" not in os.environ,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
+def schedule(pictures: list[int], sentinel: int = 1000) -> Manifest:
+    """Manifest of masks with these picture times, µs."""
+    ends = [Frame(role=role, picture_us=sentinel, sha256="0" * 64) for role in ("on", "off")]
+    share = 1 / len(pictures)
+    masks = [
+        Frame(role="mask", mask=i, rail="plus", share=share, picture_us=us, sha256="0" * 64)
+        for i, us in enumerate(pictures)
+    ]
+    return Manifest(
+        deepfsi="0",
+        device=DEVICES["dlp7000"],
+        image_shape=(4, 4),
+        masks=len(masks),
+        rails=1,
+        light="free-dwell",
+        dimmed=1,
+        summed_reflectance=1,
+        selection="ordered",
+        format="npy",
+        frames=(*ends, *masks, *ends),
+    )
+
+
+EQUAL = schedule([1000] * 16)
+FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 1900])
+
+
+def train(
+    manifest: Manifest,
+    scenes: int,
+    drift: float = 0.0,
+    offset: float = 0.02,
+    pauses: float | list[float] = 0.0,
+    seed: int = 0,
+) -> np.ndarray:
+    """True starts of frames on the counter's clock, (S, F), with jitter."""
+    rng = np.random.default_rng(seed)
+    gaps = np.broadcast_to(pauses, (scenes,))
+    begins = np.arange(scenes) * manifest.pass_s + np.cumsum(gaps) - gaps[0]
+    starts = offset + (1 + drift) * (begins[:, None] + manifest.starts_s)
+    return starts + rng.uniform(-JITTER, JITTER, starts.shape)
+
+
+@dataclass
+class Trouble:
+    """What happens to a marker train."""
+
+    kind: str
+    scene: int
+    frame: int
+    amount: float
+
+    def strike(self, markers: np.ndarray, true: np.ndarray) -> np.ndarray:
+        scene, frame = self.scene % len(true), self.frame % true.shape[1]
+        time = true[scene, frame]
+        if not len(markers):
+            return markers
+        near = int(np.argmin(np.abs(markers - time)))
+        there = np.array([near] if abs(markers[near] - time) < 10 * JITTER else [], int)
+        if self.kind == "missing":
+            return np.delete(markers, there)
+        if self.kind == "late":
+            return np.sort(np.append(np.delete(markers, there), time + self.amount * DWELL))
+        if self.kind == "extra":
+            return np.sort(np.append(markers, time + self.amount * DWELL))
+        if self.kind == "cut":
+            return markers[: max(near, 2)]
+        first = int(np.argmin(np.abs(markers - true[0, frame])))
+        return markers[first:]  # the recording begins within the first pass
+
+
+def unseen(markers: np.ndarray, true: np.ndarray) -> bool:
+    """Whether a pass left no marker and a later one did: nobody can tell which it was."""
+    left = np.isin(true, markers).any(axis=1)
+    return bool((np.diff(left.astype(int)) > 0).any())
+
+
+def troubles(*kinds: str) -> st.SearchStrategy[list[Trouble]]:
+    edges = st.sampled_from([0, 1, 2, -1, -2, -3])
+    trouble = st.builds(
+        Trouble,
+        kind=st.sampled_from(kinds),
+        scene=st.integers(0, 9),
+        frame=st.one_of(edges, st.integers(0, 99)),
+        amount=st.floats(-0.45, 0.95),
+    )
+    return st.lists(trouble, min_size=1, max_size=6)
+
+
+DEVICE = find_device("24x16")
+SHAPE = (2, 3)
+
+
+def patterns_of(folder: Path, light: str = "equal-dwell", **settings) -> Patterns:
+    """Six random masks on a small device."""
+    rng = np.random.default_rng(4)
+    if light == "two-arm":
+        part = rng.random((6, 6))
+        rails = np.stack([part, 1 - part]) / 6
+    elif light == "free-dwell":
+        rails = rng.random((1, 6, 6)) * np.linspace(0.2, 1, 6)[:, None]
+        rails /= rails.max(axis=2).sum()
+    else:
+        rails = rng.random((2, 6, 6))
+        rails[0, 0], rails[1, 0] = 1.0, 0.0
+        rails /= 11 * np.where(rails.any(axis=2), rails.max(axis=2), 1)[..., None]
+    given = {"summed_reflectance": 2.0, "design": b"not read", **settings}
+    return export_patterns(rails, light, SHAPE, DEVICE, DWELL, folder, **given)
+
+
+def named(scenes: int, **settings) -> Acquisition:
+    given = {"exposure_s": 5e-3, "settle_s": 2e-5, "repeats": 1, **settings}
+    return Acquisition(scenes=tuple(Scene(name=f"scene {i}") for i in range(scenes)), **given)
+
+
+def record(
+    path: Path,
+    starts: np.ndarray,
+    markers: np.ndarray,
+    photons: np.ndarray,
+    *,
+    bit: int = 1,
+    inputs: tuple[int, ...] = (0,),
+    length: float | np.ndarray = DWELL,
+    stray: int = 50,
+) -> None:
+    """Write photons (S, F, inputs) spread evenly over each frame, from 30 µs on to its end."""
+    times, codes = [markers], [np.full(len(markers), -bit)]
+    length = np.broadcast_to(length, starts.shape[1])
+    for column, each in enumerate(inputs):
+        for (scene, frame), many in np.ndenumerate(photons[..., column]):
+            inside = starts[scene, frame] + 3e-5 + (length[frame] - 4e-5) * np.arange(many) / many
+            times.append(inside)
+            codes.append(np.full(len(inside), each))
+    times.append(np.linspace(0, markers.min() * 0.9, stray))  # before the first marker
+    codes.append(np.zeros(stray, int))
+    times, codes = np.concatenate(times), np.concatenate(codes)
+    order = np.argsort(times, kind="stable")
+    path.unlink(missing_ok=True)
+    with Writer(path, TICK) as writer:
+        writer.write(np.rint(times[order] / TICK).astype(np.int64), codes[order])
+
+
+def shining(patterns: Patterns, scenes: int, arms: int = 1, dark: int = 3) -> np.ndarray:
+    """Photons (S, F, arms) of random scenes; at all ON some 1000."""
+    rng = np.random.default_rng(9)
+    light = rng.uniform(100, 200, (scenes, patterns.on.shape[1]))
+    part = np.zeros((len(patterns.manifest.frames), patterns.on.shape[1]))
+    part[[0, -2]] = 1
+    part[patterns.manifest.shown] = patterns.fractions
+    both = np.stack([light @ part.T, light @ (1 - part.T)], axis=-1)[..., :arms]
+    return np.rint(both).astype(int) + dark
+
+
+@dataclass
+class Run:
+    """A recording without faults, and what went into it."""
+
+    folder: Path
+    patterns: Patterns
+    starts: np.ndarray
+    photons: np.ndarray
+
+    def copy(self, folder: Path) -> Run:
+        shutil.copytree(self.folder, folder)
+        return replace(self, folder=folder)
+
+    def edit(self, **changes) -> None:
+        path = self.folder / "acquisition.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+    def refused(self, match: str, **settings) -> None:
+        with pytest.raises(InputError, match=match) as error:
+            count(self.folder, **settings)
+        assert "\n" not in str(error.value)
+
+
+def made(tmp: Path, light: str = "equal-dwell", scenes: int = 3, **settings) -> Run:
+    patterns = patterns_of(tmp / "patterns", light)
+    arms = 2 if light == "two-arm" else 1
+    inputs = (2, 1)[:arms]
+    given = {"inputs": inputs, "marker_bit": 4, **settings}
+    prepare(tmp / "run", tmp / "patterns", named(scenes, **given))
+    starts = train(patterns.manifest, scenes, 1.5e-4)
+    photons = shining(patterns, scenes, arms)
+    length = patterns.manifest.picture_s
+    record(
+        tmp / "run" / "photons.ptu",
+        starts,
+        starts.ravel(),
+        photons,
+        bit=4,
+        inputs=inputs,
+        length=length,
+    )
+    return Run(tmp / "run", patterns, starts, photons)
+
+
+def counted(tmp: Path) -> Run:
+    """A recording of three scenes on one arm, counted."""
+    run = made(tmp, exposure_s=DWELL * 11 * 0.97)
+    count(run.folder)
+    return run

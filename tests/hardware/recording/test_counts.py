@@ -1,0 +1,85 @@
+"""The file of counts: read as it was written, or refused."""
+
+from __future__ import annotations
+
+import zipfile
+
+import numpy as np
+import pytest
+from recording_samples import Run, counted
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.picture import reconstruct
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Run:
+    """A recording of three scenes on one arm: do not change it."""
+    return counted(tmp_path_factory.mktemp("whole"))
+
+
+@pytest.fixture
+def run(whole, tmp_path) -> Run:
+    """A copy of it to change."""
+    return whole.copy(tmp_path / "run")
+
+
+def test_counts_are_read_as_they_were_written(run):
+    counts, again = count(run.folder), read_counts(run.folder)
+    for name in ("counts", "valid", "gate_s", "on_rate", "off_rate", "dark_rate", "lengths_s"):
+        assert np.array_equal(getattr(counts, name), getattr(again, name))
+        assert getattr(counts, name).dtype == getattr(again, name).dtype
+    assert again.exposure_s == counts.exposure_s
+    assert again.settle_s == counts.settle_s
+    assert again.faults == counts.faults
+
+
+def test_counts_of_another_acquisition_are_refused(run):
+    run.edit(settle_s=1e-5)
+    with pytest.raises(InputError, match=r"counts\.npz is of another acquisition"):
+        read_counts(run.folder)
+    count(run.folder)
+    read_counts(run.folder)
+
+
+def rewrite(run: Run, compression: int = zipfile.ZIP_STORED, **arrays: np.ndarray) -> None:
+    path = run.folder / "counts.npz"
+    with np.load(path) as held:
+        content = dict(held) | arrays
+    write = np.savez if compression == zipfile.ZIP_STORED else np.savez_compressed
+    write(path, **content)
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"counts": np.zeros((3, 1, 2, 5), np.int64)},
+        {"counts": np.zeros((3, 1, 2, 6), np.int32)},
+        {"counts": np.full((3, 1, 2, 6), -1)},
+        {"valid": np.zeros((3, 1), bool)},
+        {"valid": np.full((3, 1), 2, np.uint8)},
+        {"gate_s": np.full(11, np.nan)},
+        {"on_rate": np.full(3, np.inf)},
+        {"about": np.frombuffer(b"{}", np.uint8)},
+    ],
+)
+def test_damaged_counts_are_refused(run, arrays):
+    rewrite(run, **arrays)
+    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
+        read_counts(run.folder)
+
+
+def test_compressed_or_cut_counts_are_refused(run):
+    rewrite(run, zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
+        read_counts(run.folder)
+    count(run.folder)
+    path = run.folder / "counts.npz"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
+        reconstruct(run.folder)
+    path.unlink()
+    with pytest.raises(InputError, match=r"counts\.npz cannot be read .* camera count"):
+        read_counts(run.folder)

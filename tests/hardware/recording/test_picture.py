@@ -1,0 +1,48 @@
+"""Pictures of scenes from their counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from recording_samples import DEVICE, DWELL, SHAPE, named, record, train
+
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.recording.acquisition import prepare
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.picture import reconstruct
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])
+def test_a_picture_is_the_scene(tmp_path, light):
+    rails = np.stack([np.eye(6), np.roll(np.eye(6), 1, axis=1) * 0.5 + 0.25]) / 12
+    if light == "two-arm":
+        rails = np.stack([np.eye(6), 1 - np.eye(6)]) / 6
+    elif light == "free-dwell":
+        rails = np.eye(6)[None] / 6
+    patterns = export_patterns(
+        rails, light, SHAPE, DEVICE, DWELL, tmp_path / "patterns", summed_reflectance=2.0
+    )
+    arms = 2 if light == "two-arm" else 1
+    flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)
+    given = {"inputs": (0, 1)[:arms], "exposure_s": exposure, "settle_s": 3e-5}
+    prepare(tmp_path / "run", tmp_path / "patterns", named(2, flux=flux, **given))
+    scenes = np.array([[0.1, 0.9, 0.5, 0.3, 0.0, 0.2], [0.6, 0.1, 0.4, 0.5, 1.0, 0.4]])
+    part = np.zeros((len(patterns.manifest.frames), 6))
+    part[[0, -2]] = 1
+    part[patterns.manifest.shown] = patterns.fractions
+    light_s = scenes * flux / 2.0
+    photons = np.stack([light_s @ part.T, light_s @ (1 - part.T)], axis=-1)[..., :arms]
+    starts = train(patterns.manifest, 2)
+    record(
+        tmp_path / "run" / "photons.ptu",
+        starts,
+        starts.ravel(),
+        np.rint(photons * (DWELL - 4e-5) * 1e-2).astype(int),
+        inputs=(0, 1)[:arms],
+        length=patterns.manifest.picture_s,
+    )
+    count(tmp_path / "run")
+    found = reconstruct(tmp_path / "run")
+    assert found.shape == (2, *SHAPE)
+    # A hundredth of the photons, as from a detector of that efficiency.
+    assert np.allclose(found.reshape(2, 6) * 1e2, scenes, atol=5e-3)
