@@ -114,7 +114,7 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--device", default="auto")
     arguments = parser.parse_args(given)
 
-    recipe = find(arguments.recipe)[0].recipe(quick=False)
+    recipe = find(arguments.recipe)[0].recipes(quick=False)[arguments.recipe]
     how = recipe.training.model_copy(update={"epochs": arguments.epochs})
     rng = np.random.default_rng(0)
     x = rng.random((arguments.images, arguments.size, arguments.size), dtype=np.float32)

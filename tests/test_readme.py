@@ -67,15 +67,11 @@ def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
     from deepfsi import cli
 
     monkeypatch.chdir(tmp_path)
-    recipes = {name: tiny(each, 1, name) for each in EVERY for name in (each.name, *each.also)}
-    monkeypatch.setattr(
-        experiment.Experiment,
-        "recipe",
-        lambda self, quick, trials, name=None: recipes[name or self.name],
-    )
+    recipes = {each.name: tiny(each, 1) for each in EVERY}
+    monkeypatch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
     (tmp_path / "recipes").mkdir()
-    (tmp_path / "recipes/mnist-quick.toml").write_text(
-        'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n'
+    (tmp_path / "recipes/mnist.toml").write_text(
+        'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[quick]\ntraining.epochs = 1\n'
     )
     lines = [line for line in LINES if "--ray" not in line]
     assert len(lines) == len(LINES) - 1 == 5

@@ -96,7 +96,7 @@ def test_one_dmd_design(call, tmp_path):
     assert design.rails.shape == (1, 6, 64)
 
 
-def test_a_design_that_forgives(call, tmp_path):
+def test_a_flexible_design(call, tmp_path):
     file = tmp_path / "nested.safetensors"
     words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
     words += ["--light", "equal-dwell", "--rails", "single", "--hold-out", 300, "-o", file]
@@ -405,7 +405,7 @@ def test_experiments_are_listed(call):
         "quantization",
         "indian-pines",
         "hardware",
-        "forgiving",
+        "flexible",
         "ovit",
         "ovit-full",
     }

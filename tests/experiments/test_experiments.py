@@ -33,9 +33,13 @@ TINY = {
 }
 
 
-def tiny(experiment, trials: int, name: str):
-    """A recipe of the experiment on digits, of a moment; what makes it itself is kept."""
-    quick = experiment.recipe(quick=True, name=name)
+def tiny(experiment, trials: int):
+    """Recipes of the experiment on digits, of a moment; what makes them themselves is kept."""
+    recipes = experiment.recipes(quick=True)
+    return {part: shrunk(experiment, trials, part, quick) for part, quick in recipes.items()}
+
+
+def shrunk(experiment, trials: int, part: str, quick: Recipe):
     kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
     training = {**kept.pop("training"), **TINY["training"], "batch": 200}
     changes = {**TINY, "training": training, "trials": trials}
@@ -45,8 +49,8 @@ def tiny(experiment, trials: int, name: str):
         changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
     if experiment.name == "masks":
         changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
-    if experiment.name == "forgiving":
-        changes |= {"photons": 1e4, "ratios": 0.05 if name == "forgiving-counts" else 0.1}
+    if experiment.name == "flexible":
+        changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
         changes["tuned"] = {}
         training |= {"nested": 2} if "nested" in training else {}
     return type(quick)(**{**kept, **changes})
@@ -56,15 +60,9 @@ def tiny(experiment, trials: int, name: str):
 def done(request, tmp_path_factory):
     """Folder in which all experiments have been run, with one trial and with two."""
     folder = tmp_path_factory.mktemp("paper")
-    recipes = {
-        name: tiny(each, request.param, name) for each in EVERY for name in (each.name, *each.also)
-    }
-
-    def recipe(self, quick, trials, name=None):
-        return recipes[name or self.name]
-
+    recipes = {each.name: tiny(each, request.param) for each in EVERY}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment.Experiment, "recipe", recipe)
+        patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(laboratory, "DRAWS", 2)
         for each in EVERY:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
@@ -123,8 +121,8 @@ def test_an_unknown_experiment_is_one_clear_line():
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_recipe_is_whole_and_takes_a_number_of_trials(each, quick):
     fewest = 1 if each is camera_study.EXPERIMENT else 3  # one design each goes to the device
-    assert each.recipe(quick).trials >= fewest
-    assert each.recipe(quick, trials=2).trials == 2
+    assert all(recipe.trials >= fewest for recipe in each.recipes(quick).values())
+    assert all(recipe.trials == 2 for recipe in each.recipes(quick, trials=2).values())
 
 
 def test_both_noises_cover_one_axis():
@@ -132,7 +130,7 @@ def test_both_noises_cover_one_axis():
     from deepfsi.optics.budget import impulse_imaging_error
 
     for quick in (False, True):
-        recipe = mnist.EXPERIMENT.recipe(quick)
+        recipe = mnist.EXPERIMENT.recipes(quick)["mnist"]
         for photon, read in zip(recipe.photons, recipe.gaussian_photons, strict=True):
             assert impulse_imaging_error(photon, 0.4, 1024, "poisson") == pytest.approx(
                 impulse_imaging_error(read, 0.4, 1024, "gaussian"), rel=1e-3

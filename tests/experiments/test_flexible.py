@@ -1,4 +1,4 @@
-"""The claims of designs that forgive answer to the numbers."""
+"""The claims of flexible designs answer to the numbers."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ def rate(mean):
 
 def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001):
     points = [
-        *(point("forgiving", 0.9, photons=p) for p in LIGHTS),
+        *(point("budgets", 0.9, photons=p) for p in LIGHTS),
         *(
-            point("forgiving", 0.7, photons=p, design=d, label=d.upper(), title=d)
+            point("budgets", 0.7, photons=p, design=d, label=d.upper(), title=d)
             for p in LIGHTS
             for d in ("pca", "truncated-hadamard")
         ),
-        point("forgiving-counts", 0.9, masks=10),
+        point("counts", 0.9, masks=10),
         *(
-            point("forgiving-counts", 0.7, masks=10, design=d, label=d.upper(), title=d)
+            point("counts", 0.7, masks=10, design=d, label=d.upper(), title=d)
             for d in ("pca", "truncated-hadamard")
         ),
-        *(point("forgiving-range", ranged, photons=p, trained_at=2e2) for p in LIGHTS),
-        point("forgiving-nested", 0.9),
-        point("forgiving-stop", 0.9, photons=1e5),
-        *(point("forgiving-plain", 0.9, photons=p) for p in (5e4, 1e5)),
+        *(point("range", ranged, photons=p, trained_at=2e2) for p in LIGHTS),
+        point("nested", 0.9),
+        point("stop", 0.9, photons=1e5),
+        *(point("plain", 0.9, photons=p) for p in (5e4, 1e5)),
     ]
     stopped, looked = (
         [
@@ -73,7 +73,7 @@ def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001
     )
     prefixes = [
         point(recipe, first if masks == 10 else 0.9, masks=masks, photons=1e4)
-        for recipe in ("forgiving-nested", "forgiving-both")
+        for recipe in ("nested", "both")
         for masks in (10, 92)
     ]
     return {"points": points, "extra": {"prefixes": prefixes, "stopped": stopped, "looked": looked}}

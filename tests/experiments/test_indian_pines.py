@@ -52,15 +52,15 @@ def add_cube(home):
 
 def run(folder, monkeypatch, trials):
     """Run the study on a grid of a moment."""
-    whole = experiment.Experiment.recipe
+    whole = experiment.Experiment.recipes
 
-    def recipe(self, quick, trials=None, name=None):
-        quick = whole(self, True, trials, name)
+    def recipes(self, quick, trials=None):
         how = {"epochs": (1,), "batch": (100,), "hidden": ((8,),)}
         changes = {"photons": (1e2, 1e4), "ratios": (0.02,), "training": how, "draws": 1}
-        return quick.model_copy(update=changes)
+        coarse = whole(self, True, trials)
+        return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
 
-    monkeypatch.setattr(experiment.Experiment, "recipe", recipe)
+    monkeypatch.setattr(experiment.Experiment, "recipes", recipes)
     results = EXPERIMENT.run(folder, command="deepfsi reproduce indian-pines", trials=trials)
     return results, EXPERIMENT.section(folder)
 
@@ -118,9 +118,9 @@ def test_maps_show_what_the_design_says_of_each_pixel(home, tmp_path, monkeypatc
 
 
 def test_the_real_scene_is_used_where_it_is_at_hand(home, tmp_path, monkeypatch):
-    assert EXPERIMENT.recipe(quick=True).data == SIMULATED
+    assert EXPERIMENT.recipes(quick=True)["random"].data == SIMULATED
     add_cube(home)
-    assert EXPERIMENT.recipe(quick=True).data == "indian-pines"
+    assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines"
     (home / "92AV3C.spc").unlink()
     _, section = run(tmp_path / "out", monkeypatch, trials=1)
     said = json.dumps([section.title, section.found, *(p.caption for p in section.pictures)])
@@ -134,19 +134,17 @@ def test_the_real_scene_is_used_where_it_is_at_hand(home, tmp_path, monkeypatch)
 def test_the_corrected_cube_goes_before_a_simulated_one(home):
     cube = np.ones((145, 145, 200), np.uint16)
     savemat(home / "Indian_pines_corrected.mat", {"indian_pines_corrected": cube})
-    assert EXPERIMENT.recipe(quick=True).data == "indian-pines-corrected"
+    assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines-corrected"
 
 
 def test_without_any_scene_the_real_one_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    assert EXPERIMENT.recipe(quick=True).data == "indian-pines"
+    assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines"
 
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_the_recipes_differ_in_their_split_alone(quick):
-    one, other = (
-        EXPERIMENT.recipe(quick, name=name) for name in ("indian-pines", *EXPERIMENT.also)
-    )
+    one, other = EXPERIMENT.recipes(quick).values()
     assert (one.split, other.split) == ("random", "blocks")
     assert one.model_dump(exclude={"split"}) == other.model_dump(exclude={"split"})
     assert min(one.photons) == 10
@@ -154,7 +152,7 @@ def test_the_recipes_differ_in_their_split_alone(quick):
 
 
 def test_the_full_recipe_is_the_papers():
-    recipe = EXPERIMENT.recipe(quick=False)
+    recipe = EXPERIMENT.recipes(quick=False)["random"]
     assert recipe.training == {"epochs": (2000,), "batch": (5000,), "lr": (5e-3,)}
     assert recipe.photons == tuple(10.0**k for k in range(1, 11))
     assert not recipe.ratios

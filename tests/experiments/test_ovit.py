@@ -34,10 +34,10 @@ def images(monkeypatch):
     data = synthetic((8, 8))
     monkeypatch.setattr(OvitRecipe, "load", lambda self: data)
 
-    def recipe(self, quick, trials=None):
-        return TINY if trials is None else TINY.model_copy(update={"trials": trials})
+    def recipes(self, quick, trials=None):
+        return {"ovit": TINY if trials is None else TINY.model_copy(update={"trials": trials})}
 
-    monkeypatch.setattr(ovit.PatchExperiment, "recipe", recipe)
+    monkeypatch.setattr(ovit.PatchExperiment, "recipes", recipes)
     return data
 
 
@@ -167,7 +167,7 @@ def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg,
     asked = []
     monkeypatch.setattr(ovit, "list_datasets", lambda: listed)
     monkeypatch.setattr(ovit, "load_dataset", lambda name, **how: asked.append((name, how)))
-    EXPERIMENT.recipe(quick=False).load()
+    EXPERIMENT.recipes(quick=False)["ovit"].load()
     assert asked == [(loaded, {"size": (64, 64), "images": 12_000})]
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from deepfsi.sweeps import queue, run
 from deepfsi.sweeps.forecast import forecast
 from deepfsi.sweeps.queue import SweepContext, batches, effort, train_batch
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows, write_table
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import SCHEMA, Trial, plan
@@ -33,11 +35,18 @@ from deepfsi.training.job import REVISION
 from deepfsi.training.loop import footprint
 from deepfsi.training.training_set import TrainingSet
 
-RECIPES = [
-    path
+FILES = {
+    path.stem: tomllib.loads(path.read_text())
     for path in sorted((Path(__file__).parents[2] / "recipes").glob("*.toml"))
     if not path.stem.startswith("ovit")  # of another kind: test_ovit
-]
+}
+RECIPES = {
+    " ".join(filter(None, (name, part, "quick" * quick))): settings
+    for name, file in FILES.items()
+    for quick in (False, True)
+    if not quick or "quick" in file
+    for part, settings in parts(file, quick).items()
+}
 SHORT = {"epochs": 2}
 
 
@@ -164,7 +173,7 @@ def test_all_mistakes_of_a_recipe_are_reported():
 def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
     trials = plan(small(), digits)
     first = run.run(trials, digits, tmp_path)
-    monkeypatch.setattr(run, "train", lambda *_: pytest.fail("a finished trial was repeated"))
+    monkeypatch.setattr(queue, "train", lambda *_: pytest.fail("a finished trial was repeated"))
     assert run.run(trials, digits, tmp_path) == first
     record = first[-1]
     design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
@@ -176,7 +185,7 @@ def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, mo
 
 def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
     trials = plan(small(), digits)
-    real, calls = run.train, []
+    real, calls = queue.train, []
 
     def stop_at_third(*arguments):
         calls.append(arguments)
@@ -184,7 +193,7 @@ def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(*arguments)
 
-    monkeypatch.setattr(run, "train", stop_at_third)
+    monkeypatch.setattr(queue, "train", stop_at_third)
     with pytest.raises(KeyboardInterrupt):
         run.run(trials, digits, tmp_path)
     assert len(list((tmp_path / "trials").iterdir())) == 4
@@ -226,13 +235,13 @@ def test_a_killed_process_leaves_only_whole_records(tmp_path):
 @pytest.fixture
 def trained(monkeypatch):
     """Keys of all jobs that are trained, as often as they are."""
-    real, seen = run.train, []
+    real, seen = queue.train, []
 
     def train(scenes, jobs, *rest):
         seen.extend(job.model_dump_json() for job in jobs)
         return real(scenes, jobs, *rest)
 
-    monkeypatch.setattr(run, "train", train)
+    monkeypatch.setattr(queue, "train", train)
     return seen
 
 
@@ -300,7 +309,7 @@ def test_a_processor_is_not_crowded_with_learned_masks(digits, monkeypatch):
 
 
 def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch):
-    real = run.train
+    real = queue.train
 
     def train(scenes, jobs, *rest):
         if len(jobs) > 1:
@@ -308,7 +317,7 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
         return real(scenes, jobs, *rest)
 
     trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)
-    monkeypatch.setattr(run, "train", train)
+    monkeypatch.setattr(queue, "train", train)
     assert len(run.run(trials, digits, tmp_path)) == len(trials)
 
 
@@ -544,8 +553,8 @@ def test_without_validation_nothing_is_chosen(digits):
 
 def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
     seen = []
-    real = run.TrainingSet
-    monkeypatch.setattr(run, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
+    real = queue.TrainingSet
+    monkeypatch.setattr(queue, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
     run.run(plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
     (parts,) = seen
     assert len(parts.x_train) == len(digits.x_train) - 200
@@ -572,11 +581,8 @@ def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
         plan(small(light="two-arm", rails="single"), digits)
 
 
-@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
-def test_every_recipe_runs_small(path, digits, tmp_path):
-    import tomllib
-
-    settings = tomllib.loads(path.read_text())
+@pytest.mark.parametrize("settings", RECIPES.values(), ids=RECIPES)
+def test_every_recipe_runs_small(settings, digits, tmp_path):
     Recipe(**settings)
     nested = settings.get("training", {}).get("nested", 0)
     tiny = {

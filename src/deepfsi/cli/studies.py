@@ -62,11 +62,13 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
+    from deepfsi.sweeps.recipe_files import only
+
     own = read_matrix(matrix)
     asked = dict(context.params)
     base: dict[str, Any] = {}
     if recipe:
-        base = read_toml(recipe)
+        base = only(read_toml(recipe))
         asked["data"] = data if _given(context, "data") else None
     elif data == "digits" and not (ratios or masks or trials):
         base = QUICK
@@ -79,6 +81,10 @@ def compare(
 
 def sweep(
     recipe: Annotated[Path, typer.Argument(help="TOML file: every list in it is an axis")],
+    part: Annotated[str | None, typer.Option(help="part of a recipe that has several")] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="the recipe's coarse version, where it has one")
+    ] = False,
     out: options.Folder = Path("runs/sweep"),
     workers: options.Workers = None,
     ray: options.Ray = None,
@@ -99,12 +105,13 @@ def sweep(
     Example: deepfsi sweep recipes/baseline.toml -o runs/baseline --table runs/baseline.csv
     """
     from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.sweeps.recipe_files import only
     from deepfsi.sweeps.records import check_table, write_table
 
     if table is not None:
         check_table(table)
     with as_input_error():
-        chosen = Recipe.model_validate(read_toml(recipe))
+        chosen = Recipe.model_validate(only(read_toml(recipe), part, quick))
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return
@@ -123,7 +130,7 @@ def reproduce(
         str,
         typer.Argument(
             help="mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
-            "forgiving, or list"
+            "flexible, or list"
         ),
     ],
     out: options.Folder = Path("runs/paper"),

@@ -26,7 +26,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "ovit": (ovit.EXPERIMENT,),
     "ovit-full": (ovit.FULL,),
     "hardware": (camera_study.EXPERIMENT,),
-    "forgiving": (flexible.EXPERIMENT,),
+    "flexible": (flexible.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

@@ -18,6 +18,7 @@ from deepfsi.files import write_atomically
 from deepfsi.report.study_page import Claim, Picture, Section, Table
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
 
@@ -43,7 +44,7 @@ class Experiment:
     Attributes
     ----------
     name : str
-        Of its recipe and its files.
+        Of its recipe file and its results.
     title : str
     paper : str
         What the paper found.
@@ -54,8 +55,6 @@ class Experiment:
         results as `extra`.
     prepare : callable, optional
         What is done to the data before anything is trained on it.
-    also : tuple of str
-        Names of further recipes whose points join the first's; each says its `recipe`.
     adapt : callable, optional
         What becomes of a recipe here, such as other data where those that it names are missing.
     settings : type of BaseModel
@@ -70,17 +69,26 @@ class Experiment:
         default=None
     )
     prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
-    also: tuple[str, ...] = ()
     adapt: Callable[[Any], Any] = field(default=lambda recipe: recipe)
     settings: type[BaseModel] = Recipe
 
-    def recipe(self, quick: bool, trials: int | None = None, name: str | None = None) -> Any:
-        """The experiment's recipe, or its coarse one, with another number of trials if given."""
-        file = f"{name or self.name}-quick.toml" if quick else f"{name or self.name}.toml"
-        text = (files("deepfsi.experiments") / "recipes" / file).read_text(encoding="utf-8")
+    def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Any]:
+        """The experiment's recipes by part; a single one has the experiment's name.
+
+        Parameters
+        ----------
+        quick : bool
+            The coarse versions.
+        trials : int, optional
+            Instead of those of the recipes.
+        """
+        file = files("deepfsi.experiments") / "recipes" / f"{self.name}.toml"
         given = {} if trials is None else {"trials": trials}
         with as_input_error():
-            return self.adapt(self.settings.model_validate({**tomllib.loads(text), **given}))
+            return {
+                part or self.name: self.adapt(self.settings.model_validate({**settings, **given}))
+                for part, settings in parts(tomllib.loads(file.read_text("utf-8")), quick).items()
+            }
 
     def run(
         self,
@@ -98,20 +106,19 @@ class Experiment:
 
         The experiments of a study share one folder of records, so that what one has trained
         another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
-        figures, and `NAME-trials.csv` one for each test. Where a recipe names a split, its points
-        and the name of the data do, too.
+        figures, and `NAME-trials.csv` one for each test. Each point says the part that it is of,
+        its `recipe`. Where a recipe names a split, its points and the name of the data do, too.
         """
-        parts: dict[Any, Dataset] = {}
+        sources: dict[Any, Dataset] = {}
         results: dict[str, Any] = {}
         records: list[dict[str, Any]] = []
-        for name in (self.name, *self.also):
-            recipe = self.recipe(quick, trials, name)
+        for name, recipe in self.recipes(quick, trials).items():
             source = (recipe.data, recipe.size, recipe.split)
-            if source not in parts:
-                parts[source] = self.prepare(_load(recipe))
+            if source not in sources:
+                sources[source] = self.prepare(_load(recipe))
             part, own = compare(
                 recipe,
-                parts[source],
+                sources[source],
                 folder,
                 command=command,
                 device=device,
@@ -127,7 +134,7 @@ class Experiment:
             results = {**part, **results, "points": [*results.get("points", []), *points]}
         if self.measure:
             tell = report or (lambda share, now: None)
-            first = next(iter(parts.values()))
+            first = next(iter(sources.values()))
             results["extra"] = self.measure(results, first, folder / "designs", workers, tell)
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results

@@ -344,5 +344,4 @@ EXPERIMENT = Experiment(
     show=show,
     measure=measure,
     prepare=prepare,
-    also=("hardware-free",),
 )

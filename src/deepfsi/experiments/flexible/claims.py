@@ -1,4 +1,4 @@
-"""Designs that forgive: for a range of budgets, for any number of masks, and to stop early.
+"""Flexible designs: for a range of budgets, for any number of masks, and to stop early.
 
 One design stands against many that were each trained for one budget or one number of masks, with
 the same network and on the same scenes. The targets are our own.
@@ -49,10 +49,10 @@ def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
 ) -> dict[str, Any]:
     """Test the first masks of nested designs, and stop exposures early."""
-    base = points(results, recipe="forgiving")
-    counts = sorted({p["masks"] for p in [*base, *points(results, recipe="forgiving-counts")]})
+    base = points(results, recipe="budgets")
+    counts = sorted({p["masks"] for p in [*base, *points(results, recipe="counts")]})
     prefixes = []
-    for name in ("forgiving-nested", "forgiving-both"):
+    for name in ("nested", "both"):
         report(0.0, "first masks")
         members = points(results, recipe=name)
         made = _load(designs, members[0])
@@ -76,7 +76,7 @@ def measure(
             ]
     report(0.5, "stopping")
     stopped = {}
-    for name in ("forgiving-stop", "forgiving-looks"):
+    for name in ("stop", "looks"):
         [point] = points(results, recipe=name)
         held_out = results["data"]["validation"]
         stopped[name] = [
@@ -85,8 +85,8 @@ def measure(
         ]
     return {
         "prefixes": prefixes,
-        "stopped": stopped["forgiving-stop"],
-        "looked": stopped["forgiving-looks"],
+        "stopped": stopped["stop"],
+        "looked": stopped["looks"],
     }
 
 
@@ -115,7 +115,7 @@ def show(results: Results) -> Finding:
     saved, lost = _stopping(extra["stopped"])
     saved_by_looks, lost_by_looks = _stopping(extra["looked"])
     at = extra["stopped"][0]["photons"]
-    nested_at = photons_text(points(results, recipe="forgiving-nested")[0]["photons"])
+    nested_at = photons_text(points(results, recipe="nested")[0]["photons"])
     claims = (
         Claim(
             f"One design for all budgets loses at most {RANGE_LOSS} against each dedicated one",
@@ -175,8 +175,8 @@ def _both(first: bool | None, second: bool | None) -> bool | None:
 
 
 def _range(results: Results) -> tuple[dict[float, Difference], Table, list[Line]]:
-    ranged = {p["photons"]: p for p in points(results, recipe="forgiving-range")}
-    base = points(results, recipe="forgiving")
+    ranged = {p["photons"]: p for p in points(results, recipe="range")}
+    base = points(results, recipe="budgets")
     own = {(p["design"], p["photons"]): p for p in base if p["photons"] == p["trained_at"]}
     lights = [photons for photons in ranged if ("deepfsi", photons) in own]
     differences = {p: difference(ranged[p], own[("deepfsi", p)]) for p in lights}
@@ -196,7 +196,7 @@ def _range(results: Results) -> tuple[dict[float, Difference], Table, list[Line]
             for p in lights
         ),
     )
-    panel = [_line("one design for all", "forgiving", ranged.values(), "photons")]
+    panel = [_line("one design for all", "flexible", ranged.values(), "photons")]
     panel.append(
         _line("one for each budget", "deepfsi", [own[("deepfsi", p)] for p in lights], "photons")
     )
@@ -212,7 +212,7 @@ def _range(results: Results) -> tuple[dict[float, Difference], Table, list[Line]
 
 
 def _nested(results: Results) -> tuple[dict[int, Difference], Table, list[Line]]:
-    prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "forgiving-nested"]
+    prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "nested"]
     photons = prefixes[0]["photons"]
     dedicated = {
         (p["design"], p["masks"]): p
@@ -238,7 +238,7 @@ def _nested(results: Results) -> tuple[dict[int, Difference], Table, list[Line]]
         ),
     )
     panel = [
-        _line("first masks of one design", "forgiving", shown.values(), "masks"),
+        _line("first masks of one design", "flexible", shown.values(), "masks"),
         _line(
             "one for each number", "deepfsi", [dedicated[("deepfsi", k)] for k in shown], "masks"
         ),
@@ -254,7 +254,7 @@ def _counts(results: Results, photons: float) -> list[Trials]:
     """Points of designs trained at a budget, of every number of masks."""
     return [
         point
-        for name in ("forgiving-counts", "forgiving")
+        for name in ("counts", "budgets")
         for point in points(results, recipe=name, trained_at=photons)
     ]
 
@@ -267,7 +267,7 @@ def _stopping(stopped: Sequence[Mapping[str, Any]]) -> tuple[Difference, Differe
 
 
 def _stop_table(results: Results) -> Table:
-    plain = {p["photons"]: p["accuracy"] for p in points(results, recipe="forgiving-plain")}
+    plain = {p["photons"]: p["accuracy"] for p in points(results, recipe="plain")}
     rows: list[tuple[str, float, float]] = []
     errors = []
     for name, kind in (("stopped", "nested"), ("looked", "several looks")):
@@ -306,9 +306,7 @@ def _over(rates: Sequence[Mapping[str, float]]) -> Difference:
 def _stopping_picture(results: Results) -> Picture:
     extra = results["extra"]
     photons = extra["stopped"][0]["photons"]
-    plain = _line(
-        "neither, whole exposures", "deepfsi", points(results, recipe="forgiving-plain"), "photons"
-    )
+    plain = _line("neither, whole exposures", "deepfsi", points(results, recipe="plain"), "photons")
     stopped = (
         Stops("nested, stopped early", "elsewhere", extra["stopped"]),
         Stops("several looks, stopped early", "looks", extra["looked"]),
@@ -324,9 +322,9 @@ def _stopping_picture(results: Results) -> Picture:
 
 
 def _heat_picture(results: Results) -> Picture:
-    photons = points(results, recipe="forgiving-nested")[0]["photons"]
+    photons = points(results, recipe="nested")[0]["photons"]
     members = _counts(results, photons)
-    prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "forgiving-both"]
+    prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "both"]
     lights = [p for p in budgets(members) if p in set(budgets(prefixes))]
     apart = {f"{p['ratio']:.0%}": p["ratio"] for p in prefixes}  # rows that read alike are one
     ratios = sorted(apart.values())
@@ -356,18 +354,9 @@ def _line(name: str, look: str, members: Iterable[Trials], axis: str, bars: bool
 
 
 EXPERIMENT = Experiment(
-    name="forgiving",
-    title="Designs that forgive: any budget, any number of masks, and exposures that stop early",
+    name="flexible",
+    title="Flexible designs: any budget, any number of masks, and exposures that stop early",
     paper=PAPER,
     show=show,
     measure=measure,
-    also=(
-        "forgiving-counts",
-        "forgiving-range",
-        "forgiving-nested",
-        "forgiving-both",
-        "forgiving-stop",
-        "forgiving-looks",
-        "forgiving-plain",
-    ),
 )

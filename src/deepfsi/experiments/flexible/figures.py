@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentF
 from deepfsi.report.figures import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_text, styled
 
 LOOKS: dict[str, dict[str, Any]] = {
-    "forgiving": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},
+    "flexible": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},
     "deepfsi": {"color": COLOURS["deepfsi"], "marker": "o"},
     "looks": {"color": COLOURS["control"], "linestyle": LINES["hadamard"], "linewidth": 1.6},
     "elsewhere": {"color": COLOURS["deepfsi"], "linestyle": (0, (1, 1.5)), "linewidth": 1.0},

@@ -498,6 +498,5 @@ EXPERIMENT = Experiment(
     paper=PAPER,
     show=show,
     measure=measure,
-    also=("indian-pines-blocks",),
     adapt=adapt,
 )

@@ -267,7 +267,7 @@ class PatchExperiment(Experiment):
         if ray is not None:
             raise InputError(f"{self.name} takes no Ray cluster: use --workers")
         began = time.perf_counter()
-        recipe: OvitRecipe = self.recipe(quick, trials)
+        [recipe] = self.recipes(quick, trials).values()
         tell = report or (lambda share, now: None)
         tell(0.0, "reading images")
         data = recipe.load()
