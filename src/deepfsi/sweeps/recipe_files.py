@@ -69,8 +69,8 @@ def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) 
     found = parts(file, quick)
     if part is None and "" not in found:
         raise InputError(
-            f"the recipe has several parts: give one to `deepfsi sweep` by --part, "
-            f"{', '.join(found)}"
+            f"the recipe has several parts, {', '.join(found)}: name one by the option --part of "
+            "deepfsi sweep"
         )
     if part is not None and "" in found:
         raise InputError(f"the recipe has no parts: leave --part {part} out")
