@@ -220,7 +220,7 @@ def learn(
     With masks to `keep`, a matrix (m, N), the classifier alone.
     """
     how = job.training
-    gain = job.photons / scenes.light
+    gain = job.photons / scenes.summed_reflectance
     main = torch.Generator().manual_seed(job.seed)
     second = torch.Generator().manual_seed(job.seed + 2**31)
     network = Mlp(
@@ -279,15 +279,17 @@ def finish(scenes: TrainingSet, job: Job, masks: Learned, network: Mlp) -> Desig
         rails[..., scenes.pixels(job.light)] = constraints.separate(*masks())[0]
         plus, minus = project(scenes.full, rails).unbind(dim=1)
         light = (plus + minus).mean(dim=0)
-        power = (plus - minus).var(dim=0, correction=0) + light * (scenes.light / job.photons)
+        power = (plus - minus).var(dim=0, correction=0) + light * (
+            scenes.summed_reflectance / job.photons
+        )
         return Design(
             name=job.design,
             rails=constraints.check(rails, job.light),
             classifier=network,
-            mean=(plus - minus).mean(dim=0) / scenes.light,
-            std=power.mean().sqrt().expand(job.masks) / scenes.light,
-            shares=light / scenes.light,
-            summed_reflectance=scenes.light,
+            mean=(plus - minus).mean(dim=0) / scenes.summed_reflectance,
+            std=power.mean().sqrt().expand(job.masks) / scenes.summed_reflectance,
+            shares=light / scenes.summed_reflectance,
+            summed_reflectance=scenes.summed_reflectance,
             light=job.light,
             image_shape=scenes.data.image_shape,
             classes=scenes.data.classes,

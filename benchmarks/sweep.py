@@ -27,6 +27,7 @@ from torch import nn
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
+from deepfsi.progress import Report
 from deepfsi.sweeps.queue import workers_for
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.run import run
@@ -86,7 +87,7 @@ def sample(data: Dataset, device: str, workers: int) -> None:
 def seconds_an_epoch(scenes: TrainingSet, jobs: list[Job]) -> float:
     """Of jobs trained together; the second epoch of two."""
     ticks: list[float] = []
-    train(scenes, jobs, progress=lambda share: ticks.append(time.perf_counter()))
+    train(scenes, jobs, report=Report(lambda share, what: ticks.append(time.perf_counter())))
     return ticks[2] - ticks[1]
 
 

@@ -22,6 +22,7 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
+from deepfsi.progress import Report
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -107,7 +108,9 @@ def our_epochs(
     how = TrainingSettings(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
     ticks: list[float] = []
     job = Job(masks=masks, photons=BUDGET, training=how)
-    design = train(scenes, [job], progress=lambda share: ticks.append(time.perf_counter()))[0]
+    design = train(
+        scenes, [job], report=Report(lambda share, what: ticks.append(time.perf_counter()))
+    )[0]
     seconds = [stop - start for start, stop in itertools.pairwise(ticks)]
     return seconds, evaluate(design, data, BUDGET, draws=1)[0].accuracy
 
@@ -150,7 +153,9 @@ def main() -> None:
             our_epochs(scenes, data, masks, 1, precision)
             times: dict[str, list[float]] = {"plain": [], "ours": [], "bare": []}
             for _ in range(arguments.rounds):
-                seconds, plain = plain_epochs(data, start, scenes.light, arguments.epochs)
+                seconds, plain = plain_epochs(
+                    data, start, scenes.summed_reflectance, arguments.epochs
+                )
                 times["plain"] += seconds
                 seconds, ours = our_epochs(scenes, data, masks, arguments.epochs, precision)
                 times["ours"] += seconds

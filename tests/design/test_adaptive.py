@@ -20,8 +20,8 @@ from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import Learned
-from deepfsi.training.draws import SeedStream
-from deepfsi.training.features import _chosen
+from deepfsi.training.draws import FeatureNoise, SeedStream
+from deepfsi.training.features import AdaptiveFeatures
 from deepfsi.training.job import Job, training_for
 from deepfsi.training.learning import learn, train
 from deepfsi.training.training_set import TrainingSet
@@ -190,15 +190,17 @@ def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
     masks = Learned(start[..., scenes.varying], "equal-dwell", "single").double()
     network = Mlp(7, 3, (5,), generator=torch.Generator().manual_seed(0)).double()
     choose, weight = Replicas([network], stacked=False), torch.randn(6).double()
+    x = scenes.centred("free-dwell", torch.float32)
 
     def loss():
-        stream = SeedStream(scenes, [job], [0], 1, 200)
+        noise = FeatureNoise.of([job], scenes.summed_reflectance, scenes.device)
+        stream = SeedStream(0, slice(0, 1), noise, scenes.labels, 200)
         stream.shuffle()
-        step = _chosen(scenes, [job], masks, choose)
+        features = AdaptiveFeatures([stream], masks, x, choose, 2, noise.gain, RECIPE["scale"])
         normal = torch.Generator().manual_seed(5)
         stream.normal = lambda m: torch.randn(200, 1, m, generator=normal, dtype=torch.float64)
         stream.noise.unit = stream.noise.unit.double()
-        return (step([stream], 0) @ weight).sigmoid().sum()
+        return (features.at(0) @ weight).sigmoid().sum()
 
     (found,) = torch.autograd.grad(loss(), [masks.weight])
     place = tuple(int(k) for k in torch.unravel_index(found.abs().argmax(), found.shape))

@@ -17,9 +17,9 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.scanner import measure
-from deepfsi.training.features import _exposures
-from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, products
+from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product_dtype
 from deepfsi.training.learning import train
+from deepfsi.training.standardisation import mean_over_exposures
 from deepfsi.training.training_set import TrainingSet
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
@@ -129,9 +129,8 @@ def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
 
 def test_the_noise_of_a_range_is_its_mean_over_budgets():
     """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
-    job = Job(masks=2, photons=10.0, training=TrainingSettings(span=1000.0))
-    rails = torch.rand(1, 2, 2, 5, generator=generator())
-    factor, often = _exposures(job, rails)
+    used = constraints.used(torch.rand(1, 2, 2, 5, generator=generator()), "column")
+    factor, often = mean_over_exposures(used, 1000.0, chances(2, 0))
     draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
     error = 5 * draws.std() / 1000
     assert float(factor[0, 0]) == pytest.approx(draws.mean(), abs=error)
@@ -194,9 +193,9 @@ def test_products_are_rounded_by_the_largest_budget():
     def job(span: float) -> Job:
         return Job(masks=1, photons=BFLOAT16_COUNTS, training=TrainingSettings(span=span))
 
-    if products(job(1.0), torch.device("cpu")) is torch.float32:
+    if product_dtype(job(1.0), torch.device("cpu")) is torch.float32:
         pytest.skip("this processor has no bfloat16")
-    assert products(job(4.0), torch.device("cpu")) is torch.float32
+    assert product_dtype(job(4.0), torch.device("cpu")) is torch.float32
 
 
 @pytest.mark.parametrize(

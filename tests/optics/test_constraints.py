@@ -70,7 +70,7 @@ def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
 def test_each_frame_or_mask_keeps_its_shape(digits, light):
     matrix = fixed_matrix("pca", digits)
     fitted = fit(matrix, light)
-    parts = constraints.split(matrix) if light == "equal-dwell" else matrix[None]
+    parts = constraints.expand(matrix, light) if light == "equal-dwell" else matrix[None]
     found = fitted if light == "equal-dwell" else (fitted[0] - fitted[1])[None]
     for part, own in zip(parts.flatten(0, 1), found.flatten(0, 1), strict=True):
         assert torch.allclose(part / part.abs().max(), own / own.abs().max(), atol=1e-6)
@@ -107,7 +107,7 @@ def test_rails_are_not_negative_and_recombine(digits, light, rails):
 
 def test_split_gives_positive_and_negative_parts():
     matrix = torch.randn(5, 7, generator=generator())
-    plus, minus = constraints.split(matrix)
+    plus, minus = constraints.expand(matrix, "column")
     assert torch.equal(plus - minus, matrix)
     assert torch.equal(plus + minus, matrix.abs())
 

@@ -77,8 +77,7 @@ def test_pages_of_floats_and_of_single_bits(tmp_path):
 def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
     np.save(tmp_path / "m.npy", np.full((5, 4, 4), 255, dtype=np.uint8))
     own = torch.from_numpy(read_matrix(f"{tmp_path}/m.npy"))
-    parts = constraints.split(own) if rails == "dual" else own[None]
-    constraints.check(constraints.arms(own) if light == "two-arm" else parts, light)
+    constraints.check(constraints.expand(own, light, rails), light)
 
 
 def test_it_needs_no_torch():

@@ -32,7 +32,7 @@ from deepfsi.sweeps.records import rows, write_table
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import SCHEMA, Trial, plan
 from deepfsi.training.job import REVISION
-from deepfsi.training.loop import footprint
+from deepfsi.training.memory import footprint
 from deepfsi.training.training_set import TrainingSet
 
 FILES = {

@@ -25,8 +25,9 @@ from deepfsi.design.classifiers import Replicas
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
+from deepfsi.progress import Report
 from deepfsi.training import loop
-from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, products
+from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product_dtype
 from deepfsi.training.learning import learn, train
 from deepfsi.training.training_set import TrainingSet
 
@@ -135,13 +136,14 @@ def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
         ("deepfsi", {"light": "two-arm"}),
         ("deepfsi", {"rails": "single", "light": "free-dwell"}),
         ("control", {}),
+        ("pca", {"training": HOW.model_copy(update={"span": 100.0})}),
     ],
 )
 def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stacked):
     """With their weights stacked, as on a GPU, or not; alone they are not."""
-    how = HOW.model_copy(update={"start": "random"})
+    change = {"training": HOW.model_copy(update={"start": "random"}), **change}
     jobs = [
-        Job(design=design, masks=6, photons=photons, seed=seed, training=how, **change)
+        Job(design=design, masks=6, photons=photons, seed=seed, **change)
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
     ]
     scenes = TrainingSet(digits, "cpu")
@@ -276,7 +278,7 @@ def test_a_batch_may_be_larger_than_the_data():
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
 def test_progress_rises_to_one(digits, design):
     seen = []
-    quick(digits, design, epochs=3, progress=seen.append)
+    quick(digits, design, epochs=3, report=Report(lambda share, what: seen.append(share)))
     assert seen == sorted(seen)
     assert 0 == seen[0] < seen[-1] == 1
     assert len(set(seen)) > 2
@@ -357,7 +359,12 @@ def test_a_designs_matrix_can_be_given_back_as_your_own(digits, made, light, rai
 )
 def test_a_bad_matrix_is_refused_before_training(digits, matrix, match):
     seen = []
-    settings = {"photons": 1e4, "masks": 7, "device": "cpu", "progress": seen.append}
+    settings = {
+        "photons": 1e4,
+        "masks": 7,
+        "device": "cpu",
+        "report": Report(lambda share, what: seen.append(share)),
+    }
     with pytest.raises(InputError, match=match):
         learn(digits, design="custom", matrix=matrix, **settings)
     assert not seen
@@ -396,20 +403,20 @@ def fast_processor(monkeypatch):
     ],
 )
 def test_bfloat16_only_where_rounding_stays_under_the_noise(fast_processor, limit, settings):
-    assert products(Job(masks=10, photons=limit, **settings), CPU) == torch.bfloat16
-    assert products(Job(masks=10, photons=limit * 1.01, **settings), CPU) == torch.float32
+    assert product_dtype(Job(masks=10, photons=limit, **settings), CPU) == torch.bfloat16
+    assert product_dtype(Job(masks=10, photons=limit * 1.01, **settings), CPU) == torch.float32
 
 
 def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch):
-    assert products(Job(masks=10, photons=1e2, noise="none"), CPU) == torch.float32
+    assert product_dtype(Job(masks=10, photons=1e2, noise="none"), CPU) == torch.float32
     monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
-    assert products(Job(masks=10, photons=1e2), CPU) == torch.float32
+    assert product_dtype(Job(masks=10, photons=1e2), CPU) == torch.float32
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_a_precision_asked_for_is_used(precision):
     how = TrainingSettings(precision=precision)
-    assert products(Job(masks=2, photons=1e8, training=how), CPU) == getattr(torch, precision)
+    assert product_dtype(Job(masks=2, photons=1e8, training=how), CPU) == getattr(torch, precision)
 
 
 def rounding(digits, masks: int, photons: float) -> float:

@@ -66,7 +66,7 @@ def design(
     check_file(out, ".safetensors")
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     with progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
-        made = learn(shown, matrix=own, device=device, progress=report, **settings)
+        made = learn(shown, matrix=own, device=device, report=report, **settings)
     results = test(made, scenes, list(budgets), noise=noise, sigma=sigma)
     made.save(out)
     if as_json:

@@ -37,8 +37,24 @@ def check_light(light: str, rails: str) -> None:
         )
 
 
-def split(matrix: Tensor) -> Tensor:
-    """Rails (..., 2, m, N) of a signed matrix (..., m, N): its positive and its negative part."""
+def expand(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
+    """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
+
+    A single rail is the matrix itself. Two are its positive and its negative part; on two arms each
+    mask is shown for the time t of its peak, and what one arm does not get, the other does:
+    M⁺ = (t + M) / 2 and M⁻ = (t − M) / 2.
+
+    Parameters
+    ----------
+    matrix : tensor, shape (..., m, N)
+        Non-negative if `rails` is "single".
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    rails : {"dual", "single"}
+    """
+    if rails == "single":
+        return matrix.unsqueeze(-3)
+    if light == "two-arm":
+        return separate(matrix, matrix.abs().amax(dim=-1, keepdim=True))
     return torch.stack([matrix.clamp(min=0), (-matrix).clamp(min=0)], dim=-3)
 
 
@@ -46,15 +62,6 @@ def frames(rails: Tensor) -> Tensor:
     """Frames of a design (F, N): every rail of every mask that is not dark, mask by mask."""
     every = rails.transpose(0, 1).flatten(0, 1)
     return every[every.amax(dim=-1) > 0]
-
-
-def arms(matrix: Tensor) -> Tensor:
-    """Rails of a signed matrix shown on a two-arm camera, each mask for the time t_i of its peak.
-
-    What one arm does not get, the other does: M⁺ = (t + M) / 2 and M⁻ = (t − M) / 2.
-    """
-    time = matrix.abs().amax(dim=-1, keepdim=True)
-    return torch.stack([time + matrix, time - matrix], dim=-3) / 2
 
 
 def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
@@ -75,8 +82,8 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     """
     check_light(light, rails)
     if light == "two-arm":
-        return arms(matrix / (peak(matrix.abs()) * len(matrix)))
-    parts = split(matrix) if rails == "dual" else matrix.unsqueeze(0)
+        return expand(matrix / (peak(matrix.abs()) * len(matrix)), light)
+    parts = expand(matrix, light, rails)
     if light == "column":
         return parts / parts.sum(dim=(0, 1)).max()
     if light == "free-dwell":

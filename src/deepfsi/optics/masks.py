@@ -84,8 +84,7 @@ class Learned(nn.Module):
         """What `scanner.measure` needs: M alone, or difference and total (2, ..., m, N)."""
         if self.disjoint:
             return self.matrix()
-        difference, total = self()
-        return difference if self.rails == "single" else torch.stack([difference, total])
+        return pair(*self())
 
     def lit(self, difference: Tensor, total: Tensor) -> Tensor:
         """How many rails of each mask are not dark, (..., m)."""
@@ -129,6 +128,11 @@ class Learned(nn.Module):
             count = 2 * masks if self.rails == "dual" else masks
             return self.weight.new_full((1, masks), 1 / count)
         return self.dwell.flatten(-2).softmax(dim=-1).view_as(self.dwell)
+
+
+def pair(difference: Tensor, total: Tensor) -> Tensor:
+    """Difference and total as one tensor (2, ..., m, N), or for a single rail the difference."""
+    return difference if difference is total else torch.stack([difference, total])
 
 
 class _Through(torch.autograd.Function):

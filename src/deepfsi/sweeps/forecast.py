@@ -12,11 +12,12 @@ import torch
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
+from deepfsi.progress import Report
 from deepfsi.sweeps.queue import Batch, SweepContext, batches, memory, workers_for
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
-from deepfsi.training.job import Job, products
+from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.learning import train
 from deepfsi.training.loop import batch_of
 from deepfsi.training.training_set import TrainingSet
@@ -113,7 +114,7 @@ def _kind(batch: Batch, context: SweepContext) -> Any:
     job = batch[0].job
     apart = {"photons", "sigma", "seed", "masks"}
     tests = batch[0].model_dump_json(include={"test_noise", "test_levels", "draws"})
-    kind = products(job.masks_from(), context.scenes.device)
+    kind = product_dtype(job.masks_from(), context.scenes.device)
     return (job.model_dump_json(exclude=apart), kind, len(batch), tests)
 
 
@@ -143,7 +144,9 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     scenes = TrainingSet(few, context.device, dict(context.matrices))
     ticks: list[float] = []
     own = context.matrix if jobs[0].design == "custom" else None
-    designs = train(scenes, jobs, own, lambda share: ticks.append(time.perf_counter()))
+    designs = train(
+        scenes, jobs, own, Report(lambda share, what: ticks.append(time.perf_counter()))
+    )
     second_epochs = np.diff(ticks)[1::3]  # the control group is trained twice
     step = float(second_epochs.sum()) / (len(few.y_train) // size)
     trial = batch[0]

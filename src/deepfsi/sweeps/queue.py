@@ -12,6 +12,7 @@ import numpy as np
 import psutil
 import torch
 
+from deepfsi import progress
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
@@ -22,7 +23,7 @@ from deepfsi.sweeps.summary import SCHEMA
 from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi.training.learning import Diverged, train
-from deepfsi.training.loop import footprint
+from deepfsi.training.memory import footprint
 from deepfsi.training.training_set import Matrices, TrainingSet
 
 CROWD = 2048
@@ -142,8 +143,10 @@ def work_off(
             for batch in claimed:
                 yield train_batch(context, batch, inside(batch))
 
-    def inside(batch: Batch) -> Callable[[float], None]:
-        return lambda share: tell((done + share * effort(batch)) / total, title_of(batch))
+    def inside(batch: Batch) -> progress.Report:
+        return progress.Report(
+            lambda share, _: tell((done + share * effort(batch)) / total, title_of(batch))
+        )
 
     try:
         while todo:
@@ -184,7 +187,7 @@ def _claimed(todo: Sequence[Batch], records: Records, postponed: list[Batch]) ->
 
 
 def train_batch(
-    context: SweepContext, batch: Batch, report: Callable[[float], None] | None = None
+    context: SweepContext, batch: Batch, report: progress.Report = progress.SILENT
 ) -> list[Done]:
     """Train and test one batch.
 

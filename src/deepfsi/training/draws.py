@@ -1,98 +1,185 @@
 """Random draws of a training: order of scenes, noise, budgets."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.optics.noise import attach_gradient, poisson, root, variance
+from deepfsi.optics.noise import Noise, attach_gradient, poisson, root, variance
 from deepfsi.training.job import Job
-from deepfsi.training.training_set import TrainingSet
+
+
+@dataclass
+class FeatureNoise:
+    """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts.
+
+    Attributes
+    ----------
+    kind : str
+        Noise of the training, the same for all jobs.
+    gain : tensor, shape (R, 1)
+        Counts of one fully reflecting pixel, Φ / s.
+    sigma : tensor, shape (R, 1)
+        Read noise, counts per readout.
+    generators : list of torch.Generator
+        One for each job, since what a Poisson draw takes from its generator depends on rates.
+    unit : tensor, shape (R, 1)
+        Standard deviation of photon noise where x S is 1.
+    """
+
+    kind: Noise
+    gain: Tensor
+    sigma: Tensor
+    generators: list[torch.Generator]
+    unit: Tensor = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.unit = self.gain.rsqrt()
+
+    @classmethod
+    def of(
+        cls, jobs: Sequence[Job], summed_reflectance: float, device: torch.device
+    ) -> "FeatureNoise":
+        """Noise of R jobs.
+
+        Parameters
+        ----------
+        jobs : sequence of Job
+        summed_reflectance : float
+            s of the training scenes.
+        device : torch.device
+        """
+        return cls(
+            jobs[0].noise,
+            torch.tensor([[job.photons / summed_reflectance] for job in jobs], device=device),
+            torch.tensor([[job.sigma] for job in jobs], device=device),
+            [torch.Generator(device).manual_seed(job.seed ^ 2**31) for job in jobs],
+        )
+
+    def part(self, replicas: slice) -> "FeatureNoise":
+        """Noise of some of the jobs, which draw from the same generators."""
+        return replace(
+            self,
+            gain=self.gain[replicas],
+            sigma=self.sigma[replicas],
+            generators=self.generators[replicas],
+        )
+
+    def counted(self, mean: Tensor, total: Tensor) -> Tensor:
+        """Features (B, R, m) from exact counts of two rails with `mean` = x D and `total` = x S."""
+        with torch.no_grad():
+            rates = torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
+            drawn = zip(rates.unbind(dim=2), self.generators, strict=True)
+            plus, minus = torch.stack([poisson(*each) for each in drawn], dim=2)
+        return attach_gradient((plus - minus) / self.gain, mean, total)
+
+    def deviation(self, total: Tensor, lit: Tensor) -> Tensor:
+        """Standard deviation of features; as `variance`."""
+        if self.kind == "ml_gauss":
+            return root(total) * self.unit
+        return root(self.variance(total, lit))
+
+    def variance(self, total: Tensor, lit: Tensor) -> Tensor:
+        """Variance of features (..., R, m) of `total` = x S; `lit` (R, m) rails are read out."""
+        if self.kind in ("ml_gauss", "poisson"):
+            return total / self.gain
+        return variance(total, lit, self.kind, self.sigma) / self.gain.square()
 
 
 class SeedStream:
-    """What the jobs of one seed draw, the same for all of them."""
+    """Draws of the jobs of one seed, the same for all of them.
+
+    Parameters
+    ----------
+    seed : int
+    replicas : slice
+        Places of these jobs among all.
+    noise : FeatureNoise
+        Of all jobs.
+    labels : tensor, shape (n,)
+        Of the training scenes.
+    batch : int
+        Scenes of a step, B.
+    """
 
     rows: Tensor
+    """Places (steps, B) of an epoch's scenes."""
+
     with_mean: Tensor
+    """The same and n, the place of the mean scene, (steps, B + 1)."""
 
     def __init__(
-        self, scenes: TrainingSet, jobs: Sequence[Job], places: list[int], steps: int, batch: int
+        self, seed: int, replicas: slice, noise: FeatureNoise, labels: Tensor, batch: int
     ) -> None:
-        self.jobs = slice(places[0], places[-1] + 1)
-        self.noise = FeatureNoise(scenes, jobs[self.jobs])
-        self.generator = torch.Generator(scenes.device).manual_seed(jobs[places[0]].seed)
-        self.scenes, self.steps, self.batch = scenes, steps, batch
+        self.replicas, self.noise = replicas, noise.part(replicas)
+        self.generator = torch.Generator(labels.device).manual_seed(seed)
+        self._labels, self.batch = labels, batch
 
     def shuffle(self) -> None:
         """Draw the order of an epoch's scenes."""
-        count = len(self.scenes.labels)
-        order = torch.randperm(count, generator=self.generator, device=self.scenes.device)
-        self.rows = order[: self.steps * self.batch].view(self.steps, self.batch)
+        count = len(self._labels)
+        order = torch.randperm(count, generator=self.generator, device=self._labels.device)
+        self.rows = order[: count // self.batch * self.batch].view(-1, self.batch)
         self.with_mean = functional.pad(self.rows, (0, 1), value=count)
-        self._labels = self.scenes.labels[self.rows]
+        self._ordered = self._labels[self.rows]
 
     def labels(self, step: int) -> Tensor:
         """Labels (B, R) of a step."""
-        return self._labels[step].unsqueeze(1).expand(-1, self.jobs.stop - self.jobs.start)
+        return self.repeated(self._ordered[step].unsqueeze(1))
 
     def normal(self, masks: int) -> Tensor:
         """Normal draws (B, 1, m)."""
         return torch.randn(
-            self.batch, 1, masks, generator=self.generator, device=self.scenes.device
+            self.batch, 1, masks, generator=self.generator, device=self._labels.device
         )
 
-    def expose(self, span: float, likely: Tensor) -> tuple[Tensor, Tensor]:
-        """Draw budgets, over the lowest, and numbers of masks, each (B, 1, 1)."""
-        how = {"generator": self.generator, "device": self.scenes.device}
-        budget = span ** torch.rand(self.batch, 1, 1, **how)  # type: ignore[call-overload]
-        shown = 1 + torch.multinomial(likely, self.batch, True, generator=self.generator)
-        return budget, shown.view(-1, 1, 1)
+    def exposures(self, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
+        """Draw budgets, over the lowest, and numbers of masks shown, each (B, 1, 1)."""
+        uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
+        shown = 1 + torch.multinomial(chances, self.batch, True, generator=self.generator)
+        return span**uniform, shown.view(-1, 1, 1)
+
+    def noisy(self, mean: Tensor, total: Tensor, lit: Tensor) -> Tensor:
+        """Noisy features (B, R, m) of expected ones.
+
+        Parameters
+        ----------
+        mean, total : tensor, shape (B, R, m)
+            Difference x D and sum x S of the rails' expected features.
+        lit : tensor, shape (R, m)
+            Rails that are read out, for read noise.
+        """
+        if self.noise.kind == "poisson":
+            return self.noise.counted(mean, total)
+        return mean + self.noise.deviation(total, lit) * self.normal(mean.shape[-1])
+
+    def repeated(self, shared: Tensor) -> Tensor:
+        """What is the same for all jobs (B, 1, …), for each of them (B, R, …)."""
+        return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
 
     def part(self, every: Tensor) -> Tensor:
         """What of all jobs, (R or 1, m), is of these."""
-        return every[self.jobs] if len(every) > 1 else every
+        return every[self.replicas] if len(every) > 1 else every
 
-    def of(self, every: Tensor, step: int) -> Tensor:
-        """A step's part of what is known of all scenes and jobs, (n, R or 1, m)."""
-        own = every[:, self.jobs] if every.shape[1] > 1 else every
+    def products(self, every: Tensor, step: int) -> Tensor:
+        """A step's part of products of all scenes and jobs, (n, R or 1, m)."""
+        own = every[:, self.replicas] if every.shape[1] > 1 else every
         return own.index_select(0, self.rows[step])
 
 
-class FeatureNoise:
-    """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts."""
-
-    def __init__(self, scenes: TrainingSet, jobs: Sequence[Job]) -> None:
-        self.kind = jobs[0].noise
-        gain = [[job.photons / scenes.light] for job in jobs]
-        self.gain = torch.tensor(gain, device=scenes.device)
-        self.unit = self.gain.rsqrt()
-        self.sigma = torch.tensor([[job.sigma] for job in jobs], device=scenes.device)
-        # one for each replica, since what a Poisson draw takes from its generator depends on rates
-        self.generators = [
-            torch.Generator(scenes.device).manual_seed(job.seed ^ 2**31) for job in jobs
-        ]
-
-    def counted(self, mean: Tensor, light: Tensor) -> Tensor:
-        """Features (B, R, m) from exact counts of two rails with `mean` = x D and `light` = x S."""
-        with torch.no_grad():
-            rates = torch.stack([light + mean, light - mean]).mul(self.gain / 2).clamp(min=0)
-            drawn = zip(rates.unbind(dim=2), self.generators, strict=True)
-            plus, minus = torch.stack([poisson(*each) for each in drawn], dim=2)
-        return attach_gradient((plus - minus) / self.gain, mean, light)
-
-    def deviation(self, light: Tensor, shown: Tensor) -> Tensor:
-        """Standard deviation where the rails together see `light` = x S, (..., R, m)."""
-        if self.kind == "ml_gauss":
-            return root(light) * self.unit
-        return root(self.variance(light, shown))
-
-    def variance(self, light: Tensor, shown: Tensor) -> Tensor:
-        """The same, squared; `shown` (R, m) says how many rails are read out."""
-        if self.kind in ("ml_gauss", "poisson"):
-            return light / self.gain
-        return variance(light, shown, self.kind, self.sigma) / self.gain.square()
+def seed_streams(
+    jobs: Sequence[Job], noise: FeatureNoise, labels: Tensor, batch: int
+) -> list[SeedStream]:
+    """Streams of jobs of which those of one seed follow one another; parameters as `SeedStream`."""
+    streams, first = [], 0
+    for seed, members in groupby(job.seed for job in jobs):
+        last = first + len(list(members))
+        streams.append(SeedStream(seed, slice(first, last), noise, labels, batch))
+        first = last
+    return streams
 
 
 def side_by_side(parts: list[Tensor]) -> Tensor:

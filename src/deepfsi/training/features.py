@@ -1,285 +1,306 @@
-"""Features of a training step: products of scenes with masks, noise, standardisation."""
+"""Features of a training step, one class for each kind of training.
 
-import math
-from collections.abc import Callable, Sequence
+Each multiplies scenes with masks, draws noise, and standardises. Products of masks that do not
+learn are taken once before the first step.
+"""
+
+from abc import ABC, abstractmethod
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from deepfsi.design.adaptive import expose
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.conditioning import Conditioning, chances, first
 from deepfsi.optics import constraints
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.constraints import Light
+from deepfsi.optics.masks import Fixed, Learned, pair
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import lit, measure, project, project_pair
 from deepfsi.training.draws import FeatureNoise, SeedStream, side_by_side
-from deepfsi.training.job import Job, products
+from deepfsi.training.job import Job, product_dtype
+from deepfsi.training.standardisation import (
+    CHUNK,
+    Scale,
+    deviation,
+    feature_statistics,
+    standardise,
+)
 from deepfsi.training.training_set import TrainingSet
 
-CHUNK = 4096
-"""Scenes that are multiplied at once outside the steps."""
+Streams = list[SeedStream]
 
 
-def statistics(
-    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, means: Tensor | None = None
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean and spread of the features over the training set and its noise, and mean x S.
+class Features(ABC):
+    """Inputs of the classifiers in the steps of a training."""
+
+    @abstractmethod
+    def at(self, step: int) -> Tensor:
+        """Inputs (B, R, …) of a step; of K looks (K · B, R, …)."""
+
+
+class FixedFeatures(Features):
+    """Features of fixed masks, whose products with all scenes are known.
 
     Parameters
     ----------
-    scenes : TrainingSet
-    jobs : sequence of Job
-    masks : Fixed or Learned
-    means : tensor, shape (n, R or 1, m), optional
-        x D of all training scenes, where it is known.
-
-    Returns
-    -------
-    tuple of tensor
-        Each (R, m), for scenes of unit reflectance: to be divided by `TrainingSet.light`.
+    streams : list of SeedStream
+    masks : Fixed
+    scenes : tensor, shape (n, N)
+    noise : FeatureNoise
+        Of all jobs.
+    scale : {"each", "common"}
     """
-    difference, total = masks()
-    centre, light = (project(scenes.full.mean(dim=0), rails) for rails in (difference, total))
-    power = torch.zeros_like(centre)
-    for place, x in enumerate(scenes.full.split(CHUNK)):
-        rows = slice(place * CHUNK, place * CHUNK + len(x))
-        mean = project(x, difference) if means is None else means[rows]
-        power += (mean - centre).square().sum(dim=0)
-    noise = FeatureNoise(scenes, jobs).variance(light, lit(difference, total))
-    often = torch.ones_like(power[0])
-    if jobs[0].training.told:
-        factor, often = _exposures(jobs[0], constraints.separate(difference, total))
-        noise = noise * factor
-    power = power / len(scenes.full) + noise
-    if jobs[0].training.scale == "common":
-        power = (power * often).sum(dim=-1, keepdim=True) / often.sum()
-        power = power.expand_as(noise)
-    spread = torch.where(power > 0, power, 1.0).sqrt()
-    return centre.expand_as(spread), spread, light.expand_as(spread)
+
+    def __init__(
+        self, streams: Streams, masks: Fixed, scenes: Tensor, noise: FeatureNoise, scale: Scale
+    ) -> None:
+        self.streams = streams
+        difference, total = masks()
+        photonic = noise.kind in ("ml_gauss", "poisson")
+        pairs = [project_pair(x, difference, total, photonic) for x in scenes.split(CHUNK)]
+        self.means = torch.cat([mean for mean, _ in pairs])
+        single = difference is total or not photonic
+        totals = self.means if single else torch.cat([counts for _, counts in pairs])
+        del pairs
+        self.mean, self.std, _ = feature_statistics(scenes, masks, noise, scale, means=self.means)
+        self.poisson = noise.kind == "poisson"
+        self.totals = totals if self.poisson else root(totals) if photonic else None
+        if photonic:
+            self.gain = noise.unit / self.std
+        else:
+            self.gain = noise.variance(self.mean, lit(difference, total)).sqrt() / self.std
+
+    def at(self, step: int) -> Tensor:
+        """Features (B, R, m), standardised as those of the whole training set."""
+        return side_by_side([self._of(stream, step) for stream in self.streams])
+
+    def _of(self, stream: SeedStream, step: int) -> Tensor:
+        expected = stream.products(self.means, step)
+        mean, std = stream.part(self.mean), stream.part(self.std)
+        if self.poisson:
+            assert self.totals is not None
+            return (stream.noise.counted(expected, stream.products(self.totals, step)) - mean) / std
+        draws = stream.normal(expected.shape[-1])
+        if self.totals is not None:
+            draws = draws * stream.products(self.totals, step)
+        return torch.addcmul((expected - mean) / std, draws, stream.part(self.gain))
 
 
-def _exposures(job: Job, rails: Tensor) -> tuple[Tensor, Tensor]:
-    """What budgets and numbers of masks do to the noise of each mask in the mean of training.
+class LearnedFeatures(Features):
+    """Features of masks that learn.
 
-    Returns
-    -------
-    factor : tensor, shape (R or 1, m)
-        Noise variance over that of the lowest budget and all masks, in the mean over exposures that
-        show the mask.
-    often : tensor, shape (m,)
-        In how many exposures it is shown.
+    Parameters
+    ----------
+    streams : list of SeedStream
+    masks : Learned
+    x : tensor, shape (n + 1, N)
+        Centred scenes and their mean, from `TrainingSet.centred`.
+    scale : {"each", "common"}
     """
-    used = constraints.used(rails, job.optics[0])
-    span, likely = job.training.span, chances(job.masks, job.training.nested).to(used)
-    dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
-    later = (likely * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
-    often = likely.flip(-1).cumsum(-1).flip(-1)
-    return dim * later / often, often
+
+    def __init__(self, streams: Streams, masks: Learned, x: Tensor, scale: Scale) -> None:
+        self.streams, self.masks, self.x, self.scale = streams, masks, x, scale
+
+    def at(self, step: int) -> Tensor:
+        """Features (B, R, m), standardised in their batch."""
+        return standardise(side_by_side(self.noisy(step)), self.scale)
+
+    @abstractmethod
+    def noisy(self, step: int) -> list[Tensor]:
+        """Centred features (B, R_i, m) of the jobs of each seed."""
 
 
-def step_features(
-    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
-) -> Callable[[Sequence["SeedStream"], int], Tensor]:
-    """How a step gets the inputs of classifiers: features (B, R, m), and what is told."""
-    job = jobs[0]
-    if job.training.looks > 1:
-        return _chosen(scenes, jobs, masks, choose)
-    if job.training.told:
-        return _told(scenes, jobs, masks)
-    if isinstance(masks, Fixed):
-        return _measured(scenes, jobs, masks)
-    x = scenes.centred(job.light, products(job, scenes.device))
-    scale = job.training.scale
-    if job.noise == "ml_gauss":
+class MlGaussFeatures(LearnedFeatures):
+    """Features of learned masks under MLGauss."""
 
-        def learned(streams: Sequence[SeedStream], step: int) -> Tensor:
-            rails = masks.rails_to_measure()
-            return _standardise(
-                side_by_side(
-                    [
-                        measure(
-                            x.index_select(0, stream.with_mean[step]),
-                            rails[..., stream.jobs, :, :],
-                            stream.normal(job.masks) * stream.noise.unit,
-                            masks.disjoint,
-                        )
-                        for stream in streams
-                    ]
-                ),
-                scale,
+    def noisy(self, step: int) -> list[Tensor]:
+        """Centred features of a step; see `scanner.measure`."""
+        rails = self.masks.rails_to_measure()
+        return [
+            measure(
+                self.x.index_select(0, stream.with_mean[step]),
+                rails[..., stream.replicas, :, :],
+                stream.normal(rails.shape[-2]) * stream.noise.unit,
+                self.masks.disjoint,
             )
+            for stream in self.streams
+        ]
 
-        return learned
 
-    if job.noise == "poisson":
+class CountedFeatures(LearnedFeatures):
+    """Features of learned masks under exact photon counts."""
 
-        def learned_from_counts(streams: Sequence[SeedStream], step: int) -> Tensor:
-            difference, total = masks()
-            parts = []
-            for stream in streams:
-                seen = x.index_select(0, stream.with_mean[step])
-                own = (difference[stream.jobs], total[stream.jobs])
-                mean, light = project_pair(seen, *own, both=True)
-                counts = stream.noise.counted(mean[:-1] + mean[-1], light[:-1] + light[-1])
-                parts.append(counts - mean[-1])
-            return _standardise(side_by_side(parts), scale)
-
-        return learned_from_counts
-
-    def learned_under_read_noise(streams: Sequence[SeedStream], step: int) -> Tensor:
-        difference, total = masks()
-        shown = masks.lit(difference, total)
+    def noisy(self, step: int) -> list[Tensor]:
+        """Centred features of a step."""
+        difference, total = self.masks()
         parts = []
-        for stream in streams:
-            mean = project(x.index_select(0, stream.rows[step]), difference[stream.jobs])
-            deviation = stream.noise.deviation(mean, shown[stream.jobs])
-            parts.append(mean + deviation * stream.normal(job.masks))
-        return _standardise(side_by_side(parts), scale)
+        for stream in self.streams:
+            x = self.x.index_select(0, stream.with_mean[step])
+            own = difference[stream.replicas], total[stream.replicas]
+            mean, counts = project_pair(x, *own, both=True)
+            drawn = stream.noise.counted(mean[:-1] + mean[-1], counts[:-1] + counts[-1])
+            parts.append(drawn - mean[-1])
+        return parts
 
-    return learned_under_read_noise
+
+class ReadNoiseFeatures(LearnedFeatures):
+    """Features of learned masks under read noise, or under none."""
+
+    def noisy(self, step: int) -> list[Tensor]:
+        """Centred features of a step."""
+        difference, total = self.masks()
+        shown = self.masks.lit(difference, total)
+        parts = []
+        for stream in self.streams:
+            mean = project(self.x.index_select(0, stream.rows[step]), difference[stream.replicas])
+            parts.append(stream.noisy(mean, mean, shown[stream.replicas]))
+        return parts
 
 
-def _told(
-    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned
-) -> Callable[[Sequence["SeedStream"], int], Tensor]:
-    """Features of scenes that each have a budget and a number of masks of their own.
+class ConditionedFeatures(Features):
+    """Inputs of conditioned classifiers: each scene has a budget and a number of masks of its own.
 
-    The fewer masks share the light, the more each has. The gradient knows: a mask pays for the
-    light that it takes from those after it.
+    The fewer masks share the light, the more each has. The gradient includes the light that a mask
+    takes from later ones.
+
+    Parameters
+    ----------
+    streams : list of SeedStream
+    masks : Fixed or Learned
+    x : tensor, shape (n + 1, N)
+        As for `LearnedFeatures`.
+    job : Job
+        One of them.
     """
-    job, how = jobs[0], jobs[0].training
-    light, _ = job.optics
-    x = _centred(scenes, job, masks)
-    told = Conditioning(job.photons, how.span, job.masks)
-    likely = chances(job.masks, how.nested).to(scenes.device)
-    brightened = how.nested > 0 and isinstance(masks, Learned)  # at the end, see `brighten`
 
-    def features(streams: Sequence[SeedStream], step: int) -> Tensor:
-        difference, total = masks()
-        rails = difference if difference is total else torch.stack([difference, total])
-        used = constraints.used(constraints.separate(difference, total), light)
+    def __init__(self, streams: Streams, masks: Fixed | Learned, x: Tensor, job: Job) -> None:
+        self.streams, self.masks, self.x = streams, masks, x
+        self.light: Light = job.optics[0]
+        self.span, self.scale = job.training.span, job.training.scale
+        self.conditioning = Conditioning(job.photons, self.span, job.masks)
+        self.chances = chances(job.masks, job.training.nested).to(x.device)
+        # masks that learn are brightened at their end, see `job_masks.brighten`
+        self.brightened = job.training.nested > 0 and isinstance(masks, Learned)
+
+    def at(self, step: int) -> Tensor:
+        """Features and conditioning inputs (B, R, m + 2)."""
+        difference, total = self.masks()
+        rails = pair(difference, total)
+        used = constraints.used(constraints.separate(difference, total), self.light)
         whole = used[..., -1:]
-        used = used if brightened else used / whole
+        used = used if self.brightened else used / whole
         parts, ratios, counts = [], [], []
-        for stream in streams:
-            budget, shown = stream.expose(how.span, likely)
+        for stream in self.streams:
+            budget, shown = stream.exposures(self.span, self.chances)
             ratio = budget / stream.part(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
             parts.append(
                 measure(
-                    x.index_select(0, stream.with_mean[step]),
-                    rails[..., stream.jobs, :, :] if len(difference) > 1 else rails,
-                    stream.normal(job.masks) * stream.noise.unit / ratio.sqrt(),
+                    self.x.index_select(0, stream.with_mean[step]),
+                    rails[..., stream.replicas, :, :] if len(difference) > 1 else rails,
+                    stream.normal(difference.shape[-2]) * stream.noise.unit / ratio.sqrt(),
                     False,
                 )
             )
-            ratios.append(ratio * stream.part(whole) if brightened else ratio)
-            counts.append(shown.expand_as(ratio))
+            told = ratio * stream.part(whole) if self.brightened else ratio
+            ratios.append(told.expand(*parts[-1].shape[:2], 1))
+            counts.append(stream.repeated(shown))
         seen, shown = side_by_side(parts), side_by_side(counts)
-        scaled = _standardise(seen, how.scale, first(job.masks, shown))
-        return told.inputs(scaled, side_by_side(ratios), shown)
-
-    return features
+        scaled = standardise(seen, self.scale, first(difference.shape[-2], shown))
+        return self.conditioning.inputs(scaled, side_by_side(ratios), shown)
 
 
-def _centred(scenes: TrainingSet, job: Job, masks: Fixed | Learned) -> Tensor:
-    """`TrainingSet.centred` with the pixels that masks may light; fixed ones see every pixel."""
-    seen_by = job.optics[0] if isinstance(masks, Learned) else "two-arm"
-    return scenes.centred(seen_by, products(job, scenes.device))
+class AdaptiveFeatures(Features):
+    """Inputs of classifiers after each of several looks, with masks of equal dwells.
 
+    Parameters
+    ----------
+    streams : list of SeedStream
+    masks : Fixed or Learned
+    x : tensor, shape (n + 1, N)
+        As for `LearnedFeatures`.
+    choose : Replicas
+        Networks that choose dwells.
+    looks : int
+        K.
+    gain : tensor, shape (R, 1)
+        Of all jobs, from `FeatureNoise`.
+    scale : {"each", "common"}
+    """
 
-def _chosen(
-    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed | Learned, choose: Replicas
-) -> Callable[[Sequence["SeedStream"], int], Tensor]:
-    """Features and dwells (K · B, R, 2 m) after each of K looks, with masks of equal dwells."""
-    job = jobs[0]
-    x = _centred(scenes, job, masks)
-    gain = FeatureNoise(scenes, jobs).gain
+    def __init__(
+        self,
+        streams: Streams,
+        masks: Fixed | Learned,
+        x: Tensor,
+        choose: Replicas,
+        looks: int,
+        gain: Tensor,
+        scale: Scale,
+    ) -> None:
+        self.streams, self.masks, self.x = streams, masks, x
+        self.choose, self.looks, self.gain, self.scale = choose, looks, gain, scale
 
-    def features(streams: Sequence[SeedStream], step: int) -> Tensor:
-        rails, _ = masks()
+    def at(self, step: int) -> Tensor:
+        """Features and dwells (K · B, R, 2 m) after each of K looks."""
+        rails, _ = self.masks()
         parts = []
-        for stream in streams:
-            product = project(x.index_select(0, stream.with_mean[step]), stream.part(rails))
-            parts.append(product.expand(-1, stream.jobs.stop - stream.jobs.start, -1))
+        for stream in self.streams:
+            x = self.x.index_select(0, stream.with_mean[step])
+            parts.append(stream.repeated(project(x, stream.part(rails))))
         products_of_all = side_by_side(parts)
-        centred, centre = products_of_all[:-1], products_of_all[-1]
-        light = centred + centre
-        power = centred.square().mean(dim=0) + centre / gain
-        if job.training.scale == "common":
-            power = power.mean(dim=-1, keepdim=True).expand_as(power)
-        spread = torch.where(power > 0, power, 1.0).sqrt()
+        centred, mean = products_of_all[:-1], products_of_all[-1]
+        counts = centred + mean
+        power = centred.square().mean(dim=0) + mean / self.gain
+        std = deviation(power, self.scale)
 
         def read(dwell: Tensor) -> tuple[Tensor, Tensor]:
-            rates = job.masks * dwell * light
+            rates = rails.shape[-2] * dwell * counts
             drawn = []
-            for stream in streams:
-                own = rates[:, stream.jobs]
-                if job.noise == "poisson":
-                    drawn.append(stream.noise.counted(own, own))
-                else:
-                    deviation = stream.noise.deviation(own, own)
-                    drawn.append(own + deviation * stream.normal(job.masks))
+            for stream in self.streams:
+                own = rates[:, stream.replicas]
+                drawn.append(stream.noisy(own, own, own))
             return side_by_side(drawn), dwell
 
-        every = expose(choose, read, job.training.looks, centre.expand_as(light), spread)
-        return torch.cat([seen.inputs(centre, spread) for seen in every])
-
-    return features
+        every = expose(self.choose, read, self.looks, mean.expand_as(counts), std)
+        return torch.cat([seen.inputs(mean, std) for seen in every])
 
 
-def _measured(
-    scenes: TrainingSet, jobs: Sequence[Job], masks: Fixed
-) -> Callable[[Sequence["SeedStream"], int], Tensor]:
-    difference, total = masks()
-    shown = lit(difference, total)
-    photonic = jobs[0].noise in ("ml_gauss", "poisson")
-    pairs = [project_pair(x, difference, total, photonic) for x in scenes.full.split(CHUNK)]
-    means = torch.cat([mean for mean, _ in pairs])
-    centre, spread, _ = statistics(scenes, jobs, masks, means)
-    single = difference is total or not photonic
-    lights = means if single else torch.cat([light for _, light in pairs])
-    del pairs
-    noise = FeatureNoise(scenes, jobs)
-    if noise.kind == "poisson":
+def features_of(
+    training_set: TrainingSet,
+    job: Job,
+    masks: Fixed | Learned,
+    noise: FeatureNoise,
+    streams: Streams,
+    choose: Replicas,
+) -> Features:
+    """Features of the kind that jobs ask for.
 
-        def counted(streams: Sequence[SeedStream], step: int) -> Tensor:
-            counts = [
-                stream.noise.counted(stream.of(means, step), stream.of(lights, step))
-                for stream in streams
-            ]
-            return (side_by_side(counts) - centre) / spread
-
-        return counted
-    if noise.kind == "ml_gauss":
-        roots = root(lights)
-        gain = noise.unit / spread
-    else:
-        roots = None
-        gain = noise.variance(centre, shown).sqrt() / spread
-
-    def measured(streams: Sequence[SeedStream], step: int) -> Tensor:
-        parts = []
-        for stream in streams:
-            draws = stream.normal(means.shape[-1])
-            if roots is not None:
-                draws = draws * stream.of(roots, step)
-            scaled = (stream.of(means, step) - stream.part(centre)) / stream.part(spread)
-            parts.append(torch.addcmul(scaled, draws, stream.part(gain)))
-        return side_by_side(parts)
-
-    return measured
-
-
-def _standardise(features: Tensor, scale: str, shown: Tensor | None = None) -> Tensor:
-    """Scale centred features (B, R, m) with the spread of their batch, of those that are shown."""
-    if shown is not None:
-        over = (0,) if scale == "each" else (0, 2)
-        power = (features.square() * shown).sum(dim=over, keepdim=True)
-        return features / (power / shown.sum(dim=over, keepdim=True).clamp(min=1)).sqrt()
-    if scale == "each":
-        columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
-        return columns.view_as(features)
-    size = torch.linalg.vector_norm(features, dim=(0, 2)) / (features[:, 0].numel() ** 0.5)
-    return features / size[:, None]
+    Parameters
+    ----------
+    training_set : TrainingSet
+    job : Job
+        One of them.
+    masks : Fixed or Learned
+    noise : FeatureNoise
+        Of all jobs.
+    streams : list of SeedStream
+        From `draws.seed_streams`.
+    choose : Replicas
+        Networks that choose dwells, for several looks.
+    """
+    settings = job.training
+    several = settings.looks > 1
+    if isinstance(masks, Fixed) and not several and not settings.conditioned:
+        return FixedFeatures(streams, masks, training_set.full, noise, settings.scale)
+    # fixed masks see every pixel
+    light: Light = job.optics[0] if isinstance(masks, Learned) else "two-arm"
+    x = training_set.centred(light, product_dtype(job, training_set.device))
+    if several:
+        scale = settings.scale
+        return AdaptiveFeatures(streams, masks, x, choose, settings.looks, noise.gain, scale)
+    if settings.conditioned:
+        return ConditionedFeatures(streams, masks, x, job)
+    assert isinstance(masks, Learned)
+    kinds = {"ml_gauss": MlGaussFeatures, "poisson": CountedFeatures}
+    return kinds.get(job.noise, ReadNoiseFeatures)(streams, masks, x, settings.scale)

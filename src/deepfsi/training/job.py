@@ -1,5 +1,6 @@
 """What is to be trained: one design with its light, noise and settings, checked before any work."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,8 +10,6 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
 )
 
 from deepfsi.datasets import Dataset
@@ -20,7 +19,7 @@ from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 
 Precision = Literal["auto", "float32", "bfloat16"]
-REVISION = 2
+REVISION = 1
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
 BFLOAT16_COUNTS = 2.0**14
@@ -91,24 +90,14 @@ class TrainingSettings(BaseModel):
     )
 
     @property
-    def told(self) -> bool:
-        """Whether the classifier is told the budget and how many masks were shown."""
+    def conditioned(self) -> bool:
+        """Whether budget and number of masks shown are inputs of the classifier."""
         return self.span > 1 or self.nested > 0
 
     @property
     def steps(self) -> int:
         """Grey steps from dark to the peak; 0 for continuous masks."""
         return max(self.levels - 1, 0)
-
-    @model_serializer(mode="wrap")
-    def _without_what_has_no_effect(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # so that records made before there were these fields keep their keys
-        fields = dump(self).items()
-        return {name: value for name, value in fields if (name, value) not in LATER.items()}
-
-
-LATER = {"levels": 0, "span": 1.0, "nested": 0, "looks": 1}
-"""Fields of `TrainingSettings` that came after the first records, with the value of no effect."""
 
 
 TUNED: dict[str, dict[str, Any]] = {
@@ -175,7 +164,7 @@ class Job(BaseModel):
     def companions(self, device: torch.device) -> tuple[Any, ...]:
         """What jobs must have in common to be trained together: all but budget, sigma and seed."""
         apart = {"photons", "sigma", "seed"}
-        return (self.model_dump_json(exclude=apart), products(self.masks_from(), device))
+        return (self.model_dump_json(exclude=apart), product_dtype(self.masks_from(), device))
 
     def masks_from(self) -> "Job":
         """The job that makes the masks: for the control group DeepFSI under gaussian noise."""
@@ -184,7 +173,7 @@ class Job(BaseModel):
         return self.model_copy(update={"design": "deepfsi", "noise": "gaussian"})
 
 
-def products(job: Job, device: torch.device) -> torch.dtype:
+def product_dtype(job: Job, device: torch.device) -> torch.dtype:
     """Type of the products of learned masks: bfloat16 where that stays under the readout noise.
 
     See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise.
@@ -214,7 +203,7 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     constraints.check_light(*job.optics)
     if job.training.looks > 1:
         _check_looks(job)
-    if job.training.told and job.noise != "ml_gauss":
+    if job.training.conditioned and job.noise != "ml_gauss":
         raise InputError(
             "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
             "--train-noise out"
@@ -231,18 +220,37 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
             "a matrix goes with the design `custom`, and only with it: compare and design take "
             "--matrix"
         )
-    if matrix is None:
+    if matrix is not None:
+        _check_matrix(np.asarray(matrix), (job.masks, data.pixels))
+    else:
         codes.check_count(job.design, job.masks, data)
-        return
-    matrix = np.asarray(matrix)
-    if matrix.shape != (job.masks, data.pixels):
-        raise InputError(
-            f"a matrix of shape {matrix.shape} does not fit: give ({job.masks}, {data.pixels})"
-        )
-    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
-        raise InputError("the matrix holds something else than finite real numbers")
-    if not matrix.any():
-        raise InputError("the matrix is zero everywhere: give at least one lit entry")
+
+
+def check_jobs(
+    jobs: Sequence[Job], data: Dataset, device: torch.device, matrix: np.ndarray | None = None
+) -> Job:
+    """Return the first of jobs that are to be trained together, each checked.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    data : Dataset
+    device : torch.device
+    matrix : array, shape (m, N), optional
+        Of "custom" designs.
+
+    Raises
+    ------
+    InputError
+        As `check_job`.
+    ValueError
+        If the jobs differ in more than `Job.companions` allows.
+    """
+    for job in jobs:
+        check_job(job, data, matrix)
+    if len({job.companions(device) for job in jobs}) > 1:
+        raise ValueError("jobs that train together may differ in photons, sigma and seed only")
+    return jobs[0]
 
 
 def _check_looks(job: Job) -> None:
@@ -257,8 +265,19 @@ def _check_looks(job: Job) -> None:
             f"several looks choose how long one device shows each frame, not {light} with {rails} "
             "rails: use --light free-dwell --rails single"
         )
-    if job.training.told or job.noise not in ("ml_gauss", "poisson"):
+    if job.training.conditioned or job.noise not in ("ml_gauss", "poisson"):
         raise InputError(
             "several looks are for one budget under photon noise: leave a range of budgets, "
             "--nested and gaussian noise out"
         )
+
+
+def _check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
+    if matrix.shape != shape:
+        raise InputError(
+            f"a matrix of shape {matrix.shape} does not fit: give ({shape[0]}, {shape[1]})"
+        )
+    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
+        raise InputError("the matrix holds something else than finite real numbers")
+    if not matrix.any():
+        raise InputError("the matrix is zero everywhere: give at least one lit entry")

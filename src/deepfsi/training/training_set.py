@@ -32,7 +32,7 @@ class TrainingSet:
     ) -> None:
         self.data = data
         self.device = find_device(device)
-        self.light = summed_reflectance(data.x_train)
+        self.summed_reflectance = summed_reflectance(data.x_train)
         labels = np.require(data.y_train, requirements="W")
         self.labels = torch.from_numpy(labels).to(self.device)
         x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only

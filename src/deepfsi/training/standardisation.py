@@ -1,0 +1,124 @@
+"""Scales of features: of a training's batches, and of the whole training set at its end."""
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.scanner import lit, project
+from deepfsi.training.draws import FeatureNoise
+
+Scale = Literal["each", "common"]
+"""Whether each feature has a standard deviation of its own, or all a common one."""
+
+CHUNK = 4096
+"""Scenes that are multiplied at once outside the steps."""
+
+
+def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
+    """Divide centred features by the standard deviation of their batch.
+
+    Parameters
+    ----------
+    features : tensor, shape (B, R, m)
+    scale : {"each", "common"}
+    shown : tensor, broadcastable to (B, R, m), optional
+        Which features count; all unless given.
+    """
+    if shown is not None:
+        over = (0,) if scale == "each" else (0, 2)
+        power = (features.square() * shown).sum(dim=over, keepdim=True)
+        return features / (power / shown.sum(dim=over, keepdim=True).clamp(min=1)).sqrt()
+    if scale == "each":
+        columns = functional.batch_norm(features.flatten(1), None, None, training=True, eps=1e-20)
+        return columns.view_as(features)
+    size = torch.linalg.vector_norm(features, dim=(0, 2)) / (features[:, 0].numel() ** 0.5)
+    return features / size[:, None]
+
+
+def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Tensor:
+    """Standard deviation (..., m) of features of known variance; 1 where that is 0.
+
+    Parameters
+    ----------
+    power : tensor, shape (..., m)
+        Variance.
+    scale : {"each", "common"}
+    weights : tensor, shape (m,), optional
+        Of the features in a common scale; equal unless given.
+    """
+    if scale == "common":
+        weights = torch.ones_like(power[0]) if weights is None else weights
+        common = (power * weights).sum(dim=-1, keepdim=True) / weights.sum()
+        power = common.expand_as(power)
+    return torch.where(power > 0, power, 1.0).sqrt()
+
+
+def feature_statistics(
+    scenes: Tensor,
+    masks: Fixed | Learned,
+    noise: FeatureNoise,
+    scale: Scale,
+    exposures: tuple[Tensor, Tensor] | None = None,
+    means: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean and standard deviation of features over scenes and noise, and mean x S.
+
+    Parameters
+    ----------
+    scenes : tensor, shape (n, N)
+    masks : Fixed or Learned
+        Of R replicas, or of one for all.
+    noise : FeatureNoise
+        Of R jobs.
+    scale : {"each", "common"}
+    exposures : tuple of tensor, optional
+        From `mean_over_exposures`, where budgets or numbers of masks differ.
+    means : tensor, shape (n, R or 1, m), optional
+        x D of all scenes, where it is known.
+
+    Returns
+    -------
+    tuple of tensor
+        Each (R, m), for scenes of unit reflectance: to be divided by the summed reflectance s.
+    """
+    difference, total = masks()
+    mean, counts = (project(scenes.mean(dim=0), rails) for rails in (difference, total))
+    power = torch.zeros_like(mean)
+    for place, x in enumerate(scenes.split(CHUNK)):
+        rows = slice(place * CHUNK, place * CHUNK + len(x))
+        expected = project(x, difference) if means is None else means[rows]
+        power += (expected - mean).square().sum(dim=0)
+    drawn = noise.variance(counts, lit(difference, total))
+    factor, often = exposures or (1.0, None)
+    std = deviation(power / len(scenes) + drawn * factor, scale, often)
+    return mean.expand_as(std), std, counts.expand_as(std)
+
+
+def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
+    """What budgets and numbers of masks do to the noise of each mask in the mean of training.
+
+    Parameters
+    ----------
+    used : tensor, shape (R or 1, m)
+        Share of the light constraint that the first masks take, from `constraints.used`.
+    span : float
+        Highest budget over the lowest.
+    chances : tensor, shape (m,)
+        Of each number of masks to be shown.
+
+    Returns
+    -------
+    factor : tensor, shape (R or 1, m)
+        Noise variance over that of the lowest budget and all masks, in the mean over exposures that
+        show the mask.
+    often : tensor, shape (m,)
+        Share of exposures in which it is shown.
+    """
+    dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
+    later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
+    often = chances.flip(-1).cumsum(-1).flip(-1)
+    return dim * later / often, often
