@@ -15,13 +15,15 @@ CAMERA = re.search(r"## A camera\n.*?```\n(.*?)```", README, flags=re.DOTALL).gr
 COMMANDS = sorted(
     set(re.findall(r"`(deepfsi (?:compare|design|evaluate|show|export) -?[^`]+)`", README))
 )
+BRIEFLY = {"compare": "--epochs 1 --trials 1 --workers 1", "design": "--epochs 1"}
+"""Options that make a command of the README take a moment."""
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
 def test_python(block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    exec(block.replace('"mnist"', '"digits"'), names)
+    exec(block.replace('"mnist"', '"digits"').replace("masks=10\n", "masks=10, epochs=2\n"), names)
     if "loss" in names:
         assert names["loss"].item() < 1.0
 
@@ -33,8 +35,7 @@ def test_commands(tmp_path, monkeypatch):
     assert len(COMMANDS) == 7
     for command in sorted(COMMANDS, key=lambda line: "design" not in line):
         words = shlex.split(command.replace("mnist", "digits"))
-        if words[1] in ("compare", "design"):
-            words += ["--epochs", "1"]
+        words += shlex.split(BRIEFLY.get(words[1], ""))
         monkeypatch.setattr("sys.argv", words)
         with pytest.raises(SystemExit) as stop:
             cli.main()

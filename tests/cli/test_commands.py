@@ -145,7 +145,7 @@ def test_a_plain_design_cannot_stop(call, design_file):
 
 def test_compare_writes_report_and_json(call, tmp_path):
     words = ["--designs", "pca,raster", "--photons", "1e3", "--masks", "4", "--trials", "1"]
-    words += ["--epochs", 2, "-o", tmp_path]
+    words += ["--epochs", 2, "--workers", 1, "-o", tmp_path]
     code, out, _ = call("compare", *words)
     assert code == 0
     assert "raster scan (RS)" in out
