@@ -9,17 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.datasets.array_files import list_variables, read_npy, read_variable
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError
 
-__all__ = ["SUFFIXES", "read_cube", "read_labels"]
-
 SUFFIXES = (".mat", ".npy", ".hdr")
-MAX_VALUES = 2**30  # of a .mat file, which is small where all its values are the same
-NUMBERS = (
-    *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
-    *("single", "double"),
-)
+"""Ends of the names of files that hold cubes."""
+
+MAX_VALUES = 2**30
+"""Values of a cube at most."""
 
 
 class _Array(NamedTuple):
@@ -110,7 +108,7 @@ def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
     if path.suffix == ".hdr":
         array = _read_envi(path)
     elif path.suffix == ".npy":
-        array = _Array(_read_npy(path))
+        array = _Array(read_npy(path))
     else:
         array = _Array(_read_mat(path, dimensions, variable))
     if dimensions == 2 and array.values.ndim == 3 and array.values.shape[2] == 1:
@@ -118,28 +116,8 @@ def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
     return array
 
 
-def _read_npy(path: Path) -> npt.NDArray[Any]:
-    try:
-        # mapped, so that no more is read than the file holds
-        values: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-        return np.array(values)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"cannot read {path} ({error}); write it with numpy.save") from error
-
-
 def _read_mat(path: Path, dimensions: int, variable: str | None) -> npt.NDArray[Any]:
-    from scipy.io import loadmat, whosmat
-
-    try:
-        found = {
-            name: shape
-            for name, shape, kind in whosmat(path)
-            if kind in NUMBERS and len(shape) == dimensions
-        }
-    except NotImplementedError as error:
-        raise InputError(f"{path} is of version 7.3; save it in MATLAB with '-v7'") from error
-    except Exception as error:  # scipy raises almost anything on a damaged file
-        raise InputError(f"cannot read {path} as a .mat file ({error}); save it again") from error
+    found = list_variables(path, [dimensions])
     if variable is None and len(found) == 1:
         (variable,) = found
     if variable not in found:
@@ -148,15 +126,7 @@ def _read_mat(path: Path, dimensions: int, variable: str | None) -> npt.NDArray[
             f"{path} lacks {wanted}: of that many dimensions it holds "
             f"{', '.join(found) or 'nothing'}; save it as that"
         )
-    if np.prod(found[variable], dtype=float) > MAX_VALUES:
-        raise InputError(
-            f"{path}: {variable} has the shape {found[variable]}; give {MAX_VALUES} values or fewer"
-        )
-    try:
-        values: npt.NDArray[Any] = loadmat(path, variable_names=[variable])[variable]
-    except Exception as error:
-        raise InputError(f"cannot read {path} as a .mat file ({error}); save it again") from error
-    return np.ascontiguousarray(values)
+    return read_variable(path, variable, found[variable], MAX_VALUES)
 
 
 def _read_envi(path: Path) -> _Array:

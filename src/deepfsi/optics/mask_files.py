@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.datasets.array_files import list_variables, read_npy, read_variable
 from deepfsi.errors import InputError
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
@@ -57,7 +58,7 @@ def read_matrix(source: str) -> np.ndarray:
     elif end == ".mat":
         masks = _read_mat(path, variable)
     else:
-        masks = _read_npy(path)
+        masks = read_npy(path)
     if masks.ndim not in (2, 3) or not masks.size:
         raise InputError(f"{path} holds an array of shape {masks.shape}: give {WAYS}")
     full = _full_scale(masks)
@@ -71,50 +72,17 @@ def _full_scale(values: np.ndarray) -> int:
     return 1 if values.max() <= 1 else int(np.iinfo(values.dtype).max)
 
 
-def _read_npy(path: Path) -> np.ndarray:
-    try:
-        # mapped, so that no more is read than the file holds
-        values = np.lib.format.open_memmap(path, mode="r")
-    except (OSError, ValueError, EOFError):
-        values = None
-    if values is None or values.dtype.kind not in "biuf":
-        raise InputError(f"no matrix of real numbers in {path}: give {WAYS}")
-    return np.array(values)
-
-
 def _read_mat(path: Path, variable: str) -> np.ndarray:
-    from scipy.io import loadmat, whosmat
-
-    try:
-        shapes = {
-            name: shape
-            for name, shape, kind in whosmat(path)
-            if kind in ("double", "single", "logical") or "int" in kind
-        }
-        fitting = [name for name, shape in shapes.items() if len(shape) in (2, 3)]
-        if not variable and len(fitting) == 1:
-            [variable] = fitting
-        if variable not in fitting:
-            raise InputError(
-                f"{path} has {'no variable ' + variable if variable else 'not one variable alone'} "
-                "that is numeric and of two or three dimensions, but "
-                f"{', '.join(fitting) or 'none'}: name one as {path}:VARIABLE"
-            )
-        if np.prod(shapes[variable], dtype=float) > LARGEST:
-            raise InputError(
-                f"{path}: {variable} has the shape {shapes[variable]}: give {LARGEST} values or "
-                "fewer"
-            )
-        values = loadmat(path, variable_names=[variable])[variable]
-    except InputError:
-        raise
-    except NotImplementedError:
-        raise InputError(f"{path} is of version 7.3: save it in MATLAB with '-v7'") from None
-    except Exception as error:  # scipy raises almost anything on a damaged file
-        raise InputError(f"cannot read {path} as a .mat file ({error}): save it again") from None
-    if values.dtype.kind not in "biuf":
-        raise InputError(f"{path}: {variable} holds complex numbers: give real ones")
-    return values
+    found = list_variables(path, (2, 3))
+    if not variable and len(found) == 1:
+        (variable,) = found
+    if variable not in found:
+        raise InputError(
+            f"{path} has {'no variable ' + variable if variable else 'not one variable alone'} "
+            "that is numeric and of two or three dimensions, but "
+            f"{', '.join(found) or 'none'}: name one as {path}:VARIABLE"
+        )
+    return read_variable(path, variable, found[variable], LARGEST)
 
 
 def _read_images(path: Path) -> np.ndarray:
