@@ -22,9 +22,9 @@ from deepfsi.datasets import (
     list_datasets,
     load_dataset,
     load_spectra,
-    read_cube,
     surrogate,
 )
+from deepfsi.datasets.cubes import read_cube
 from deepfsi.errors import InputError
 
 REAL = Path(os.environ.get("DEEPFSI_DATA") or ".") / "indian_pines"

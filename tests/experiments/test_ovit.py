@@ -158,7 +158,7 @@ def test_a_cluster_is_refused(images, tmp_path):
     ],
 )
 def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg, loaded):
-    from deepfsi.datasets import DatasetInfo
+    from deepfsi.datasets.catalog import DatasetInfo
 
     listed = [
         DatasetInfo("cifar10", 1, 1, 1, original),

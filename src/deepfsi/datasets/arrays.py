@@ -1,4 +1,4 @@
-"""Arrays in memory or in an ``.npz`` file become a `Dataset`; every other source ends here too."""
+"""A `Dataset` of arrays in memory or in an ``.npz`` file; every other source ends here too."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from deepfsi.datasets.dataset import Dataset, Labels, Reflectance
 from deepfsi.errors import InputError
 
 Range: TypeAlias = tuple[float, float]
+Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
+"""Scenes (n, H, W) or (n, N), and their labels (n,)."""
 
-SPLIT_MINIMUM = 5  # scenes per class: a fifth of fewer may be none
-ROUNDING = 1e-6  # how far a float may lie outside [0, 1] after scaling done elsewhere
+SPLIT_MINIMUM = 5
+"""Scenes of a class at least where a test part is drawn: a fifth of fewer may be none."""
+
+ROUNDING = 1e-6
+"""Distance of a float from [0, 1] at most, after scaling done elsewhere."""
 
 
 def from_arrays(
@@ -35,22 +40,20 @@ def from_arrays(
 
     Parameters
     ----------
-    x
-        Scenes: (n, H, W) for images, (n, N) for spectra. Floats are reflectance in [0, 1];
-        uint8 is divided by 255.
-    y
-        Labels, (n,) integers or strings. Their sorted values become the classes 0 .. C-1.
-    x_test, y_test
-        The test part, kept in its order. Without it, a stratified fifth of the scenes, drawn with
-        the seed, is set aside.
-    classes
+    x : array, shape (n, H, W) for images, (n, N) for spectra
+        Scenes. Floats are reflectance in [0, 1]; uint8 is divided by 255.
+    y : array, shape (n,)
+        Labels, integers or strings. Their sorted values become the classes 0 .. C-1.
+    x_test, y_test : array, optional
+        The test part, kept in its order. Without it, a stratified fifth is drawn with the seed.
+    classes : sequence of str, optional
         Class names. Integer labels then count into them from 0; string labels are among them.
-    name
-        What the data set is called.
-    seed
+    name : str
+        Name of the data set in tables and records.
+    seed : int
         Draws the test part and the order of the training scenes, 0 .. 2**32 - 1.
-    rescale
-        (low, high) to which [0, 1] is mapped; by default no change.
+    rescale : (float, float), optional
+        Low and high, to which [0, 1] is mapped.
 
     Returns
     -------
@@ -59,28 +62,28 @@ def from_arrays(
     Raises
     ------
     InputError
-        If the arrays do not fit each other or the rules above; if there are fewer than two
-        classes, none to learn from in one of them, or, where a test part is to be drawn, fewer
-        than five scenes in one.
+        If the arrays do not fit each other or the rules above, or a class has too few scenes.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> x, y = [[0.1, 0.9], [0.8, 0.3]] * 10, ["dark", "bright"] * 10
+    >>> data = deepfsi.from_arrays(x, y)
+    >>> data.classes, data.x_train.shape, data.x_test.shape
+    (('bright', 'dark'), (16, 2), (4, 2))
     """
+    values = "Divided by 255" if np.asarray(x).dtype == np.uint8 else "As given"
+    test = None if x_test is None or y_test is None else (x_test, y_test)
+    if test is None and not (x_test is None and y_test is None):
+        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
     return split_arrays(
-        x,
-        y,
-        x_test,
-        y_test,
-        classes=classes,
-        name=name,
-        seed=seed,
-        rescale=rescale,
-        values="Divided by 255" if np.asarray(x).dtype == np.uint8 else "As given",
+        (x, y), test, classes=classes, name=name, seed=seed, rescale=rescale, values=values
     )
 
 
 def split_arrays(
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    x_test: npt.ArrayLike | None = None,
-    y_test: npt.ArrayLike | None = None,
+    train: Scenes,
+    test: Scenes | None,
     *,
     classes: Sequence[str] | None = None,
     name: str,
@@ -88,15 +91,24 @@ def split_arrays(
     rescale: Range | None,
     values: str,
 ) -> Dataset:
-    """`from_arrays`, where `values` says how the values given came about."""
-    check_seed(seed)
-    scenes, labels = _scenes_and_labels(x, y, f"{name}: x", f"{name}: y")
-    names, numbers = _classes(labels, classes, name)
-    y_all = _class_numbers(labels, numbers, f"{name}: y")
-    fewest = np.bincount(y_all, minlength=len(names)).argmin()
-    count = np.count_nonzero(y_all == fewest)
+    """`from_arrays` with a description of the values.
 
-    if x_test is None and y_test is None:
+    Parameters
+    ----------
+    train, test : (array, array)
+        Scenes and labels; without a test part, it is drawn from the others.
+    classes, name, seed, rescale
+        As in `from_arrays`.
+    values : str
+        How the values came about, for `Dataset.preprocessing`.
+    """
+    check_seed(seed)
+    x, y = _scenes_and_labels(train, name, "")
+    names, numbers = _classes(y, classes, name)
+    labels = _class_numbers(y, numbers, f"{name}: y")
+    fewest = np.bincount(labels, minlength=len(names)).argmin()
+    count = np.count_nonzero(labels == fewest)
+    if test is None:
         if count < SPLIT_MINIMUM:
             raise InputError(
                 f"{name}: class '{names[fewest]}' has {count} scenes; to draw a test part give "
@@ -104,41 +116,44 @@ def split_arrays(
             )
         from sklearn.model_selection import train_test_split
 
-        train, test = train_test_split(
-            np.arange(len(y_all)), test_size=0.2, stratify=y_all, random_state=seed
+        order, drawn = train_test_split(
+            np.arange(len(labels)), test_size=0.2, stratify=labels, random_state=seed
         )
-        scenes_test, y_test_part = scenes[test], y_all[test]
-    elif x_test is None or y_test is None:
-        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
+        tested = x[drawn], labels[drawn]
     else:
         if count == 0:
             raise InputError(f"{name}: class '{names[fewest]}' has no training scenes; give some")
-        train = np.random.default_rng(seed).permutation(len(y_all))
-        scenes_test, labels_test = _scenes_and_labels(
-            x_test, y_test, f"{name}: x_test", f"{name}: y_test"
+        order = np.random.default_rng(seed).permutation(len(labels))
+        tested = _test_part(test, name, numbers, x.shape[1:])
+    trained = x[order], labels[order]
+    return assemble(name, trained, tested, classes=names, values=values, rescale=rescale)
+
+
+def _test_part(
+    part: Scenes, name: str, numbers: dict[int | str, int], shape: tuple[int, ...]
+) -> tuple[Reflectance, Labels]:
+    x, y = _scenes_and_labels(part, name, "_test")
+    labels = _class_numbers(y, numbers, f"{name}: y_test")
+    if x.shape[1:] != shape:
+        raise InputError(
+            f"{name}: a scene has shape {shape} in x but {x.shape[1:]} in x_test; bring both to "
+            "one shape"
         )
-        y_test_part = _class_numbers(labels_test, numbers, f"{name}: y_test")
-        if scenes_test.shape[1:] != scenes.shape[1:]:
-            raise InputError(
-                f"{name}: a scene has shape {scenes.shape[1:]} in x but {scenes_test.shape[1:]} "
-                "in x_test; bring both to one shape"
-            )
-    return assemble(
-        name, scenes[train], y_all[train], scenes_test, y_test_part, names, values, rescale
-    )
+    return x, labels
 
 
 def check_seed(seed: int) -> None:
-    """Refuse what scikit-learn cannot take as a seed."""
+    """Raise `InputError` for what scikit-learn cannot take as a seed."""
     if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**32):
         raise InputError(f"seed {seed!r}: give an integer from 0 to 2**32 - 1")
 
 
 def _scenes_and_labels(
-    x: npt.ArrayLike, y: npt.ArrayLike, x_name: str, y_name: str
+    part: Scenes, name: str, suffix: str
 ) -> tuple[Reflectance, npt.NDArray[Any]]:
     """Reflectance but for rounding, (n, H, W) or (n, N); labels, (n,) integers or strings."""
-    scenes, labels = np.asarray(x), np.asarray(y)
+    scenes, labels = map(np.asarray, part)
+    x_name, y_name = f"{name}: x{suffix}", f"{name}: y{suffix}"
     if scenes.ndim not in (2, 3) or scenes.size == 0:
         raise InputError(
             f"{x_name} has shape {scenes.shape}; give (n, H, W) for grey images, (n, N) for spectra"
@@ -170,14 +185,14 @@ def _scenes_and_labels(
 
 
 def unit(values: npt.NDArray[np.uint8]) -> Reflectance:
-    """Bytes as reflectance: divided by 255."""
+    """Reflectance of bytes: a 255th of them."""
     return np.divide(values, 255, dtype=np.float32)
 
 
 def _classes(
     labels: npt.NDArray[Any], classes: Sequence[str] | None, name: str
 ) -> tuple[tuple[str, ...], dict[int | str, int]]:
-    """Find the class names, and the class number of each label."""
+    """Class names, and the class number of each label."""
     known = np.unique(labels).tolist()
     names = tuple(str(label) for label in known) if classes is None else tuple(classes)
     if len(names) < 2:
@@ -201,33 +216,44 @@ def _class_numbers(labels: npt.NDArray[Any], numbers: dict[int | str, int], what
 
 def assemble(
     name: str,
-    x_train: Reflectance,
-    y_train: Labels,
-    x_test: Reflectance,
-    y_test: Labels,
+    train: tuple[Reflectance, Labels],
+    test: tuple[Reflectance, Labels],
+    *,
     classes: tuple[str, ...],
     values: str,
     rescale: Range | None,
     wavelengths: npt.NDArray[np.float64] | None = None,
 ) -> Dataset:
-    """Flatten and rescale, in place, scenes that are otherwise ready."""
+    """Data set of scenes that are ready but for rescaling, which is done in place.
+
+    Parameters
+    ----------
+    name, classes, wavelengths
+        As in `Dataset`.
+    train, test : (array, array)
+        Reflectance, (n, H, W) or (n, N), and classes, (n,).
+    values : str
+        How the values came about, for `Dataset.preprocessing`.
+    rescale : (float, float), optional
+        Low and high, to which [0, 1] is mapped.
+    """
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
-    if not x_train.any():
+    if not train[0].any():
         raise InputError(f"{name}: every training scene is dark, all 0; give scenes with light")
-    for x in (x_train, x_test):
+    for x, _ in (train, test):
         x *= high - low
         x += low
         np.clip(x, low, high, out=x)
     mapped = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
     return Dataset(
         name=name,
-        x_train=x_train.reshape(len(x_train), -1),
-        y_train=y_train,
-        x_test=x_test.reshape(len(x_test), -1),
-        y_test=y_test,
-        image_shape=x_train.shape[1:],
+        x_train=train[0].reshape(len(train[0]), -1),
+        y_train=train[1],
+        x_test=test[0].reshape(len(test[0]), -1),
+        y_test=test[1],
+        image_shape=train[0].shape[1:],
         classes=classes,
         preprocessing=f"{values}{mapped}.",
         wavelengths=wavelengths,
@@ -237,7 +263,17 @@ def assemble(
 def draw_stratified(
     labels: npt.ArrayLike, count: int, seed: int, name: str
 ) -> npt.NDArray[np.intp]:
-    """Draw `count` scenes, of each class as nearly its share as can be; sorted indices."""
+    """Sorted indices of scenes drawn so that each class has as nearly its share as can be.
+
+    Parameters
+    ----------
+    labels : array, shape (n,)
+    count : int
+        How many scenes to draw, at least one of each class.
+    seed : int
+    name : str
+        Name of the data set, for messages.
+    """
     check_seed(seed)
     labels = np.asarray(labels)
     values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)
@@ -253,7 +289,15 @@ def draw_stratified(
 
 
 def load_npz(path: Path, seed: int, rescale: Range | None) -> Dataset:
-    """Load `x` and `y`, and the test part where it is there, from an ``.npz`` file."""
+    """Data set of the arrays `x` and `y`, and of a test part where it is there.
+
+    Parameters
+    ----------
+    path : Path
+        ``.npz`` file.
+    seed, rescale
+        As in `from_arrays`.
+    """
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
     try:

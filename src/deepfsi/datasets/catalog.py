@@ -1,4 +1,18 @@
-"""The data sets that have a name: list them, fetch them, check them."""
+"""Data sets that have a name: listing, download and check of their files.
+
+- ``digits``: 8x8, embedded in scikit-learn;
+- ``mnist``, ``fashion-mnist``: padded to 32x32; the original files, found in
+  ``$DEEPFSI_DATA/NAME/`` or else downloaded once;
+- ``cifar10``: 32x32, grey; the official binary or Python archive, or the unpacked
+  ``cifar-10-batches-bin/``, found in ``$DEEPFSI_DATA/cifar10/`` or ``$DEEPFSI_DATA``, or else
+  downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
+- ``cifar10-jpeg``: its images decoded from lossy JPEG, in
+  ``$DEEPFSI_DATA/cifar10/cifar10-jpeg.zip``;
+- ``indian-pines`` (220 bands), ``indian-pines-corrected`` (200 bands): the ``.mat`` files in
+  ``$DEEPFSI_DATA/indian_pines/``, each labelled pixel a scene, padded with darkness to 256 bands;
+- ``indian-pines-surrogate``: the same with simulated spectra, from ``Indian_pines_gt.mat`` and
+  ``92AV3C.spc`` there.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +28,16 @@ NAMES = ("digits", *idx.ORIGINALS, *CIFAR, *indian_pines.SOURCES)
 
 
 class DatasetInfo(NamedTuple):
-    """A named data set: how many images, pixels (N) and classes, and where it is."""
+    """Numbers of images, pixels (N) and classes of a named data set, and where it is.
+
+    `where` is "embedded", the folder or file, or "not here".
+    """
 
     name: str
     images: int
     pixels: int
     classes: int
-    where: str  # "embedded", the folder or file, or "not here"
+    where: str
 
 
 def list_datasets() -> list[DatasetInfo]:
@@ -51,7 +68,7 @@ def download(name: str) -> Path:
 
     Parameters
     ----------
-    name
+    name : str
         ``"mnist"``, ``"fashion-mnist"`` or ``"cifar10"``; of the others, which cannot be
         downloaded, this finds the files that are here.
 
@@ -83,7 +100,7 @@ def check(name: str) -> list[FileCheck]:
 
     Parameters
     ----------
-    name
+    name : str
         One of those that `list_datasets` gives.
 
     Returns

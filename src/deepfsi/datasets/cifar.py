@@ -82,10 +82,8 @@ def load(
     n = len(labels) - BATCH
     train = np.arange(n) if images is None else draw_stratified(labels[:n], images, seed, name)
     return split_arrays(
-        _grey(pixels[train], shape),
-        labels[train],
-        _grey(pixels[n:], shape),
-        labels[n:],
+        (_grey(pixels[train], shape), labels[train]),
+        (_grey(pixels[n:], shape), labels[n:]),
         classes=CLASSES,
         name="CIFAR-10",
         seed=seed,

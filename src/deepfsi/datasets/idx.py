@@ -87,13 +87,11 @@ def load(name: str, rescale: Range) -> Dataset:
     frame = ((0, 0), (2, 2), (2, 2))
     return assemble(
         name,
-        unit(np.pad(images, frame)),
-        labels.astype(np.int64),
-        unit(np.pad(images_test, frame)),
-        labels_test.astype(np.int64),
-        ORIGINALS[name].classes,
-        "Padded from 28x28 to 32x32 with black, divided by 255",
-        rescale,
+        (unit(np.pad(images, frame)), labels.astype(np.int64)),
+        (unit(np.pad(images_test, frame)), labels_test.astype(np.int64)),
+        classes=ORIGINALS[name].classes,
+        values="Padded from 28x28 to 32x32 with black, divided by 255",
+        rescale=rescale,
     )
 
 

@@ -64,20 +64,11 @@ SOURCES = {
 
 
 def load_scene(name: str) -> SpectralImage:
-    """Load the whole image, for maps and overviews: the real one, or the simulated one."""
+    """Whole image, the real one or the simulated one, for maps and overviews."""
     folder = download(name)
-    source = SOURCES[name]
-    bands_file = folder / BANDS_FILE
     if name == SURROGATE:
-        from deepfsi.datasets.surrogate import simulate
-
-        labels = read_labels(folder / LABELS_FILE, "indian_pines_gt")
-        _check_labels(labels, folder)
-        wavelengths = _wavelengths(bands_file)
-        cube = simulate(labels, wavelengths, SCENE_SEED)
-        origin = "Simulated radiance on the label map of Indian Pines, not the real scene,"
-        return SpectralImage(name, cube, labels, CLASSES, wavelengths, origin)
-    file = source.files[0]
+        return _simulated(folder)
+    file, bands = SOURCES[name].files[0], SOURCES[name].bands
     scene = read_cube(
         folder / file,
         folder / LABELS_FILE,
@@ -87,16 +78,28 @@ def load_scene(name: str) -> SpectralImage:
         origin="Radiance as published,",
     )
     _check_labels(scene.labels, folder)
-    if scene.cube.shape[2] != source.bands:
+    if scene.cube.shape[2] != bands:
         raise InputError(
-            f"{folder / file} has {scene.cube.shape[2]} bands, not {source.bands}; "
+            f"{folder / file} has {scene.cube.shape[2]} bands, not {bands}; "
             "replace it with the original"
         )
-    if not bands_file.is_file():
+    if not (folder / BANDS_FILE).is_file():
         return scene
-    wavelengths = _wavelengths(bands_file)
-    kept = np.delete(wavelengths, WATER) if source.bands == 200 else wavelengths
-    return replace(scene, wavelengths=kept)
+    wavelengths = _wavelengths(folder / BANDS_FILE)
+    return replace(
+        scene, wavelengths=np.delete(wavelengths, WATER) if bands == 200 else wavelengths
+    )
+
+
+def _simulated(folder: Path) -> SpectralImage:
+    from deepfsi.datasets.surrogate import simulate
+
+    labels = read_labels(folder / LABELS_FILE, "indian_pines_gt")
+    _check_labels(labels, folder)
+    wavelengths = _wavelengths(folder / BANDS_FILE)
+    cube = simulate(labels, wavelengths, SCENE_SEED)
+    origin = "Simulated radiance on the label map of Indian Pines, not the real scene,"
+    return SpectralImage(SURROGATE, cube, labels, CLASSES, wavelengths, origin)
 
 
 def _check_labels(labels: npt.NDArray[np.integer], folder: Path) -> None:

@@ -1,10 +1,10 @@
-"""A name, a path or arrays: `load_dataset` finds out which, and the module that reads it."""
+"""Loading a data set by its name, from a path, or from arrays."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deepfsi.datasets import cifar, idx, indian_pines
 from deepfsi.datasets.arrays import Range, from_arrays, load_npz, split_arrays
@@ -15,7 +15,25 @@ from deepfsi.datasets.pictures import load_pictures
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError, closest
 
-DIM_BLACK = (0.3, 1.0)  # black still reflects, so that every pixel sends photons
+DIM_BLACK = (0.3, 1.0)
+"""Reflectance of black and white in named images: black reflects, so that every pixel counts."""
+
+TAKERS = {
+    "size": ("a size", "images of a folder, a zip file or CIFAR-10 take"),
+    "images": ("a number of images", "a folder, a zip file or CIFAR-10 takes"),
+    "split": ("a split", "a hyperspectral image takes"),
+}
+"""For messages, each option that only some sources take, and the sources."""
+
+
+class Options(NamedTuple):
+    """Options of `load_dataset`."""
+
+    size: int | tuple[int, int] | None
+    seed: int
+    rescale: Range | None
+    images: int | None
+    split: str | None
 
 
 def load_dataset(
@@ -31,46 +49,31 @@ def load_dataset(
 
     Parameters
     ----------
-    source
+    source : str, path or tuple
         One of
 
-        - ``"digits"`` (8x8, embedded in scikit-learn), ``"mnist"`` or ``"fashion-mnist"`` (32x32):
-          the original files, found in ``$DEEPFSI_DATA/NAME/`` or else downloaded once;
-        - ``"cifar10"`` (32x32, grey): the official binary or Python archive, or the unpacked
-          ``cifar-10-batches-bin/``, found in ``$DEEPFSI_DATA/cifar10/`` or ``$DEEPFSI_DATA``, or
-          else downloaded once; ``"cifar10-jpeg"``: its images decoded from lossy JPEG, from
-          ``$DEEPFSI_DATA/cifar10/cifar10-jpeg.zip``;
-        - ``"indian-pines"`` (220 bands), ``"indian-pines-corrected"`` (200 bands): the ``.mat``
-          files in ``$DEEPFSI_DATA/indian_pines/``, each labelled pixel a scene, padded with
-          darkness to 256 bands; ``"indian-pines-surrogate"``: the same with simulated spectra, from
-          ``Indian_pines_gt.mat`` and ``92AV3C.spc`` there;
-        - the path of a folder or ``.zip`` file with one sub-folder of images for each class, or
-          with such folders within its own ``train/`` and ``test/`` (anything else beside those two
-          is ignored). Images are turned to grey; of an animation the first frame is used;
-        - the path of a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map
-          lies beside it under the same name with ``_gt`` added, as in `read_cube`;
-        - the path of an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`,
-          `y_test`, as in `from_arrays`;
-        - a tuple ``(x, y)`` or ``(x, y, x_test, y_test)`` of arrays, as in `from_arrays`.
-
-        A name goes before a folder of that name: write ``./mnist`` for the folder.
-    size
-        Side, or (H, W), in pixels, to which images are brought: those of a folder or zip file by
+        - a name that `list_datasets` gives; their module, `deepfsi.datasets.catalog`, says what
+          each is and where its files are found. ``./mnist`` is a folder of that name;
+        - a folder or ``.zip`` file with a sub-folder of images for each class, or with such
+          folders within its own ``train/`` and ``test/``. Images are turned to grey;
+        - a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map lies beside
+          it under the same name with ``_gt`` added, as in `cubes.read_cube`;
+        - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or
+          a tuple of these arrays, as in `from_arrays`.
+    size : int or (int, int), optional
+        Side or (H, W) in pixels to which images are brought: those of a folder or zip file by
         averaging over areas, CIFAR-10's bilinearly. Needed where they differ in size.
-    seed
+    seed : int
         Draws the test part where the source has none, the order of the training scenes and the
-        `images` to keep, 0 .. 2**32 - 1. MNIST and Fashion-MNIST keep their own split and order,
-        known to be random.
-    rescale
-        (low, high) to which [0, 1] is mapped. By default (0.3, 1) for digits, MNIST and
-        Fashion-MNIST, no change for others; (0, 1) is no change for all.
-    images
-        How many training images to keep of CIFAR-10, or of a folder or zip file with its own test
-        part: drawn with the seed, of each class its share. By default all: at 64x64 the whole of
-        CIFAR-10 takes 1 GB, and twice that while it is loaded.
-    split
-        For hyperspectral images ``"random"`` (default) or ``"blocks"``, as in
-        `SpectralImage.parts`.
+        `images` to keep, 0 .. 2**32 - 1. MNIST and Fashion-MNIST keep their own split and order.
+    rescale : (float, float), optional
+        Low and high, to which [0, 1] is mapped; (0, 1) is no change. By default (0.3, 1) for
+        digits, MNIST and Fashion-MNIST, no change for others.
+    images : int, optional
+        Training images to keep of CIFAR-10, or of a folder or zip file with its own test part,
+        drawn with the seed, of each class its share; all by default.
+    split : {"random", "blocks"}, optional
+        Of hyperspectral images, as in `SpectralImage.parts`.
 
     Returns
     -------
@@ -79,40 +82,19 @@ def load_dataset(
     Raises
     ------
     InputError
-        If `source` is unknown, missing, damaged or cannot be downloaded; if its scenes are not
-        reflectance in [0, 1], differ in shape or are all dark; if there are fewer than two classes
-        or too few scenes in one; or if an option cannot be used.
-    """
-    name = "arrays" if isinstance(source, tuple) else os.fspath(source)
-    path = None if isinstance(source, tuple) or name in NAMES else _existing(name)
-    pictures = name in CIFAR or (
-        path is not None and (path.is_dir() or path.suffix.lower() == ".zip")
-    )
-    spectra = name in indian_pines.SOURCES or (path is not None and path.suffix in SUFFIXES)
-    if not pictures:
-        _refuse(size, "a size", name, "images of a folder, a zip file or CIFAR-10 take")
-        _refuse(images, "a number of images", name, "a folder, a zip file or CIFAR-10 takes")
-    if not spectra:
-        _refuse(split, "a split", name, "a hyperspectral image takes")
+        If the source is unknown, missing or damaged, or an option cannot be used.
 
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.load_dataset("digits").image_shape
+    (8, 8)
+    """
+    options = Options(size, seed, rescale, images, split)
     if isinstance(source, tuple):
-        if len(source) not in (2, 4):
-            raise InputError(
-                f"a tuple of {len(source)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
-            )
-        return from_arrays(*source, seed=seed, rescale=rescale)
-    if spectra:
-        bands = indian_pines.BANDS if path is None else None
-        return load_spectra(source).dataset(split or "random", seed, bands, rescale)
-    if path is not None:
-        if pictures:
-            return load_pictures(path, size, seed, rescale, images)
-        return load_npz(path, seed, rescale)
-    if name in CIFAR:
-        return cifar.load(name, size, seed, rescale, images)
-    if name == "digits":
-        return _load_digits(seed, rescale or DIM_BLACK)
-    return idx.load(name, rescale or DIM_BLACK)
+        return _load_arrays(source, options)
+    name = os.fspath(source)
+    return _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
 
 
 def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:
@@ -120,7 +102,7 @@ def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:
 
     Parameters
     ----------
-    source
+    source : str or path
         One of the names that begin with ``indian-pines``, or the path of a cube, as in
         `load_dataset`.
 
@@ -155,20 +137,54 @@ def _existing(name: str) -> Path:
     )
 
 
-def _refuse(option: object, what: str, name: str, who: str) -> None:
-    if option is not None:
-        raise InputError(f"{Path(name).name}: {what} was given; only {who} one, leave it out")
+def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
+    _refuse(options, "arrays")
+    if len(arrays) not in (2, 4):
+        raise InputError(
+            f"a tuple of {len(arrays)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
+        )
+    return from_arrays(*arrays, seed=options.seed, rescale=options.rescale)
+
+
+def _load_name(name: str, options: Options) -> Dataset:
+    size, seed, rescale, images, split = options
+    if name in CIFAR:
+        _refuse(options, name, "size", "images")
+        return cifar.load(name, size, seed, rescale, images)
+    if name in indian_pines.SOURCES:
+        _refuse(options, name, "split")
+        scene = indian_pines.load_scene(name)
+        return scene.dataset(split or "random", seed, indian_pines.BANDS, rescale)
+    _refuse(options, name)
+    if name == "digits":
+        return _load_digits(seed, rescale or DIM_BLACK)
+    return idx.load(name, rescale or DIM_BLACK)
+
+
+def _load_path(path: Path, options: Options) -> Dataset:
+    size, seed, rescale, images, split = options
+    if path.is_dir() or path.suffix.lower() == ".zip":
+        _refuse(options, path.name, "size", "images")
+        return load_pictures(path, size, seed, rescale, images)
+    if path.suffix in SUFFIXES:
+        _refuse(options, path.name, "split")
+        return read_cube(path).dataset(split or "random", seed, rescale=rescale)
+    _refuse(options, path.name)
+    return load_npz(path, seed, rescale)
+
+
+def _refuse(options: Options, name: str, *taken: str) -> None:
+    """Raise `InputError` for an option that is given but not among those that a source takes."""
+    for option, (what, who) in TAKERS.items():
+        if option not in taken and getattr(options, option) is not None:
+            raise InputError(f"{name}: {what} was given; only {who} one, leave it out")
 
 
 def _load_digits(seed: int, rescale: Range) -> Dataset:
     from sklearn.datasets import load_digits
 
     digits = load_digits()
+    scenes = digits.images / 16, digits.target
     return split_arrays(
-        digits.images / 16,
-        digits.target,
-        name="digits",
-        seed=seed,
-        rescale=rescale,
-        values="Divided by 16",
+        scenes, None, name="digits", seed=seed, rescale=rescale, values="Divided by 16"
     )

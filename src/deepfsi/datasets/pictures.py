@@ -106,10 +106,8 @@ def from_listings(
     labels = np.array([picture.label for picture in wanted])
     n = len(train)
     return split_arrays(
-        pixels[:n],
-        labels[:n],
-        pixels[n:] if test else None,
-        labels[n:] if test else None,
+        (pixels[:n], labels[:n]),
+        (pixels[n:], labels[n:]) if test else None,
         name=name,
         seed=seed,
         rescale=rescale,

@@ -253,14 +253,12 @@ class SpectralImage:
             wavelengths[: len(self.wavelengths)] = self.wavelengths
         return assemble(
             self.name,
-            spectra[train],
-            y[train].astype(np.int64),
-            spectra[test],
-            y[test].astype(np.int64),
-            self.class_names,
-            self._describe(split, spectra.shape[1]),
-            rescale,
-            wavelengths,
+            (spectra[train], y[train].astype(np.int64)),
+            (spectra[test], y[test].astype(np.int64)),
+            classes=self.class_names,
+            values=self._describe(split, spectra.shape[1]),
+            rescale=rescale,
+            wavelengths=wavelengths,
         )
 
     def _describe(self, split: str, bands: int) -> str:
