@@ -86,7 +86,7 @@ def main(words: Sequence[str] | None = None) -> dict[str, list[float]]:
         moved = displaced(data)
         found[name] = [
             evaluate(
-                under(design.quantised(1) if binary else design, data, learned, share),
+                under(design.quantised(2) if binary else design, data, learned, share),
                 ambient(tested, share),
                 given.photons * (1 + share),
                 draws=1,

@@ -32,6 +32,7 @@ from deepfsi.sweeps.records import rows, write_table
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import SCHEMA, Trial, plan
 from deepfsi.training.job import REVISION
+from deepfsi.training.learning import train
 from deepfsi.training.memory import footprint
 from deepfsi.training.training_set import TrainingSet
 
@@ -158,6 +159,16 @@ def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     assert {row["levels"] for row in table} == {0}
 
 
+def test_tests_count_grey_levels_as_the_training_does(digits):
+    (trial,) = plan(small(designs="pca", masks=3, photons=1e3, light="equal-dwell"), digits)
+    (design,) = train(TrainingSet(digits, "cpu"), [trial.job])
+    shown = design.quantised(2).rails.unique().double()
+    near = torch.isclose(shown, shown.max(), rtol=1e-6) | (shown == 0)
+    assert near.all()
+    with pytest.raises(ValueError, match="dark alone"):
+        small(test_levels=(0, 1))
+
+
 def test_other_data_changes_the_key(digits):
     other = load_dataset("digits", rescale=(0.1, 1.0))
     keys = [{trial.key for trial in plan(small(), data)} for data in (digits, other)]
@@ -259,7 +270,7 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained):
 def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
     run.run(plan(small(), digits), digits, tmp_path)
     count = len(trained)
-    more = small(test_photons=(1e3, 1e5), test_noise=("poisson", "ml_gauss"), test_levels=(0, 8))
+    more = small(test_photons=(1e3, 1e5), test_noise=("poisson", "ml_gauss"), test_levels=(0, 9))
     records = run.run(plan(more, digits), digits, tmp_path)
     assert len(trained) == count
     assert {len(record["test"]) for record in records} == {2 * 2 * 2}
@@ -359,14 +370,14 @@ def test_gaussian_noise_may_have_budgets_of_its_own(digits):
 
 
 def test_a_table_has_a_row_for_each_test(digits, tmp_path):
-    recipe = small(test_photons=(1e2, 1e4), test_levels=(0, 768))
+    recipe = small(test_photons=(1e2, 1e4), test_levels=(0, 769))
     records = run.run(plan(recipe, digits), digits, tmp_path)
     csv = polars.read_csv(write_table(records, tmp_path / "all.csv"))
     parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
     assert csv.shape == parquet.shape
     assert len(csv) == len(records) * 4
     assert csv["accuracy"].to_list() == [t["accuracy"] for r in records for t in r["test"]]
-    assert set(csv["levels"]) == {0, 768}
+    assert set(csv["levels"]) == {0, 769}
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_table(records, tmp_path / "all.xls")
 

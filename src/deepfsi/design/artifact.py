@@ -315,13 +315,13 @@ class Design:
             self.schedule = self.schedule.to(device)
         return self
 
-    def quantised(self, steps: int) -> "Design":
-        """The design as shown with k / `steps` of each frame's peak (paper: 768).
+    def quantised(self, levels: int) -> "Design":
+        """The design as a device of that many grey levels shows it, dark included (paper: 769).
 
-        Classifier and statistics stay as they are. A device of L grey levels, dark among them, has
-        L − 1 steps; `TrainingSettings.levels` trains for one.
+        Masks are multiples of 1 / (levels − 1) of each frame's peak. Classifier and statistics stay
+        as they are; `TrainingSettings.levels` trains for such a device.
         """
-        rails = constraints.quantise(self.rails, self.light, steps)
+        rails = constraints.quantise(self.rails, self.light, levels - 1)
         return replace(self, rails=rails)
 
     def first(self, masks: int) -> "Design":

@@ -22,17 +22,17 @@ def show(results: Results) -> Finding:
     loss = _mean_loss(results, levels)
     most, where = both.largest
     claim = Claim(
-        f"1/{levels} grey levels cost less than {LOSS} on average",
+        f"{levels} grey levels cost less than {LOSS} on average",
         above([-loss], -LOSS),
         f"mean loss {loss}; largest change {most} at {where}",
     )
     found = (
-        f"With k/{levels} grey levels of each frame's peak accuracy changes by "
+        f"With {levels} grey levels, k/{levels - 1} of each frame's peak, accuracy changes by "
         f"{-loss.mean:+.4f} on average over the grid. The largest change is "
         f"{most}, at {where}. Noise draws are the same in both tests."
     )
     picture = Picture(
-        both.figure(("continuous", f"1/{levels} of the peak")),
+        both.figure(("continuous", f"1/{levels - 1} of the peak")),
         "Accuracy by budget and compression ratio, exact photon noise; triangles mark differences "
         "beyond their interval.",
         "Contour maps of accuracy with and without quantised masks, and of their difference.",

@@ -16,7 +16,7 @@ from deepfsi.optics import codes
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.noise import Noise
-from deepfsi.training.job import TrainingNoise, TrainingSettings, training_for
+from deepfsi.training.job import Levels, TrainingNoise, TrainingSettings, training_for
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""
@@ -70,7 +70,6 @@ Name = Annotated[str, AfterValidator(codes.check_design)]
 Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-Steps = Annotated[int, Field(ge=0, le=2**24)]
 Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
 
 
@@ -137,10 +136,9 @@ class Recipe(BaseModel):
     test_noise: Annotated[tuple[Noise, ...], BeforeValidator(_axis)] = Field(
         (), description="noises of the tests; that of the training unless given"
     )
-    test_levels: Annotated[tuple[Steps, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
+    test_levels: Annotated[tuple[Levels, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
         (0,),
-        description="steps from dark to a frame's peak of the masks shown in the tests, one less "
-        "than the grey levels that `training.levels` counts; 0 for continuous",
+        description="grey levels, dark included, of the masks shown in the tests; 0: continuous",
     )
     training: Axes = Field({}, description="fields of TrainingSettings, for every design")
     tuned: Annotated[dict[str, dict[str, Any]], AfterValidator(_tuned)] = Field(
