@@ -1,6 +1,5 @@
 """Recipes, records and their summary."""
 
-import hashlib
 import json
 import math
 import multiprocessing
@@ -30,8 +29,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows, write_table
 from deepfsi.sweeps.summary import summarise
-from deepfsi.sweeps.trial import SCHEMA, Trial, plan
-from deepfsi.training.job import REVISION
+from deepfsi.sweeps.trial import Trial, plan
 from deepfsi.training.learning import train
 from deepfsi.training.memory import footprint
 from deepfsi.training.training_set import TrainingSet
@@ -105,45 +103,6 @@ def test_every_setting_changes_the_key(digits, change):
     before = {trial.key for trial in plan(small(), digits)}
     after = {trial.key for trial in plan(small(**change), digits)}
     assert len(after - before) >= len(before) / 2
-
-
-def test_a_training_without_levels_has_the_key_it_had_before_there_were_levels(digits):
-    """Records of earlier versions stay valid: both keys, from all that went into them then."""
-    (trial,) = plan(Recipe(designs="deepfsi", photons=1e3, masks=3), digits)
-    training = {
-        "epochs": 40,
-        "batch": None,
-        "lr": 1e-2,
-        "mask_lr": 1e-1,
-        "hidden": [40, 128],
-        "dropout": 0.0,
-        "scale": "common",
-        "decay": 0.0,
-        "start": "pca",
-        "precision": "auto",
-    }
-    job = {
-        "design": "deepfsi",
-        "masks": 3,
-        "photons": 1e3,
-        "noise": "ml_gauss",
-        "sigma": 1.0,
-        "light": "column",
-        "rails": "dual",
-        "seed": 0,
-        "training": training,
-    }
-    trained = {"job": job, "data_hash": digits.hash, "matrix_hash": "", "validation": 239}
-    tested = {"draws": 3, "test_photons": [1e3], "test_noise": ["poisson"], "test_levels": [0]}
-    versions = {"schema": SCHEMA, "revision": REVISION}
-
-    def key(settings: dict) -> str:
-        whole = json.dumps({**versions, **settings}, sort_keys=True)
-        return hashlib.sha256(whole.encode()).hexdigest()[:24]
-
-    assert trial.design_key == key(trained)
-    assert trial.key == key({**trained, **tested})
-    assert "levels" not in trial.job.model_dump_json()
 
 
 def test_levels_are_an_axis_and_a_column(digits, tmp_path):
