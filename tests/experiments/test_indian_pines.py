@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -16,7 +17,17 @@ from deepfsi.datasets import load_spectra
 from deepfsi.experiments import experiment
 from deepfsi.experiments.indian_pines import claims as indian_pines
 from deepfsi.experiments.indian_pines import figures
-from deepfsi.experiments.indian_pines.claims import EXPERIMENT, pack, unpack
+from deepfsi.experiments.indian_pines.claims import EXPERIMENT
+from deepfsi.experiments.indian_pines.measures import (
+    ClassMap,
+    Measures,
+    Overview,
+    Packed,
+    Parts,
+    Recall,
+    SpectralMasks,
+    pack,
+)
 from deepfsi.report.figures import svg
 
 SIMULATED = "indian-pines-surrogate"
@@ -32,16 +43,20 @@ def label_map():
     return labels
 
 
-@pytest.fixture
-def home(tmp_path, monkeypatch):
+def make_home(root, patch):
     """$DEEPFSI_DATA with a label map and a band table, but no cube."""
-    folder = tmp_path / "data" / "indian_pines"
+    folder = root / "data" / "indian_pines"
     folder.mkdir(parents=True)
-    monkeypatch.setenv("DEEPFSI_DATA", str(folder.parent))
+    patch.setenv("DEEPFSI_DATA", str(folder.parent))
     savemat(folder / "Indian_pines_gt.mat", {"indian_pines_gt": label_map()})
     rows = [f"{nm:.6f}\t9.78\t0.92\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
     (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
     return folder
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    return make_home(tmp_path, monkeypatch)
 
 
 def add_cube(home):
@@ -50,7 +65,7 @@ def add_cube(home):
     savemat(home / "Indian_pines.mat", {"indian_pines": cube})
 
 
-def run(folder, monkeypatch, trials):
+def run(folder, patch, trials):
     """Run the study on a grid of a moment."""
     whole = experiment.Experiment.recipes
 
@@ -60,14 +75,24 @@ def run(folder, monkeypatch, trials):
         coarse = whole(self, True, trials)
         return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
 
-    monkeypatch.setattr(experiment.Experiment, "recipes", recipes)
+    patch.setattr(experiment.Experiment, "recipes", recipes)
     results = EXPERIMENT.run(folder, command="deepfsi reproduce indian-pines", trials=trials)
+    patch.setattr(experiment.Experiment, "recipes", whole)
     return results, EXPERIMENT.section(folder)
 
 
-def test_what_is_simulated_says_so_wherever_it_shows(home, tmp_path, monkeypatch):
-    folder = tmp_path / "out"
-    results, section = run(folder, monkeypatch, trials=2)
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Run the study on a simulated scene: (folder, with one trial, with two)."""
+    root = tmp_path_factory.mktemp("simulated")
+    with pytest.MonkeyPatch.context() as patch:
+        make_home(root, patch)
+        one = run(root / "out", patch, trials=1)
+        yield root / "out", one, run(root / "out", patch, trials=2)
+
+
+def test_what_is_simulated_says_so_wherever_it_shows(simulated):
+    folder, _, (results, section) = simulated
     assert "simulated" in section.title
     assert SIMULATED in section.title
     assert section.found.startswith("These are not numbers of the real scene")
@@ -87,8 +112,8 @@ def test_what_is_simulated_says_so_wherever_it_shows(home, tmp_path, monkeypatch
     assert {point["split"] for point in results["points"]} == {"random", "blocks"}
 
 
-def test_both_splits_are_trained_and_tested_apart(home, tmp_path, monkeypatch):
-    results, section = run(tmp_path / "out", monkeypatch, trials=1)
+def test_both_splits_are_trained_and_tested_apart(simulated):
+    _, (results, section), _ = simulated
     keys = {
         split: {key for point in experiment.points(results, split=split) for key in point["keys"]}
         for split in ("random", "blocks")
@@ -98,7 +123,7 @@ def test_both_splits_are_trained_and_tested_apart(home, tmp_path, monkeypatch):
     scene = load_spectra(SIMULATED)
     for split, part in results["extra"]["parts"].items():
         train, test = scene.parts(split)
-        uses = unpack(part["uses"])
+        uses = Packed(**part["uses"]).values
         assert np.array_equal(uses == 1, train)
         assert np.array_equal(uses == 2, test)
         assert np.array_equal(uses > 0, scene.labels > 0)
@@ -106,11 +131,13 @@ def test_both_splits_are_trained_and_tested_apart(home, tmp_path, monkeypatch):
     assert not any(claim.holds for claim in section.claims), "one trial has no interval over seeds"
 
 
-def test_maps_show_what_the_design_says_of_each_pixel(home, tmp_path, monkeypatch):
-    results, _ = run(tmp_path / "out", monkeypatch, trials=1)
+def test_maps_show_what_the_design_says_of_each_pixel(simulated):
+    _, (results, _), _ = simulated
+    extra = results["extra"]
     scene = load_spectra(SIMULATED)
-    for row in results["extra"]["maps"]:
-        seen, uses = unpack(row["map"]), unpack(results["extra"]["parts"][row["split"]]["uses"])
+    for row in extra["maps"]:
+        seen = Packed(**row["map"]).values
+        uses = Packed(**extra["parts"][row["split"]]["uses"]).values
         assert np.array_equal(seen > 0, scene.labels > 0)
         right = seen == scene.labels
         assert row["test"] == right[uses == 2].mean()
@@ -166,6 +193,18 @@ LEVEL = {"deepfsi": 0.8, "pca": 0.7, "truncated-hadamard": 0.6, "control": 0.65,
 BUDGETS = (1e2, 1e4, 1e6)
 
 
+def overview(labels, classes, wavelengths=None, spectra=None, water=()):
+    labels = np.array(labels)
+    spectra = spectra or {classes[0]: [[0.1, 0.2, 0.3]] * 3}
+    bands = np.shape(next(iter(spectra.values())))[1]
+    return Overview(classes, pack(labels), pack(labels), None, bands, wavelengths, water, spectra)
+
+
+def measured(labels, *recalls):
+    scene, parts = overview(labels, ["a", "b"]), Parts(pack(np.array(labels)), 3, 2, 0, 2)
+    return Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
+
+
 def answers(recall=(0.9, 0.8), **changed):
     """Answers to all claims: an advantage under PN, none under AGN, or with changes."""
     points = []
@@ -195,33 +234,21 @@ def answers(recall=(0.9, 0.8), **changed):
                     "accuracies": [level - spread, level, level + spread],
                 }
             )
-    labels = np.array([[0, 1, 1], [2, 2, 2]])
-    parts = {"uses": pack(labels), "train": 3, "test": 2, "left_out": 0, "classes_tested": 2}
     results = {
         "recipe": {"data": SIMULATED, "sigma": 1.0},
         "data": {"classes": ["a", "b"], "image_shape": [4]},
         "chosen_on": "validation",
         "points": points,
-        "extra": {
-            "scene": {
-                "classes": ["a", "b"],
-                "labels": pack(labels),
-                "band": pack(labels),
-                "band_nm": None,
-                "bands": 3,
-                "wavelengths": None,
-                "water": [],
-                "spectra": {"a": [[0.1, 0.2, 0.3]] * 3},
-            },
-            "parts": {"random": parts, "blocks": parts},
-            "maps": [],
-            "masks": [],
-            "recalls": [
-                {"split": split, "photons": b, "rates": [[rate - 0.001, None], [rate, 0.0]]}
-                for split, rate in zip(("random", "blocks"), recall, strict=True)
-                for b in BUDGETS
-            ],
-        },
+        "extra": asdict(
+            measured(
+                [[0, 1, 1], [2, 2, 2]],
+                *(
+                    Recall(split, photons, [[rate - 0.001, None], [rate, 0.0]])
+                    for split, rate in zip(("random", "blocks"), recall, strict=True)
+                    for photons in BUDGETS
+                ),
+            )
+        ),
     }
     return [claim.holds for claim in indian_pines.show(results).claims]
 
@@ -257,23 +284,20 @@ def test_claims_answer_to_the_numbers(place, change, answer):
 
 def test_leakage_weighs_classes_by_their_share_of_the_scene():
     """A class that one split does not test counts in neither."""
-    labels = np.array([1] * 6 + [2] * 2 + [3] * 9)
-    extra = {
-        "scene": {"labels": pack(labels)},
-        "recalls": [
-            {"split": "random", "photons": 1e4, "rates": [[1.0, 0.6, 0.0]]},
-            {"split": "blocks", "photons": 1e4, "rates": [[0.5, 0.2, None]]},
-        ],
-    }
-    one, other, apart = indian_pines._leakage(extra, ("random", "blocks"))[1e4]
-    assert one == pytest.approx((6 * 1 + 2 * 0.6) / 8)
-    assert other == pytest.approx((6 * 0.5 + 2 * 0.2) / 8)
-    assert apart.mean == pytest.approx(one - other)
+    measures = measured(
+        [1] * 6 + [2] * 2 + [3] * 9,
+        Recall("random", 1e4, [[1.0, 0.6, 0.0]]),
+        Recall("blocks", 1e4, [[0.5, 0.2, None]]),
+    )
+    found = indian_pines.leakage(measures)[1e4]
+    assert found.random == pytest.approx((6 * 1 + 2 * 0.6) / 8)
+    assert found.blocks == pytest.approx((6 * 0.5 + 2 * 0.2) / 8)
+    assert found.difference.mean == pytest.approx(found.random - found.blocks)
 
 
 def test_small_numbers_survive_json():
     values = np.arange(12).reshape(3, 4) * 20
-    assert np.array_equal(unpack(json.loads(json.dumps(pack(values)))), values)
+    assert np.array_equal(Packed(**json.loads(json.dumps(asdict(pack(values))))).values, values)
 
 
 # ---------------------------------------------------------------- figures
@@ -286,13 +310,9 @@ def names(count):
 def mask_rows(count=2, bands=220):
     rng = np.random.default_rng(1)
     return [
-        {
-            "photons": 10.0 ** (2 + 3 * row),
-            "gaussian": rng.normal(size=(4, bands)),
-            "poisson": rng.normal(size=(3, bands)),
-            "gaussian_masks": 10,
-            "poisson_masks": 3,
-        }
+        SpectralMasks(
+            10.0 ** (2 + 3 * row), rng.normal(size=(4, bands)), 10, rng.normal(size=(3, bands)), 3
+        )
         for row in range(count)
     ]
 
@@ -302,10 +322,9 @@ def mask_rows(count=2, bands=220):
 def test_the_overview_can_be_read(count, wavelengths):
     labels = np.minimum(label_map(), count)
     spread = np.linspace(0.1, 0.3, 3)[:, None] * np.ones(220)
-    figure = figures.overview_figure(
-        label_map(), labels, names(count), {"a": spread, "b": 2 * spread}, wavelengths,
-        [[1350, 1400]] if wavelengths is not None else [], title="farm", band_name="band 12",
-    )  # fmt: skip
+    water = [[1350, 1400]] if wavelengths is not None else []
+    scene = overview(labels, names(count), wavelengths, {"a": spread, "b": 2 * spread}, water)
+    figure = figures.overview_figure(scene, title="farm", band_name="band 12")
     figure.draw_without_rendering()
     counts = [patch.get_width() for patch in figure.axes[2].patches]
     assert counts == np.bincount(labels.ravel())[1:].tolist()
@@ -318,16 +337,16 @@ def test_the_overview_can_be_read(count, wavelengths):
 def test_maps_stand_beside_the_truth():
     labels = label_map()
     rows = [
-        {"split": split, "photons": photons, "map": np.roll(labels, k, 0), "test": 0.5, "train": 1}
+        ClassMap(split, photons, pack(np.roll(labels, k, 0)), 1.0, 0.5)
         for split in ("random", "blocks")
         for k, photons in enumerate((1e2, 1e4, 1e6))
     ]
     uses = {"random": np.minimum(labels, 3), "blocks": np.minimum(labels, 2)}
-    figure = figures.class_maps_figure(labels, names(16), rows, uses, title="farm")
+    figure = figures.class_maps_figure(overview(labels, names(16)), rows, uses, title="farm")
     shown = [ax.get_images()[0].get_array() for ax in figure.axes]
     assert len(shown) == 10
     for line, split in ((shown[:5], "random"), (shown[5:], "blocks")):
-        wanted = [labels, uses[split], *(r["map"] for r in rows if r["split"] == split)]
+        wanted = [labels, uses[split], *(r.map.values for r in rows if r.split == split)]
         for got, each in zip(line, wanted, strict=True):
             np.testing.assert_array_equal(got, each)
     said = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
@@ -337,12 +356,13 @@ def test_maps_stand_beside_the_truth():
 @pytest.mark.parametrize("wavelengths", [NM, None])
 def test_masks_are_curves_over_rising_wavelengths(wavelengths):
     rows = mask_rows()
-    figure = figures.spectral_masks_figure(rows, wavelengths, title="farm")
+    scene = overview(label_map(), names(16), wavelengths)
+    figure = figures.spectral_masks_figure(rows, scene, title="farm")
     assert_legible(figure)
     line = figure.axes[0].lines[0]
     assert (np.diff(line.get_xdata()) > 0).all()
     order = np.arange(220) if wavelengths is None else np.argsort(NM, kind="stable")
-    np.testing.assert_array_equal(line.get_ydata(), rows[0]["gaussian"][0][order])
+    np.testing.assert_array_equal(line.get_ydata(), rows[0].gaussian[0][order])
     assert figure.get_supxlabel() == ("band" if wavelengths is None else "wavelength (nm)")
 
 

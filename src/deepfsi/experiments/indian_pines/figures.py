@@ -11,12 +11,12 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from scipy.ndimage import distance_transform_edt
 
+from deepfsi.experiments.indian_pines.measures import ClassMap, Overview, SpectralMasks
 from deepfsi.report.figures import (
     COLOURS,
     GRID,
     INK,
     MUTED,
-    Point,
     noise_text,
     photons_text,
     styled,
@@ -40,7 +40,10 @@ USES = (
     (ON_LIGHT, "left out beside test"),
 )
 USE_MAP = ListedColormap([colour for colour, _ in USES])
-MAPS_WIDTH = 9.6  # inches
+
+MAPS_WIDTH = 9.6
+"""Width of the class maps, inches."""
+
 CURVES: tuple[dict[str, Any], ...] = (
     {"color": COLOURS["pca"], "linestyle": "-"},
     {"color": COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
@@ -51,81 +54,38 @@ PAIR: tuple[dict[str, Any], ...] = (CURVES[0], CURVES[1])
 
 
 @styled
-def overview_figure(
-    band: np.ndarray,
-    labels: np.ndarray,
-    names: Sequence[str],
-    spectra: Mapping[str, np.ndarray],
-    wavelengths: np.ndarray | None,
-    water: Sequence[Sequence[float]] = (),
-    *,
-    title: str,
-    band_name: str,
-) -> Figure:
+def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
     """One band of a scene, its classes, how many pixels each has, and spectra of some.
 
     Parameters
     ----------
-    band : array, shape (H, W)
-        Values of the band, on any scale.
-    labels : array, shape (H, W)
-        Class of each pixel from 1, 0 for none.
-    names : sequence of str
-        Of the classes, sixteen at most.
-    spectra : mapping of str to array, shape (3, B)
-        For some classes a low, middle and high value of each band, in [0, 1].
-    wavelengths : array, shape (B,), optional
-        Centre of each band in nm, in any order; band numbers are drawn without.
-    water : sequence of pairs
-        Shortest and longest wavelength of what is shaded, nm.
+    scene : Overview
+        Of sixteen classes at most. Band numbers are drawn where wavelengths are not known.
     title : str
         What the scene is called.
     band_name : str
     """
+    labels = scene.labels.values
     figure = Figure(figsize=(PAGE_WIDTH, 6.4), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
     panels = figure.subplots(2, 2, height_ratios=(1.15, 1))
-    ax = panels[0, 0]
-    ax.imshow(band, cmap=GREYS, interpolation="none")
-    ax.set_title(band_name)
-    _bare(ax)
-    ax = panels[0, 1]
-    _class_map(ax, labels)
-    ax.set_title("classes")
-    _number_fields(ax, labels, len(names))
-    ax = panels[1, 0]
-    places = np.arange(1, len(names) + 1)
-    counts = np.bincount(labels.ravel(), minlength=len(names) + 1)[1:]
-    ax.barh(places, counts, color=CLASS_COLOURS[: len(names)], edgecolor=INK, linewidth=0.4)
-    ax.set_yticks(places, [f"{k} {name}" for k, name in zip(places, names, strict=True)])
-    ax.tick_params(axis="y", labelsize=SMALL, length=0)
-    ax.set_ylim(len(names) + 0.6, 0.4)
-    ax.set_xlim(0, 1.2 * counts.max())
-    for place, count in zip(places, counts, strict=True):
-        ax.annotate(
-            str(count), (count, place), (3, 0), textcoords="offset points",
-            verticalalignment="center", fontsize=SMALL,
-        )  # fmt: skip
-    ax.set_xlabel("labelled pixels")
-    ax = panels[1, 1]
-    x, order = _bands(wavelengths, next(iter(spectra.values())).shape[1])
-    for (name, (low, middle, high)), look in zip(spectra.items(), PAIR, strict=False):
-        ax.fill_between(x, low[order], high[order], color=look["color"], alpha=0.2, linewidth=0)
-        ax.plot(x, middle[order], label=name, linewidth=1.2, **look)
-    _shade(ax, water)
-    ax.set_ylim(bottom=0)
-    ax.set_xlim(x[0], x[-1])
-    ax.legend(frameon=False, fontsize=SMALL)
-    ax.set_xlabel(_band_label(wavelengths))
-    ax.set_ylabel("value, scaled to [0, 1]")
+    band = panels[0, 0]
+    band.imshow(scene.band.values, cmap=GREYS, interpolation="none")
+    band.set_title(band_name)
+    _bare(band)
+    classes = panels[0, 1]
+    _class_map(classes, labels)
+    classes.set_title("classes")
+    _number_fields(classes, labels, len(scene.classes))
+    _count_pixels(panels[1, 0], labels, scene.classes)
+    _draw_spectra(panels[1, 1], scene)
     return figure
 
 
 @styled
 def class_maps_figure(
-    truth: np.ndarray,
-    names: Sequence[str],
-    rows: Sequence[Point],
+    scene: Overview,
+    rows: Sequence[ClassMap],
     uses: Mapping[str, np.ndarray],
     *,
     title: str,
@@ -134,19 +94,16 @@ def class_maps_figure(
 
     Parameters
     ----------
-    truth : array, shape (H, W)
-        Class of each pixel from 1, 0 for none.
-    names : sequence of str
-        Of the classes, sixteen at most.
-    rows : sequence of mapping
-        `split`; `photons`, the budget; `map`, the classes as in `truth`; `test` and `train`, the
-        accuracy on the pixels of each.
+    scene : Overview
+        Of sixteen classes at most.
+    rows : sequence of ClassMap
     uses : mapping of str to array, shape (H, W)
         For each split what pixels are for: 0 nothing, 1 training, 2 test, 3 neither.
     title : str
         What the scene is called.
     """
-    budgets = sorted({row["photons"] for row in rows})
+    truth, names = scene.labels.values, scene.classes
+    budgets = sorted({row.photons for row in rows})
     columns = 2 + len(budgets)
     height = len(uses) * (MAPS_WIDTH / columns + 0.25) + 0.16 * -(-len(names) // 5) + 0.6
     figure = Figure(figsize=(MAPS_WIDTH, height), layout="constrained")
@@ -161,11 +118,11 @@ def class_maps_figure(
         for ax, photons in zip(line[2:], budgets, strict=True):
             _bare(ax)
             for row in rows:
-                if (row["split"], row["photons"]) == (split, photons):
-                    _class_map(ax, row["map"])
+                if (row.split, row.photons) == (split, photons):
+                    _class_map(ax, row.map.values)
                     ax.set_title(
                         f"{photons_text(photons)} photons\n"
-                        f"test {row['test']:.2f}, training {row['train']:.2f}",
+                        f"test {row.test:.2f}, training {row.train:.2f}",
                         fontsize=8,
                     )
     _number_fields(panels[0, 0], truth, len(names))
@@ -182,24 +139,14 @@ def class_maps_figure(
 
 
 @styled
-def spectral_masks_figure(
-    rows: Sequence[Point],
-    wavelengths: np.ndarray | None,
-    water: Sequence[Sequence[float]] = (),
-    *,
-    title: str,
-) -> Figure:
+def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, title: str) -> Figure:
     """Masks learned under both noises as curves over wavelength, by photon budget.
 
     Parameters
     ----------
-    rows : sequence of mapping
-        `photons`, the budget; `gaussian` and `poisson`, some masks under each noise, array of shape
-        (k, B); and `gaussian_masks` and `poisson_masks`, how many there are.
-    wavelengths : array, shape (B,), optional
-        Centre of each band in nm, in any order; band numbers are drawn without.
-    water : sequence of pairs
-        Shortest and longest wavelength of what is shaded, nm.
+    rows : sequence of SpectralMasks
+    scene : Overview
+        Band numbers are drawn where its wavelengths are not known.
     title : str
         What the masks were learned on.
 
@@ -212,34 +159,71 @@ def spectral_masks_figure(
     figure.suptitle(title, fontsize=10, fontweight="bold")
     panels = figure.subplots(len(rows), len(AXIS_NOISES), squeeze=False, sharex=True)
     for line, row in zip(panels, rows, strict=True):
+        kinds = {
+            "gaussian": (row.gaussian, row.gaussian_masks),
+            "poisson": (row.poisson, row.poisson_masks),
+        }
         for ax, noise in zip(line, AXIS_NOISES, strict=True):
-            x, order = _bands(wavelengths, row[noise].shape[1])
-            for mask, look in zip(row[noise], CURVES, strict=False):
+            curves, masks = np.array(kinds[noise][0]), kinds[noise][1]
+            x, order = _bands(scene.wavelengths, curves.shape[1])
+            for mask, look in zip(curves, CURVES, strict=False):
                 ax.plot(x, mask[order], linewidth=1.1, **look)
             ax.axhline(0, color=MUTED, linewidth=0.6)
-            _shade(ax, water)
-            count = min(len(row[noise]), len(CURVES))
+            _shade(ax, scene.water)
+            count = min(len(curves), len(CURVES))
             ax.set_title(
-                f"{photons_text(row['photons'])} photons, {noise_text(noise)}: "
-                f"{count} of {row[f'{noise}_masks']} masks",
+                f"{photons_text(row.photons)} photons, {noise_text(noise)}: "
+                f"{count} of {masks} masks",
                 fontsize=SMALL + 0.5,
             )
             ax.set_xlim(x[0], x[-1])
-    figure.supxlabel(_band_label(wavelengths), fontsize=9)
+    figure.supxlabel(_band_label(scene), fontsize=9)
     figure.supylabel("share of a band's photons, Mᵢⱼ", fontsize=9)
     return figure
 
 
-def _bands(wavelengths: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _count_pixels(ax: Axes, labels: np.ndarray, names: Sequence[str]) -> None:
+    """Draw a bar of each class's labelled pixels."""
+    places = np.arange(1, len(names) + 1)
+    counts = np.bincount(labels.ravel(), minlength=len(names) + 1)[1:]
+    ax.barh(places, counts, color=CLASS_COLOURS[: len(names)], edgecolor=INK, linewidth=0.4)
+    ax.set_yticks(places, [f"{k} {name}" for k, name in zip(places, names, strict=True)])
+    ax.tick_params(axis="y", labelsize=SMALL, length=0)
+    ax.set_ylim(len(names) + 0.6, 0.4)
+    ax.set_xlim(0, 1.2 * counts.max())
+    for place, count in zip(places, counts, strict=True):
+        ax.annotate(
+            str(count), (count, place), (3, 0), textcoords="offset points",
+            verticalalignment="center", fontsize=SMALL,
+        )  # fmt: skip
+    ax.set_xlabel("labelled pixels")
+
+
+def _draw_spectra(ax: Axes, scene: Overview) -> None:
+    """Draw the median spectrum of some classes, and the range of most pixels."""
+    x, order = _bands(scene.wavelengths, scene.bands)
+    for (name, percentiles), look in zip(scene.spectra.items(), PAIR, strict=False):
+        low, middle, high = np.array(percentiles)[:, order]
+        ax.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0)
+        ax.plot(x, middle, label=name, linewidth=1.2, **look)
+    _shade(ax, scene.water)
+    ax.set_ylim(bottom=0)
+    ax.set_xlim(x[0], x[-1])
+    ax.legend(frameon=False, fontsize=SMALL)
+    ax.set_xlabel(_band_label(scene))
+    ax.set_ylabel("value, scaled to [0, 1]")
+
+
+def _bands(wavelengths: Sequence[float] | None, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Places of bands on an axis, rising, and the order of the bands."""
     if wavelengths is None:
         return np.arange(1, count + 1), np.arange(count)
     order = np.argsort(wavelengths, kind="stable")
-    return wavelengths[order], order
+    return np.array(wavelengths)[order], order
 
 
-def _band_label(wavelengths: np.ndarray | None) -> str:
-    return "band" if wavelengths is None else "wavelength (nm)"
+def _band_label(scene: Overview) -> str:
+    return "band" if scene.wavelengths is None else "wavelength (nm)"
 
 
 def _shade(ax: Axes, spans: Sequence[Sequence[float]]) -> None:
