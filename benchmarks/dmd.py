@@ -5,7 +5,7 @@
 
 32 x 32 cells of 24 x 32 mirrors; a frame is 98 304 bytes. "hadamard" is 1024 signed masks, 2047
 frames of full and dark cells; "grey" is 92 signed masks, 184 frames with every grey level. Ours is
-`deepfsi.hardware.dmd.make_frames`, one thread. Beside it, for each frame,
+`deepfsi.hardware.patterns.mirrors.make_frames`, one thread. Beside it, for each frame,
 
     ordered    the mask enlarged by `numpy.kron`, compared with the order of the mirrors (made
                beforehand), and `numpy.packbits`; the frames are the same, bit by bit
@@ -33,9 +33,9 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
-from deepfsi.hardware.patterns.sequence import DEVICES, Format, find_grid
+from deepfsi.hardware.patterns.sequence import DEVICES, Format, FrameSettings, find_grid
 from deepfsi.optics import codes
 
 DEVICE = DEVICES["dlp7000"]
@@ -93,9 +93,10 @@ def export(rails: np.ndarray, form: Format) -> int:
     """Write a folder; its number of frames."""
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
-            rails, "equal-dwell", SHAPE, DEVICE, 1e-3, Path(folder) / "patterns",
-            summed_reflectance=1.0, format=form,
-        )  # fmt: skip
+            DesignRails(rails, "equal-dwell", SHAPE, summed_reflectance=1.0),
+            FrameSettings(DEVICE, 1e-3, format=form),
+            Path(folder) / "patterns",
+        )
     return len(patterns.manifest.frames)
 
 
@@ -155,7 +156,7 @@ def main(given: Sequence[str] | None = None) -> None:
     works = dict(zip(("hadamard", "grey"), arguments.masks, strict=True))
     rails = {name: signed(name, masks) for name, masks in works.items()}
     on = {
-        name: count_mirrors(given, "equal-dwell", GRID.mirrors)[2] for name, given in rails.items()
+        name: count_mirrors(given, "equal-dwell", GRID.mirrors).on for name, given in rails.items()
     }
     rates: dict[tuple[str, ...], list[float]] = {}
     for _ in range(arguments.rounds):

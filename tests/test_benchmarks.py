@@ -161,7 +161,7 @@ def test_the_comparison_of_gradients_runs(tmp_path, capsys):
 
 def test_frames_are_compared_on_the_same_work(capsys):
     frames = benchmark("dmd")
-    on = frames.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors)[2]
+    on = frames.count_mirrors(frames.signed("grey", 2), "equal-dwell", frames.GRID.mirrors).on
     for ours, plain in zip(frames.our_ordered(on), frames.plain_ordered(on), strict=True):
         assert (ours == plain).all()
     for way in (frames.our_random, frames.plain_random):

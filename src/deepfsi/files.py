@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from deepfsi.errors import InputError
+
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write a file so that it is either whole or not there; parent folders are made."""
@@ -36,8 +38,16 @@ def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 @contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Make a folder that takes an empty one's place, or none's, when the block ends well."""
+    """Make a folder that takes an empty one's place, or none's, when the block ends well.
+
+    Raises
+    ------
+    InputError
+        If the path holds something already.
+    """
     target = Path(path)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} exists already: give a new folder")
     target.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:

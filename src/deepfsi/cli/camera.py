@@ -67,10 +67,16 @@ def dmd_export(
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
     """
     from deepfsi.design.artifact import Design
-    from deepfsi.hardware.patterns.folder import export_patterns
-    from deepfsi.hardware.patterns.sequence import find_device
+    from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+    from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
 
-    target, mean = find_device(device), options.seconds("dwell", dwell)
+    settings = FrameSettings(
+        find_device(device),
+        options.seconds("dwell", dwell),
+        selection,  # type: ignore[arg-type]
+        seed,
+        kind,  # type: ignore[arg-type]
+    )
     made = Design.load(file)
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
@@ -78,18 +84,16 @@ def dmd_export(
     check_writable(out.parent)
     with progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(
-            made.rails.numpy(),
-            made.light,
-            made.image_shape,
-            target,
-            mean,
+            DesignRails(
+                made.rails.numpy(),
+                made.light,
+                made.image_shape,
+                made.summed_reflectance,
+                file.read_bytes(),
+            ),
+            settings,
             out,
-            summed_reflectance=made.summed_reflectance,
-            selection=selection,  # type: ignore[arg-type]
-            seed=seed,
-            format=kind,  # type: ignore[arg-type]
-            design=file.read_bytes(),
-            progress=report,
+            report,
         )
     _print_patterns(patterns, out, as_json)
 
@@ -134,26 +138,20 @@ def camera_simulate(
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
     from deepfsi.datasets import read_display
-    from deepfsi.hardware.virtual.camera import record
+    from deepfsi.hardware.virtual.camera import RecordingSettings, record
 
-    model = _camera(settings)
+    how = RecordingSettings(
+        _camera(settings),
+        flux,
+        options.seconds("exposure", exposure),
+        options.optional_seconds("settle", settle),
+        repeats,
+        seed,
+    )
     images = read_display(scene)
     check_writable(out.parent)
     with progress("photons", quiet=as_json) as report:
-        made = record(
-            patterns,
-            images.x,
-            images.names,
-            images.labels,
-            out,
-            camera=model,
-            flux=flux,
-            exposure_s=options.seconds("exposure", exposure),
-            settle_s=options.optional_seconds("settle", settle),
-            repeats=repeats,
-            seed=seed,
-            progress=report,
-        )
+        made = record(patterns, images.x, images.names, images.labels, out, how, report)
     if as_json:
         print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
         return
@@ -413,12 +411,12 @@ def _check_shown(file: Path, patterns: "Patterns") -> None:
 def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.hardware.patterns.gates import find_cost, longest_exposure
+    from deepfsi.hardware.patterns.gates import find_cost, find_gates, longest_exposure
 
     manifest = patterns.manifest
     sentinels = len(manifest.frames) - len(manifest.shown)
     longest = longest_exposure(manifest, manifest.device.settle_us * 1e-6)
-    cost = find_cost(manifest, longest)
+    cost = find_cost(manifest, find_gates(manifest, longest))
     if as_json:
         print_json(
             {

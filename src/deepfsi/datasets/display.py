@@ -5,7 +5,6 @@ A picture is what the display shows: grey levels 0 to 255 are reflectance 0 to 1
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.pictures import Picture, is_image, list_folder, opener, read_all
 from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
+from deepfsi.files import new_folder
 
 
 class Display(NamedTuple):
@@ -114,12 +113,9 @@ def write_pictures(
     """
     from PIL import Image
 
-    target = Path(folder)
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} holds something already: name a new folder")
-    written = []
-    for name, picture in pictures.items():
-        content = io.BytesIO()
-        Image.fromarray(np.rint(picture * 255).astype(np.uint8)).save(content, format="PNG")
-        written.append(write_atomically(target / name, content.getvalue()))
-    return written
+    with new_folder(folder) as draft:
+        for name, picture in pictures.items():
+            path = draft / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.rint(picture * 255).astype(np.uint8)).save(path, format="PNG")
+    return [Path(folder) / name for name in pictures]

@@ -12,10 +12,11 @@ from scipy import ndimage
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration import fit as cal
-from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import (
     Device,
     Frame,
+    FrameSettings,
     Manifest,
     Patterns,
     find_device,
@@ -459,22 +460,15 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     )
     raster = np.eye(256)[None] / 256
     export_patterns(
-        raster, "equal-dwell", shape, device, 4e-3, tmp_path / "patterns", summed_reflectance=150.0
+        DesignRails(raster, "equal-dwell", shape, summed_reflectance=150.0),
+        FrameSettings(device, 4e-3),
+        tmp_path / "patterns",
     )
     spots = cal.spot_scenes((32, 32), (3, 3), 4)
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     names = [f"scene {k}" for k in range(len(scenes))]
-    camera.record(
-        tmp_path / "patterns",
-        scenes,
-        names,
-        None,
-        tmp_path / "run",
-        camera=eyes,
-        flux=2e7,
-        exposure_s=1.0,
-        seed=0,
-    )
+    settings = camera.RecordingSettings(eyes, flux=2e7, exposure_s=1.0)
+    camera.record(tmp_path / "patterns", scenes, names, None, tmp_path / "run", settings)
     counts = count(tmp_path / "run")
     pictures = counts.counts[:, 0, 0].reshape(-1, *shape)  # of a raster
     dark, ambient = cal.black_rates(counts.on_rate[-1:], counts.off_rate[-1:])

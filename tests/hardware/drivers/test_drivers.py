@@ -12,12 +12,18 @@ import pytest
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.drivers.protocols import PatternProjector, PhotonCounter, scan
-from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
-from deepfsi.hardware.patterns.sequence import Device
+from deepfsi.hardware.patterns.folder import (
+    DesignRails,
+    export_patterns,
+    read_frames,
+    read_patterns,
+)
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings
 from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
 from deepfsi.hardware.virtual.devices import VirtualCounter, VirtualProjector
+from deepfsi.progress import Report
 
 DEVICE = Device(name="small", columns=64, rows=24)
 BUSY = 3  # how often the fake says that it still shows something, for each sequence
@@ -160,7 +166,9 @@ def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE):
     else:
         rails /= rails.max(axis=2).sum()
     export_patterns(
-        rails, light, (4, 8), device, 1e-3, folder, summed_reflectance=10.0, format=format
+        DesignRails(rails, light, (4, 8), summed_reflectance=10.0),
+        FrameSettings(device, 1e-3, format=format),
+        folder,
     )
     return folder
 
@@ -179,7 +187,7 @@ def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format)
     folder = patterns(tmp_path / "patterns", light, format)
     shares = []
     with vialux.VialuxProjector() as projector:
-        projector.load(folder, shares.append)
+        projector.load(folder, Report(lambda share, _: shares.append(share)))
         loaded = dict(library.sequences)
         for _ in range(2):
             projector.run()
@@ -283,13 +291,9 @@ def test_what_the_device_cannot_show_is_refused(library, tmp_path):
     folder = patterns(tmp_path / "patterns")
     other = patterns(tmp_path / "other", device=Device(name="other", columns=72, rows=24))
     slow = export_patterns(
-        np.ones((1, 1, 32)),
-        "equal-dwell",
-        (4, 8),
-        DEVICE,
-        20.0,
+        DesignRails(np.ones((1, 1, 32)), "equal-dwell", (4, 8), summed_reflectance=10.0),
+        FrameSettings(DEVICE, 20.0),
         tmp_path / "slow",
-        summed_reflectance=10.0,
     )
     assert slow.manifest.frames[0].picture_us == 20_000_000
     with vialux.VialuxProjector() as projector:

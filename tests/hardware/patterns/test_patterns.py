@@ -22,6 +22,7 @@ from scipy.linalg import hadamard
 from conftest import CASES, FLOAT32
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import (
+    DesignRails,
     check_patterns,
     export_patterns,
     read_frames,
@@ -29,8 +30,15 @@ from deepfsi.hardware.patterns.folder import (
 )
 from deepfsi.hardware.patterns.gates import find_cost, find_gates
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
-from deepfsi.hardware.patterns.sequence import DEVICES, Device, find_device, find_grid
+from deepfsi.hardware.patterns.sequence import (
+    DEVICES,
+    Device,
+    FrameSettings,
+    find_device,
+    find_grid,
+)
 from deepfsi.optics import constraints
+from deepfsi.progress import SILENT, Report
 
 FORMATS = ("npy", "png", "raw")
 SMALL = find_device("67x50")
@@ -53,15 +61,13 @@ def grey(masks: int = 5, pixels: int = 16, rails: int = 2, seed: int = 0) -> np.
     return out / out.max(axis=-1).sum()
 
 
-def export(folder: Path, rails: np.ndarray | None = None, light="free-dwell", **changes):
-    given = {
-        "image_shape": (4, 4),
-        "device": SMALL,
-        "dwell_s": 1e-3,
-        "summed_reflectance": 3.0,
-        **changes,
-    }
-    return export_patterns(grey() if rails is None else rails, light, folder=folder, **given)
+def export(
+    folder: Path, rails=None, light="free-dwell", image_shape=(4, 4), s=3.0, file=None,
+    report=SILENT, **changes,
+):  # fmt: skip
+    settings = FrameSettings(**{"device": SMALL, "dwell_s": 1e-3, **changes})
+    design = DesignRails(grey() if rails is None else rails, light, image_shape, s, file)
+    return export_patterns(design, settings, folder, report)
 
 
 def hadamard_rails(order: int) -> np.ndarray:
@@ -286,7 +292,7 @@ def test_random_mirrors_are_drawn_anew_for_each_cell_and_frame_and_follow_the_se
 @pytest.mark.parametrize("device", [SMALL, find_device("64x32")], ids=lambda one: one.name)
 def test_what_is_read_back_is_what_was_written(tmp_path, form, selection, device):
     written = export(
-        tmp_path / "p", device=device, format=form, selection=selection, seed=5, design=b"masks"
+        tmp_path / "p", device=device, format=form, selection=selection, seed=5, file=b"masks"
     )
     read = read_patterns(tmp_path / "p")
     assert read.manifest == written.manifest
@@ -377,22 +383,22 @@ def test_a_long_sequence_needs_the_memory_of_a_few_frames():
 
 
 def test_an_export_that_stops_leaves_nothing(tmp_path):
-    def stop(share: float) -> None:
+    def stop(share: float, what: str) -> None:
         if share > 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        export(tmp_path / "p", progress=stop)
+        export(tmp_path / "p", report=Report(stop))
     assert not list(tmp_path.iterdir())
 
 
 def test_progress_and_rights_of_the_folder(tmp_path):
     seen: list[float] = []
-    export(tmp_path / "deep" / "p", progress=seen.append)
+    export(tmp_path / "deep" / "p", report=Report(lambda share, _: seen.append(share)))
     assert seen == sorted(seen)
     assert seen[-1] == 1
     checked: list[float] = []
-    check_patterns(tmp_path / "deep" / "p", checked.append)
+    check_patterns(tmp_path / "deep" / "p", Report(lambda share, _: checked.append(share)))
     assert checked == seen
     umask = os.umask(0)
     os.umask(umask)
@@ -532,7 +538,7 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
 
 
 def test_another_design_beside_the_frames_is_found(tmp_path):
-    export(tmp_path / "p", design=b"masks")
+    export(tmp_path / "p", file=b"masks")
     path = tmp_path / "p" / "design.safetensors"
     path.write_bytes(b"others")
     with pytest.raises(InputError, match="not the design that was exported"):
@@ -618,7 +624,7 @@ def test_pictures_share_out_what_is_left_beyond_settling(tmp_path):
 @pytest.mark.parametrize("light", ["free-dwell", "equal-dwell"])
 def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, light):
     manifest = export(tmp_path / "p", light=light, dwell_s=5e-3).manifest
-    cost = find_cost(manifest, exposure)
+    cost = find_cost(manifest, find_gates(manifest, exposure))
     gates = find_gates(manifest, exposure)
     clock = np.zeros(round(manifest.pass_s * 1e7), dtype=bool)  # steps of 0.1 µs
     for place, opens, length in zip(manifest.shown, gates.starts_s, gates.length_s, strict=True):
@@ -629,15 +635,14 @@ def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, ligh
     assert cost.sentinels * manifest.pass_s == pytest.approx(4 * 5e-3)
     assert cost.settling * manifest.pass_s == pytest.approx(10 * 10e-6)
     assert cost.idle >= 0
-    assert find_cost(manifest, exposure, repeats=1).idle >= cost.idle
+    assert find_cost(manifest, find_gates(manifest, exposure, repeats=1)).idle >= cost.idle
 
 
 def test_a_short_share_costs_time(tmp_path):
     manifest = export(tmp_path / "p", UNEQUAL, dwell_s=1e-3).manifest
     assert [manifest.frames[place].picture_us for place in manifest.shown] == [1989, 44]
-    assert find_cost(manifest, 1.98e-3).idle * manifest.pass_s == pytest.approx(
-        1e-6 * (1989 + 44 - 20 - 1980)
-    )
+    cost = find_cost(manifest, find_gates(manifest, 1.98e-3))
+    assert cost.idle * manifest.pass_s == pytest.approx(1e-6 * (1989 + 44 - 20 - 1980))
 
 
 # What is refused
@@ -657,7 +662,7 @@ def test_a_short_share_costs_time(tmp_path):
         ({"dwell_s": 0}, "dwell 0 is not allowed"),
         ({"dwell_s": math.inf}, "dwell inf"),
         ({"dwell_s": 999, "rails": UNEQUAL}, "longest picture takes"),
-        ({"summed_reflectance": 0}, "mean light 0"),
+        ({"s": 0}, "summed reflectance 0"),
         ({"selection": "order"}, "did you mean 'ordered'"),
         ({"selection": "random", "seed": -1}, "seed -1"),
         ({"format": "bin"}, "Known: npy, raw, png"),

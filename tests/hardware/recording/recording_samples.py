@@ -14,8 +14,15 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import DEVICES, Frame, Manifest, Patterns, find_device
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import (
+    DEVICES,
+    Frame,
+    FrameSettings,
+    Manifest,
+    Patterns,
+    find_device,
+)
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.counting import count
@@ -141,8 +148,8 @@ def patterns_of(folder: Path, light: str = "equal-dwell", **settings) -> Pattern
         rails = rng.random((2, 6, 6))
         rails[0, 0], rails[1, 0] = 1.0, 0.0
         rails /= 11 * np.where(rails.any(axis=2), rails.max(axis=2), 1)[..., None]
-    given = {"summed_reflectance": 2.0, "design": b"not read", **settings}
-    return export_patterns(rails, light, SHAPE, DEVICE, DWELL, folder, **given)
+    design = DesignRails(rails, light, SHAPE, summed_reflectance=2.0, file=b"not read")
+    return export_patterns(design, FrameSettings(DEVICE, DWELL, **settings), folder)
 
 
 def named(scenes: int, **settings) -> Acquisition:

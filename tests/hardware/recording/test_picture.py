@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from recording_samples import DEVICE, DWELL, SHAPE, named, record, train
 
-from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import prepare
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.picture import reconstruct
@@ -20,7 +21,9 @@ def test_a_picture_is_the_scene(tmp_path, light):
     elif light == "free-dwell":
         rails = np.eye(6)[None] / 6
     patterns = export_patterns(
-        rails, light, SHAPE, DEVICE, DWELL, tmp_path / "patterns", summed_reflectance=2.0
+        DesignRails(rails, light, SHAPE, summed_reflectance=2.0),
+        FrameSettings(DEVICE, DWELL),
+        tmp_path / "patterns",
     )
     arms = 2 if light == "two-arm" else 1
     flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)

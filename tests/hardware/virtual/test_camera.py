@@ -11,17 +11,26 @@ import torch
 from pydantic import ValidationError
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.gates import Gates, find_gates
-from deepfsi.hardware.patterns.sequence import Device, Patterns, find_grid
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Patterns, find_grid
 from deepfsi.hardware.ptu import reader as ptu
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera as module
 from deepfsi.hardware.virtual import detector
-from deepfsi.hardware.virtual.camera import CAMERAS, Camera, draw_counts, irradiance, rates, record
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    Camera,
+    RecordingSettings,
+    draw_counts,
+    irradiance,
+    rates,
+    record,
+)
 from deepfsi.optics import constraints
 from deepfsi.optics.scanner import Scanner
+from deepfsi.progress import SILENT, Report
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE = (3, 4)
@@ -29,7 +38,7 @@ GRID = find_grid(DEVICE, SHAPE)
 CELLS = 12
 MIRRORS = GRID.mirrors
 AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
-MEAN_LIGHT = 7.0
+SUMMED_REFLECTANCE = 7.0
 IDEAL = CAMERAS["ideal"]
 OPTICS = [
     ("equal-dwell", "dual"),
@@ -50,16 +59,20 @@ def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", mask
     wild = np.random.default_rng(3).random((masks, CELLS)) - (0.5 if rails == "dual" else 0)
     wild[1] = abs(wild[1])
     fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
-    return export_patterns(
-        fitted, light, SHAPE, DEVICE, dwell, folder, summed_reflectance=MEAN_LIGHT
-    )
+    design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE)
+    return export_patterns(design, FrameSettings(DEVICE, dwell), folder)
+
+
+def into(shares: list[float]) -> Report:
+    """Report that keeps the shares."""
+    return Report(lambda share, _: shares.append(share))
 
 
 def scanner_rates(shown: Patterns, x: np.ndarray, photons: float) -> np.ndarray:
     """What the scanner expects of the realised rails, (S, rails, m)."""
     scanner = Scanner.from_rails(torch.from_numpy(shown.rails))
     flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
-    return scanner.rates(flat * (photons / MEAN_LIGHT)).numpy()
+    return scanner.rates(flat * (photons / SUMMED_REFLECTANCE)).numpy()
 
 
 def assert_poisson(counts: np.ndarray, mean: np.ndarray) -> None:
@@ -174,8 +187,8 @@ def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, lig
     manifest = shown.manifest
     flow = rates(tmp_path / "p", x, IDEAL, flux)
     assert flow.shape == (3, len(manifest.frames), 2 if light == "two-arm" else 1)
-    part = flux / MEAN_LIGHT * x.reshape(3, -1) @ shown.fractions.T
-    whole = flux / MEAN_LIGHT * x.sum(axis=(1, 2))
+    part = flux / SUMMED_REFLECTANCE * x.reshape(3, -1) @ shown.fractions.T
+    whole = flux / SUMMED_REFLECTANCE * x.sum(axis=(1, 2))
     assert flow[:, manifest.shown, 0] == pytest.approx(part, rel=1e-5)
     on, off = ([frame.role for frame in manifest.frames].index(role) for role in ("on", "off"))
     assert flow[:, on, 0] == pytest.approx(whole, rel=1e-5)  # the budget
@@ -188,10 +201,10 @@ def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monk
     patterns(tmp_path / "p", "two-arm")
     camera, x = Camera(vignetting=0.5, ambient=1e5), scenes(5)
     at_once = rates(tmp_path / "p", x, camera, 1e6)
-    monkeypatch.setattr(module, "_SCENES", 2)
-    monkeypatch.setattr(module, "_FRAMES", 3)
+    monkeypatch.setattr(module, "SCENES_AT_ONCE", 2)
+    monkeypatch.setattr(module, "FRAMES_AT_ONCE", 3)
     done = []
-    assert rates(tmp_path / "p", x, camera, 1e6, done.append) == pytest.approx(at_once, rel=1e-5)
+    assert rates(tmp_path / "p", x, camera, 1e6, into(done)) == pytest.approx(at_once, rel=1e-5)
     assert done == sorted(done)
     assert done[-1] == 1
 
@@ -213,9 +226,8 @@ def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
 
 def test_spectra_are_shown_too(tmp_path):
     masks = np.random.default_rng(0).random((1, 3, 6)) / 3
-    shown = export_patterns(
-        masks, "equal-dwell", (6,), DEVICE, 1e-3, tmp_path / "p", summed_reflectance=2.0
-    )
+    design = DesignRails(masks, "equal-dwell", (6,), summed_reflectance=2.0)
+    shown = export_patterns(design, FrameSettings(DEVICE, 1e-3), tmp_path / "p")
     x = np.random.default_rng(1).random((4, 6))
     flow = rates(tmp_path / "p", x, IDEAL, 1e5)[:, shown.manifest.shown, 0]
     assert flow == pytest.approx(1e5 / 2 * x @ shown.fractions.T, rel=1e-5)
@@ -297,11 +309,13 @@ def test_counts_of_an_imperfect_detector_have_its_mean(tmp_path):
 # Files
 
 
-def shoot(folder: Path, name: str = "run", **settings):
+def shoot(folder: Path, name: str = "run", x=None, names=("a", "b", "c"), labels=None, **changes):
     """Record scenes with random masks exported to `folder`/p."""
-    x = scenes()
-    given = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3, "seed": 7, **settings}
-    return record(folder / "p", x, ["a", "b", "c"], None, folder / name, **given)
+    report = changes.pop("report", SILENT)
+    given = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3, "seed": 7, **changes}
+    x = scenes() if x is None else x
+    settings = RecordingSettings(**given)
+    return record(folder / "p", x, names, labels, folder / name, settings, report)
 
 
 @every_optics
@@ -348,7 +362,7 @@ def test_the_file_has_a_marker_at_the_start_of_each_frame_and_the_budget(tmp_pat
     assert times * 1e-12 == pytest.approx(starts.ravel(), abs=1e-12)
     assert (bits == 1).all()
     counted = count(tmp_path / "run")
-    whole = 5e6 * scenes().sum(axis=(1, 2)) / MEAN_LIGHT
+    whole = 5e6 * scenes().sum(axis=(1, 2)) / SUMMED_REFLECTANCE
     seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
     assert np.all(abs(counted.on_rate - whole) <= 6 * np.sqrt(whole / seconds))
     assert (counted.off_rate == 0).all()
@@ -381,12 +395,11 @@ def test_the_same_seed_gives_the_same_file(tmp_path):
 
 def test_the_acquisition_says_how_it_was_made(tmp_path):
     shown = patterns(tmp_path / "p", "two-arm")
-    camera, x = CAMERAS["pmt"], scenes()
+    camera = CAMERAS["pmt"]
     done: list[float] = []
-    given = record(
-        tmp_path / "p", x, ["a", "b", "c"], ["0", "1", "0"], tmp_path / "run",
-        camera=camera, flux=1e6, exposure_s=1e-3, seed=3, progress=done.append,
-    )  # fmt: skip
+    given = shoot(
+        tmp_path, labels=["0", "1", "0"], camera=camera, flux=1e6, seed=3, report=into(done)
+    )
     read, patterns_read = read_acquisition(tmp_path / "run")
     assert read == given
     assert [(scene.name, scene.label) for scene in read.scenes] == [
@@ -405,12 +418,12 @@ def test_the_acquisition_says_how_it_was_made(tmp_path):
 def test_a_recording_that_is_stopped_leaves_nothing(tmp_path):
     patterns(tmp_path / "p")
 
-    def stop(share: float) -> None:
+    def stop(share: float, what: str) -> None:
         if share > 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        shoot(tmp_path, progress=stop)
+        shoot(tmp_path, report=Report(stop))
     assert [path.name for path in tmp_path.iterdir()] == ["p"]
 
 
@@ -426,19 +439,13 @@ def test_a_folder_that_exists_is_not_written_to(tmp_path):
 def test_each_scene_has_a_name_and_perhaps_a_label(tmp_path, names, labels):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match="3 scenes"):
-        record(
-            tmp_path / "p", scenes(), names, labels, tmp_path / "run",
-            camera=IDEAL, flux=1e6, exposure_s=1e-3, seed=0,
-        )  # fmt: skip
+        shoot(tmp_path, names=names, labels=labels)
 
 
 def test_nothing_to_record_is_refused(tmp_path):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match="no images"):
-        record(
-            tmp_path / "p", np.ones((0, 3, 4)), [], None, tmp_path / "run",
-            camera=IDEAL, flux=1e6, exposure_s=1e-3, seed=0,
-        )  # fmt: skip
+        shoot(tmp_path, x=np.ones((0, 3, 4)), names=[])
 
 
 def test_no_more_repeats_are_noted_than_can_be_counted(tmp_path):

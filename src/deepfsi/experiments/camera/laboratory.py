@@ -23,14 +23,21 @@ from deepfsi.design.artifact import Design
 from deepfsi.experiments.camera.measures import DigitTest, Measures, RunTime, Views
 from deepfsi.experiments.experiment import Results
 from deepfsi.hardware.calibration import fit as calibration
-from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.gates import find_gates
 from deepfsi.hardware.patterns.mirrors import make_frames
-from deepfsi.hardware.patterns.sequence import Patterns, find_device, find_grid
+from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns, find_device, find_grid
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import detector
-from deepfsi.hardware.virtual.camera import CAMERAS, Camera, draw_counts, rates, record
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    Camera,
+    RecordingSettings,
+    draw_counts,
+    rates,
+    record,
+)
 from deepfsi.statistics.differences import Point
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.workers import cores, processes
@@ -90,13 +97,9 @@ def calibrate() -> calibration.Calibration:
     rails = np.eye(grid.down * grid.across)[None] / (grid.down * grid.across)
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
-            rails,
-            "equal-dwell",
-            (32, 32),
-            DEVICE,
-            1.1 * exposure / rails.shape[1],
+            DesignRails(rails, "equal-dwell", (32, 32), float(grid.down * grid.across)),
+            FrameSettings(DEVICE, 1.1 * exposure / rails.shape[1]),
             Path(folder) / "raster",
-            summed_reflectance=float(grid.down * grid.across),
         )
         arrivals = rates(Path(folder) / "raster", scenes, LAB, FLUX)
     rng = np.random.default_rng(1)
@@ -184,14 +187,11 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
     rails = design.rails.numpy()
     frames = int((rails.max(axis=-1) > 0).sum())
     share = float(rails.max()) if design.light == "equal-dwell" else 1 / frames
+    dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
     return export_patterns(
-        rails,
-        design.light,
-        design.image_shape,
-        DEVICE,
-        1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6,
+        DesignRails(rails, design.light, design.image_shape, design.summed_reflectance),
+        FrameSettings(DEVICE, dwell),
         folder,
-        summed_reflectance=design.summed_reflectance,
     )
 
 
@@ -353,10 +353,8 @@ def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
     with tempfile.TemporaryDirectory() as folder:
         patterns, run = Path(folder) / "patterns", Path(folder) / "run"
         export(design, 1, patterns)
-        record(
-            patterns, scene, ["scene"], None, run,
-            camera=LAB, flux=FLUX, exposure_s=max(EXPOSURES), repeats=1, seed=0,
-        )  # fmt: skip
+        settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
+        record(patterns, scene, ["scene"], None, run, settings)
         began = time.perf_counter()
         counts = count(run)
         shown = design.as_shown(*read_acquisition(run)[1].realised)

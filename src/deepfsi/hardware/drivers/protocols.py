@@ -12,9 +12,9 @@ from typing import Protocol, Self
 
 import numpy as np
 
-__all__ = ["PatternProjector", "PhotonCounter", "scan"]
+from deepfsi.progress import SILENT, Report
 
-Progress = Callable[[float], None]
+__all__ = ["PatternProjector", "PhotonCounter", "scan"]
 
 
 class PatternProjector(Protocol):
@@ -31,7 +31,7 @@ class PatternProjector(Protocol):
     ) -> None:
         """Stop showing and let go of the device."""
 
-    def load(self, folder: Path, progress: Progress | None = None) -> None:
+    def load(self, folder: Path, report: Report = SILENT) -> None:
         """Bring the frames of a pattern folder into the device, in place of earlier ones."""
 
     def run(self) -> None:

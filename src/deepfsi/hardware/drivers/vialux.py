@@ -24,9 +24,9 @@ from typing import Any, Self
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.drivers.protocols import Progress
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.progress import SILENT, Report
 
 __all__ = ["VialuxProjector"]
 
@@ -113,15 +113,14 @@ class VialuxProjector:
             stack.callback(self._free)
             self.halt()
 
-    def load(self, folder: Path, progress: Progress | None = None) -> None:
+    def load(self, folder: Path, report: Report = SILENT) -> None:
         """Send the frames of a pattern folder to the device, in place of earlier ones.
 
         Parameters
         ----------
         folder : path
-            As `dmd.export_patterns` writes it, in any format.
-        progress : callable, optional
-            Called with the share done.
+            As `export_patterns` writes it, in any format.
+        report : Report
 
         Raises
         ------
@@ -135,7 +134,7 @@ class VialuxProjector:
         self._check(manifest, folder)
         try:
             with _refusals("load frames"):
-                self._send(manifest, read_frames(folder), progress)
+                self._send(manifest, read_frames(folder), report)
         except BaseException:
             with contextlib.suppress(InputError):
                 self._unload()
@@ -180,9 +179,7 @@ class VialuxProjector:
             stack.callback(self._alp.Halt)
             self._alp.ProjControl(RESET_QUEUE, DEFAULT)
 
-    def _send(
-        self, manifest: Manifest, frames: Iterator[np.ndarray], progress: Progress | None
-    ) -> None:
+    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
         sent = 0
         for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
             count = len(list(run))
@@ -191,8 +188,7 @@ class VialuxProjector:
                 block = np.stack(list(itertools.islice(frames, min(BLOCK, count - first))))
                 self._alp.SeqPut(block.ravel(), sequence, first, len(block))
                 sent += len(block)
-                if progress:
-                    progress(sent / len(manifest.frames))
+                report(sent / len(manifest.frames))
 
     def _unload(self) -> None:
         with _refusals("free its frames"):

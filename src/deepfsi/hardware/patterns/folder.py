@@ -8,60 +8,47 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
-from deepfsi.hardware.patterns.frame_files import (
-    STREAMS,
-    check_hash,
-    load_frames,
-    open_array,
-    write_frames,
+from deepfsi.hardware.patterns.frame_files import load_frames, open_array, write_frames
+from deepfsi.hardware.patterns.mirrors import (
+    MaskFrames,
+    all_frames,
+    count_mirrors,
+    make_frames,
+    recount,
+    unpack,
 )
-from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, recount, sentinel, unpack
 from deepfsi.hardware.patterns.sequence import (
     MOST_FRAMES,
-    Device,
-    Format,
     Frame,
-    Grid,
+    FrameSettings,
+    Light,
     Manifest,
     Patterns,
-    Selection,
+    check_known,
     find_grid,
 )
+from deepfsi.progress import SILENT, Report
 
-LIGHTS = ("column", "equal-dwell", "free-dwell", "two-arm")
-FORMATS = (*STREAMS, "png")
+SENTINELS = 4
+"""Frames of a pass that show no mask."""
 
-SLACK = 1e-4
+ARMS_SLACK = 1e-4
 """Share of the exposure by which two arms' times may differ between pixels."""
 
-LONGEST_S = 1e3
-"""Longest picture, seconds."""
 
-
-def export_patterns(
-    rails: np.ndarray,
-    light: str,
-    image_shape: tuple[int, ...],
-    device: Device,
-    dwell_s: float,
-    folder: str | os.PathLike[str],
-    *,
-    summed_reflectance: float,
-    selection: Selection = "ordered",
-    seed: int = 0,
-    format: Format = "npy",
-    design: bytes | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Patterns:
-    """Write what a device shows for a design, frame by frame, into a new folder.
+@dataclass(frozen=True)
+class DesignRails:
+    """Rails of a design that are to be shown.
 
     Parameters
     ----------
@@ -71,24 +58,34 @@ def export_patterns(
         The constraint that they obey.
     image_shape : tuple of int
         Cells of a mask, 1 or 2 axes.
-    device : Device
-    dwell_s : float
-        Mean picture time of the masks' frames in seconds, at least the device's shortest. Under
-        `equal-dwell` it is every frame's. Otherwise what a picture lasts beyond the time to
-        settle is in proportion to its share of the exposure; times are rounded up to whole
-        microseconds and to the device's shortest.
-    folder : path
-        New or empty. It appears when it is whole.
     summed_reflectance : float
         s, mean summed reflectance of the training scenes.
-    selection : {"ordered", "random"}
-    seed : int
-        For `random`.
-    format : {"npy", "png", "raw"}
-    design : bytes, optional
-        The design's file, kept beside the frames.
-    progress : function, optional
-        Called with the share done.
+    file : bytes, optional
+        The design's file, to be kept beside the frames.
+    """
+
+    rails: np.ndarray
+    light: Light
+    image_shape: tuple[int, ...]
+    summed_reflectance: float
+    file: bytes | None = None
+
+
+def export_patterns(
+    design: DesignRails,
+    settings: FrameSettings,
+    folder: str | os.PathLike[str],
+    report: Report = SILENT,
+) -> Patterns:
+    """Write what a device shows for a design, frame by frame, into a new folder.
+
+    Parameters
+    ----------
+    design : DesignRails
+    settings : FrameSettings
+    folder : path
+        New or empty. It appears when it is whole.
+    report : Report
 
     Returns
     -------
@@ -101,57 +98,67 @@ def export_patterns(
     InputError
         If the device cannot show the rails, or the folder holds something.
     """
-    target = Path(folder)
-    grid = find_grid(device, image_shape)
-    rails = _check_rails(rails, light, image_shape)
-    _check_settings(target, dwell_s, summed_reflectance, selection, seed, format)
-    shown, peaks, on = count_mirrors(rails, light, grid.mirrors)
-    if not shown:
+    device, grid = settings.device, find_grid(settings.device, design.image_shape)
+    _check_design(design)
+    masks = count_mirrors(design.rails, design.light, grid.mirrors)
+    if not masks.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
-    if len(shown) > MOST_FRAMES - 4:
-        raise InputError(f"{len(shown)} frames are too many: give at most {MOST_FRAMES - 4}")
-    dimmed = min(1.0, 1 / float(peaks.sum()))
-    shares = np.minimum(peaks * dimmed, 1.0)
-    pictures = _picture_us(shares, light, device, dwell_s)
-    every = _sequence(on, device, grid, selection, seed)
-    with new_folder(target) as draft:
-        hashes = write_frames(draft, format, device, len(shown) + 4, every, progress)
-        masks = [
-            Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=sha256)
-            for (mask, rail), share, us, sha256 in zip(
-                shown, shares.tolist(), pictures, hashes[2:-2], strict=True
-            )
-        ]
-        sentinel = max(device.shortest_us, _whole(dwell_s * 1e6))
-        ends = (
-            Frame(role="on", picture_us=sentinel, sha256=hashes[0]),
-            Frame(role="off", picture_us=sentinel, sha256=hashes[1]),
-        )
+    total = len(masks.shown) + SENTINELS
+    if total > MOST_FRAMES:
+        raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
+    pictures = settings.picture_us(masks.shares, design.light)
+    every = all_frames(masks.on, grid)
+    with new_folder(folder) as draft:
+        frames = make_frames(every, device, grid, settings.selection, settings.seed)
+        hashes = write_frames(draft, frames, total, settings, report)
         manifest = Manifest(
             deepfsi=version("deepfsi"),
             device=device,
-            image_shape=tuple(map(int, image_shape)),
-            masks=rails.shape[1],
-            rails=2 if len(rails) == 2 else 1,
-            light=light,
-            dimmed=dimmed,
-            summed_reflectance=float(summed_reflectance),
-            selection=selection,
-            seed=seed,
-            format=format,
-            design_sha256=None if design is None else hashlib.sha256(design).hexdigest(),
-            frames=(*ends, *masks, *ends),
+            image_shape=tuple(map(int, design.image_shape)),
+            masks=design.rails.shape[1],
+            rails=2 if len(design.rails) == 2 else 1,
+            light=design.light,
+            dimmed=masks.dimmed,
+            summed_reflectance=float(design.summed_reflectance),
+            selection=settings.selection,
+            seed=settings.seed,
+            format=settings.format,
+            design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
+            frames=_list_frames(masks, pictures, settings.sentinel_us, hashes),
         )
-        np.save(draft / "mirrors.npy", on)
-        if design is not None:
-            (draft / "design.safetensors").write_bytes(design)
-        manifest = manifest.model_copy(update={"sha256": _digest(manifest.model_dump_json())})
-        (draft / "manifest.json").write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
-    return Patterns(manifest, on)
+        return _write(draft, Patterns(manifest, masks.on), design.file)
+
+
+def _list_frames(
+    masks: MaskFrames, pictures_us: list[int], sentinel_us: int, hashes: list[str]
+) -> tuple[Frame, ...]:
+    """Frames of a pass as the manifest lists them."""
+    ends = (
+        Frame(role="on", picture_us=sentinel_us, sha256=hashes[0]),
+        Frame(role="off", picture_us=sentinel_us, sha256=hashes[1]),
+    )
+    shown = (
+        Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=digest)
+        for (mask, rail), share, us, digest in zip(
+            masks.shown, masks.shares.tolist(), pictures_us, hashes[2:-2], strict=True
+        )
+    )
+    return (*ends, *shown, *ends)
+
+
+def _write(folder: Path, patterns: Patterns, design: bytes | None) -> Patterns:
+    """Write all files of a folder but the frames; the patterns with the manifest as written."""
+    np.save(folder / "mirrors.npy", patterns.on)
+    if design is not None:
+        (folder / "design.safetensors").write_bytes(design)
+    digest = _digest(patterns.manifest.model_dump_json())
+    manifest = patterns.manifest.model_copy(update={"sha256": digest})
+    (folder / "manifest.json").write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
+    return Patterns(manifest, patterns.on)
 
 
 def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
-    """What a folder of patterns shows, without reading its frames.
+    """Patterns of a folder, without reading its frames.
 
     Raises
     ------
@@ -161,13 +168,12 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
     path = Path(folder) / "manifest.json"
     try:
         content = path.read_bytes()
-        with as_input_error(str(path), "export the patterns again"):
-            manifest = Manifest.model_validate_json(content)
     except OSError as error:
         raise InputError(
             f"no patterns in {folder} ({error.strerror}): make them with `deepfsi dmd export`"
         ) from None
-    _check_manifest(manifest, path)
+    with as_input_error(str(path), "export the patterns again"):
+        manifest = Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):
         raise InputError(
             f"{path} was changed after it was written: export the patterns again, or remove its "
@@ -201,16 +207,13 @@ def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
     yield from load_frames(Path(folder), read_patterns(folder).manifest)
 
 
-def check_patterns(
-    folder: str | os.PathLike[str], progress: Callable[[float], None] | None = None
-) -> Patterns:
+def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts.
 
     Parameters
     ----------
     folder : path
-    progress : function, optional
-        Called with the share done.
+    report : Report
 
     Raises
     ------
@@ -220,72 +223,50 @@ def check_patterns(
     folder = Path(folder)
     patterns = read_patterns(folder)
     manifest, grid = patterns.manifest, patterns.manifest.grid
-    total = len(manifest.frames)
-    rows = iter(patterns.on)
-    for place, frame in enumerate(load_frames(folder, manifest)):
-        known = manifest.frames[place]
-        name = f"frame {place} of {folder} ({describe(known)})"
-        if hashlib.sha256(frame.data).hexdigest() != known.sha256:
+    masks = iter(patterns.on)
+    for place, packed in enumerate(load_frames(folder, manifest)):
+        frame = manifest.frames[place]
+        name = f"frame {place} of {folder} ({frame})"
+        if sha256(packed.data).hexdigest() != frame.sha256:
             raise InputError(f"{name} is not what was exported: export the patterns again")
-        mirrors = unpack(frame, manifest.device)
-        if known.role == "mask":
-            same = np.array_equal(recount(mirrors, grid), next(rows))
-        else:
-            same = np.array_equal(mirrors, sentinel(manifest.device, grid, known.role == "on"))
-        if not same:
+        wanted = next(masks) if frame.role == "mask" else grid.mirrors * (frame.role == "on")
+        mirrors = unpack(packed, manifest.device)
+        on = recount(mirrors, grid)
+        if (on != wanted).any() or mirrors.sum() != on.sum():
             raise InputError(
                 f"{name} does not show what manifest.json and mirrors.npy say: export the "
                 "patterns again"
             )
-        if progress is not None:
-            progress((place + 1) / total)
+        report((place + 1) / len(manifest.frames))
     if manifest.design_sha256 is not None:
-        check_hash(folder / "design.safetensors", manifest.design_sha256)
+        _check_hash(folder / "design.safetensors", manifest.design_sha256)
     return patterns
 
 
-def describe(frame: Frame) -> str:
-    """A frame in words."""
-    if frame.role != "mask":
-        return f"all {frame.role.upper()}"
-    return f"mask {frame.mask}" + ("" if frame.rail == "both" else f", {frame.rail}")
-
-
-def _sequence(
-    on: np.ndarray, device: Device, grid: Grid, selection: Selection, seed: int
-) -> Iterator[np.ndarray]:
-    """All frames: sentinels, masks, sentinels."""
-    bright, dark = (np.packbits(sentinel(device, grid, lit), axis=1) for lit in (True, False))
-    yield from (bright, dark)
-    yield from make_frames(on, device, grid, selection, seed)
-    yield from (bright, dark)
-
-
-def _check_manifest(manifest: Manifest, path: Path) -> None:
-    _ = manifest.grid  # the device must hold the cells
-    if manifest.light not in LIGHTS:
-        raise InputError(f"{path} has light {manifest.light!r}: {closest(manifest.light, LIGHTS)}")
-    if manifest.two_arm != (manifest.light == "two-arm") or not len(manifest.shown):
-        raise InputError(f"the rails in {path} are not those of {manifest.light}: export again")
+def _check_hash(path: Path, digest: str) -> None:
+    """Raise `InputError` unless a design's file is the one with this hash."""
+    try:
+        with path.open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}): export the patterns again"
+        ) from None
+    if found != digest:
+        raise InputError(f"{path} is not the design that was exported: export the patterns again")
 
 
 def _digest(manifest: str | bytes) -> str:
     """Hash of a manifest's JSON but for the hash itself, whatever its layout."""
     content = {key: value for key, value in json.loads(manifest).items() if key != "sha256"}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) -> np.ndarray:
-    rails = np.asarray(rails)
-    if light not in LIGHTS:
-        raise InputError(f"unknown light constraint {light!r}: {closest(light, LIGHTS)}")
-    pixels = math.prod(image_shape)
-    if (
-        rails.ndim != 3
-        or len(rails) not in (1, 2)
-        or not rails.shape[1]
-        or rails.shape[2] != pixels
-    ):
+def _check_design(design: DesignRails) -> None:
+    """Raise `InputError` unless the rails can be shown."""
+    rails, light, pixels = design.rails, design.light, math.prod(design.image_shape)
+    check_known("light constraint", light, Light)
+    if rails.ndim != 3 or len(rails) not in (1, 2) or not rails.size or rails.shape[2] != pixels:
         raise InputError(
             f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
         )
@@ -293,51 +274,11 @@ def _check_rails(rails: np.ndarray, light: str, image_shape: tuple[int, ...]) ->
         raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
     if not np.isfinite(rails).all() or rails.min() < 0:
         raise InputError("rails must be finite and 0 or more: give shares of each pixel's photons")
-    if light == "two-arm" and np.ptp(rails.sum(axis=0), axis=-1).max() * rails.shape[1] > SLACK:
+    times = rails.sum(axis=0)
+    if light == "two-arm" and np.ptp(times, axis=-1).max() * len(times) > ARMS_SLACK:
         raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
-    return rails
-
-
-def _check_settings(
-    target: Path, dwell_s: float, summed_reflectance: float, selection: str, seed: int, format: str
-) -> None:
-    if not (math.isfinite(dwell_s) and 0 < dwell_s <= LONGEST_S):
+    if not (math.isfinite(design.summed_reflectance) and design.summed_reflectance > 0):
         raise InputError(
-            f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to {LONGEST_S:g}"
+            f"summed reflectance {design.summed_reflectance!r} is not allowed: give a number "
+            "above 0"
         )
-    if not (math.isfinite(summed_reflectance) and summed_reflectance > 0):
-        raise InputError(f"mean light {summed_reflectance!r} is not allowed: give a number above 0")
-    if selection not in ("ordered", "random"):
-        raise InputError(
-            f"unknown selection {selection!r}: {closest(selection, ('ordered', 'random'))}"
-        )
-    if seed < 0:
-        raise InputError(f"seed {seed} is not allowed: give 0 or more")
-    if format not in FORMATS:
-        raise InputError(f"unknown format {format!r}: {closest(format, FORMATS)}")
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} exists already: give a new folder")
-
-
-def _picture_us(shares: np.ndarray, light: str, device: Device, dwell_s: float) -> list[int]:
-    mean = max(dwell_s * 1e6, device.shortest_us)
-    if light == "equal-dwell":
-        return [_whole(mean)] * len(shares)
-    rest = mean - device.settle_us
-    if rest <= 0:
-        raise InputError(
-            f"a dwell of {dwell_s:g} s leaves no time after {device.settle_us:g} µs to settle: "
-            "give a longer one"
-        )
-    wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
-    if wanted.max() > 1e6 * LONGEST_S:
-        raise InputError(
-            f"with a dwell of {dwell_s:g} s the longest picture takes {wanted.max() / 1e6:.3g} s, "
-            f"and {LONGEST_S:g} are allowed: give a shorter one"
-        )
-    return [max(device.shortest_us, _whole(us)) for us in wanted.tolist()]
-
-
-def _whole(us: float) -> int:
-    """Rounded up, but for what floating point adds."""
-    return math.ceil(round(us, 6))

@@ -8,7 +8,7 @@ raw    frames.bin, the same bytes as frames.npy without its header, top row firs
 import hashlib
 import io
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any
@@ -17,28 +17,44 @@ import numpy as np
 from PIL import Image, PngImagePlugin
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.sequence import Device, Format, Manifest
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Manifest
+from deepfsi.progress import SILENT, Report
 
 STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
+"""Files of the formats that hold all frames in one."""
 
 
 def write_frames(
     folder: Path,
-    format: Format,
-    device: Device,
-    total: int,
     frames: Iterable[np.ndarray],
-    progress: Callable[[float], None] | None,
+    total: int,
+    settings: FrameSettings,
+    report: Report = SILENT,
 ) -> list[str]:
-    """Write frames as they come; their hashes."""
-    hashes = []
-    shape = (total, device.rows, -(-device.columns // 8))
+    """Write frames as they come.
+
+    Parameters
+    ----------
+    folder : path
+    frames : iterable of array, shape (rows, bytes of a row)
+        Packed.
+    total : int
+        Number of frames.
+    settings : FrameSettings
+    report : Report
+
+    Returns
+    -------
+    list of str
+        SHA-256 of the packed bits of each frame.
+    """
+    hashes, device, format = [], settings.device, settings.format
     if format == "png":
         (folder / "frames").mkdir()
     stream = None if format == "png" else (folder / STREAMS[format]).open("wb")
     with stream or nullcontext():
         if format == "npy" and stream:
-            _write_header(stream, np.dtype("u1"), shape)
+            _write_header(stream, np.dtype("u1"), (total, *device.frame_shape))
         for place, frame in enumerate(frames):
             hashes.append(hashlib.sha256(frame.data).hexdigest())
             if stream:
@@ -46,15 +62,14 @@ def write_frames(
             else:
                 picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
                 picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
-            if progress is not None:
-                progress((place + 1) / total)
+            report((place + 1) / total)
     return hashes
 
 
 def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
     """Packed frames of a folder in their order, one at a time."""
     device, total = manifest.device, len(manifest.frames)
-    shape = (device.rows, -(-device.columns // 8))
+    shape = device.frame_shape
     if manifest.format == "png":
         for place in range(total):
             yield _read_png(folder / _png(place, total), device).reshape(shape)
@@ -63,6 +78,11 @@ def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
     with open_array(folder / STREAMS[manifest.format], header, (total, *shape)) as file:
         for _ in range(total):
             yield np.frombuffer(file.read(device.frame_bytes), dtype=np.uint8).reshape(shape)
+
+
+def _png(place: int, total: int) -> str:
+    """File of a frame, with as many digits as the last one needs."""
+    return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"
 
 
 def _read_png(path: Path, device: Device) -> np.ndarray:
@@ -97,8 +117,19 @@ def open_array(
 ) -> Iterator[IO[bytes]]:
     """Open a file at the start of an array's data, certain that all of it is there.
 
-    With a `kind` the file has a header of numpy's, which must say that type and `shape`. The
-    array's first row is of frame `first`.
+    Parameters
+    ----------
+    path : path
+    kind : str or None
+        Type of the numbers, if the file has a header of numpy's, which must say it and the shape.
+    shape : tuple of int
+    first : int
+        Frame of the array's first row, for what an error says.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, cut, too long or another array's.
     """
     again = "export the patterns again"
     try:
@@ -130,20 +161,3 @@ def open_array(
         raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read ({error}): {again}") from None
-
-
-def check_hash(path: Path, sha256: str) -> None:
-    """Raise `InputError` where a design file is not the one with that hash."""
-    try:
-        with path.open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be read ({error.strerror}): export the patterns again"
-        ) from None
-    if found != sha256:
-        raise InputError(f"{path} is not the design that was exported: export the patterns again")
-
-
-def _png(place: int, total: int) -> str:
-    return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"

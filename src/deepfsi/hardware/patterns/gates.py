@@ -6,12 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.sequence import LONGEST_S, SHORTEST_S, Manifest
+from deepfsi.hardware.patterns.sequence import Manifest
+
+SHORTEST_GATE_S = 1e-15
+"""Shortest gate, seconds."""
+
+LONGEST_SETTLE_S = 1e4
+"""Longest time before the first gate of a frame, seconds."""
 
 
 @dataclass(frozen=True)
 class Gates:
-    """When the masks' frames are counted, in seconds after each frame's start.
+    """Gates of the masks' frames, in seconds after each frame's start.
 
     Attributes
     ----------
@@ -29,7 +35,7 @@ class Gates:
 
     @property
     def starts_s(self) -> np.ndarray:
-        """When each gate opens, shape (f, R)."""
+        """Starts of the gates, shape (f, R)."""
         return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
 
 
@@ -65,13 +71,15 @@ def find_gates(
     settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
-    if not 0 <= settle <= LONGEST_S:
-        raise InputError(f"settle time {settle!r} is not allowed: give 0 to {LONGEST_S:g} seconds")
-    length = manifest.shares * exposure_s
-    if not (len(length) and length.min() > SHORTEST_S):
+    if not 0 <= settle <= LONGEST_SETTLE_S:
         raise InputError(
-            f"an exposure of {exposure_s:g} s leaves a frame less than {SHORTEST_S:g} s: give a "
-            "longer one"
+            f"settle time {settle!r} is not allowed: give 0 to {LONGEST_SETTLE_S:g} seconds"
+        )
+    length = manifest.shares * exposure_s
+    if not (len(length) and length.min() > SHORTEST_GATE_S):
+        raise InputError(
+            f"an exposure of {exposure_s:g} s leaves a frame less than {SHORTEST_GATE_S:g} s: "
+            "give a longer one"
         )
     longest = longest_exposure(manifest, settle)
     fit = int(np.floor(longest / exposure_s * (1 + 1e-9)))
@@ -110,14 +118,8 @@ class Cost:
         return self.sentinels + self.settling + self.idle
 
 
-def find_cost(
-    manifest: Manifest,
-    exposure_s: float,
-    settle_s: float | None = None,
-    repeats: int | None = None,
-) -> Cost:
-    """What the device costs in time at an exposure; parameters and errors as `find_gates`."""
-    gates = find_gates(manifest, exposure_s, settle_s, repeats)
+def find_cost(manifest: Manifest, gates: Gates) -> Cost:
+    """Shares of a pass in which no gate is open, by their causes."""
     masks = float(manifest.picture_s[manifest.shown].sum())
     settling = gates.settle_s * len(manifest.shown)
     idle = masks - settling - gates.repeats * float(gates.length_s.sum())

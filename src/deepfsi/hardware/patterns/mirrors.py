@@ -11,48 +11,65 @@ begins a new byte.
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.hardware.patterns.sequence import Device, Grid, Rail, Selection
+from deepfsi.hardware.patterns.sequence import Device, Grid, Light, Rail, Selection
 
-SIDES: tuple[Rail, Rail] = ("plus", "minus")
+SMALLEST_STEP = float(np.finfo(np.float64).tiny)
+"""Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""
 
-TINY = float(np.finfo(np.float64).tiny)
-"""A rail whose peak is fewer of these than a cell has mirrors is dark."""
-
-MOST_TILE_BYTES = 2**24
+MOST_TABLE_BYTES = 2**24
 """Largest table of every grey level of a cell, packed; larger ones are not worth their memory."""
 
-HERD = 2**12
+MOST_ORDERED_SINGLY = 2**12
 """Most mirrors of a cell that are put in order one by one: the time grows with the square."""
 
-SPREAD = 0.3
+REPULSION_LENGTH = 0.3
 """Length over which mirrors repel each other, in sides of a cell."""
 
-UNIT = 2**15
-"""Of the repelling potential in each direction."""
+POTENTIAL_UNIT = 2**15
+"""Repelling potential of a mirror on itself in each direction, in the whole numbers used."""
 
 
-def count_mirrors(
-    rails: np.ndarray, light: str, mirrors: int
-) -> tuple[list[tuple[int, Rail]], np.ndarray, np.ndarray]:
-    """Frames that show rails, mask by mask, dark ones left out.
+class MaskFrames(NamedTuple):
+    """Frames that show the rails of masks, mask by mask, dark rails left out.
+
+    Attributes
+    ----------
+    shown : list of (mask, rail)
+    peaks : array, shape (f,)
+        float64; largest share of a pixel's photons in each frame, on two arms the time of the mask.
+    on : array, shape (f, N)
+        uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K.
+    """
+
+    shown: list[tuple[int, Rail]]
+    peaks: np.ndarray
+    on: np.ndarray
+
+    @property
+    def dimmed(self) -> float:
+        """Factor to the peaks with which they sum to at most 1."""
+        return min(1.0, 1 / float(self.peaks.sum()))
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Share of the exposure of each frame, shape (f,)."""
+        return np.minimum(self.peaks * self.dimmed, 1.0)
+
+
+def count_mirrors(rails: np.ndarray, light: Light, mirrors: int) -> MaskFrames:
+    """Mirrors that show rails, frame by frame.
 
     Parameters
     ----------
     rails : array, shape (2 or 1, m, N)
-    light : str
+    light : Light
     mirrors : int
         K, mirrors of a cell.
-
-    Returns
-    -------
-    shown : list of (mask, rail)
-    peaks : array, shape (f,)
-        float64; on two arms the time of the mask.
-    on : array, shape (f, N)
-        uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K.
     """
     shown: list[tuple[int, Rail]] = []
     peaks = []
@@ -64,15 +81,16 @@ def count_mirrors(
             time = parts.sum(axis=0)
             sides.append(("both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors))
         else:
-            for rail, part in zip(SIDES, parts, strict=False):
-                step = max(part.max() / mirrors, TINY)
+            names: tuple[Rail, Rail] = ("plus", "minus")
+            for rail, part in zip(names, parts, strict=False):
+                step = max(part.max() / mirrors, SMALLEST_STEP)
                 sides.append((rail, part.max(), part / step))
         for rail, peak, level in sides:
-            if peak > mirrors * TINY:
+            if peak > mirrors * SMALLEST_STEP:
                 on[len(shown)] = np.rint(level)
                 shown.append((mask, rail))
                 peaks.append(peak)
-    return shown, np.array(peaks), on[: len(shown)]
+    return MaskFrames(shown, np.array(peaks), on[: len(shown)])
 
 
 def make_frames(
@@ -112,16 +130,15 @@ def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
 
 
-def sentinel(device: Device, grid: Grid, lit: bool) -> np.ndarray:
-    """Mirrors of a frame in which every mirror of every cell is ON, or none is."""
-    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
-    mirrors[_window(grid)] = lit
-    return mirrors
+def all_frames(on: np.ndarray, grid: Grid) -> Iterator[np.ndarray]:
+    """Mirrors ON in each cell of every frame of a pass: two sentinels, the masks', and two more."""
+    ends = np.full_like(on[0], grid.mirrors), np.zeros_like(on[0])
+    return chain(ends, on, ends)
 
 
 def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:
     """Mirrors ON in each cell, shape (N,), of a frame's mirrors, bool (rows, columns)."""
-    window = mirrors[_window(grid)].view(np.uint8)
+    window = mirrors[grid.window].view(np.uint8)
     cells = window.reshape(grid.down, grid.height, grid.across, grid.width)
     return cells.sum(axis=(1, 3), dtype=np.uint32).ravel()
 
@@ -145,7 +162,7 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
     Y. Chen, M. Welling and A. Smola, "Super-samples from kernel herding", UAI, 2010.
     """
     rows, columns = height, width
-    while rows * columns > HERD:
+    while rows * columns > MOST_ORDERED_SINGLY:
         rows, columns = (-(-rows // 2), columns) if rows > columns else (rows, -(-columns // 2))
     down, across = np.arange(height) * rows // height, np.arange(width) * columns // width
     block = np.add.outer(down * columns, across).ravel()
@@ -179,12 +196,12 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
     for sides in (heights, widths):
         centre = (np.cumsum(sides) - sides / 2) / sides.sum()
         distance = np.abs(np.subtract.outer(centre, centre))
-        near.append(np.rint(UNIT * np.exp(-distance / SPREAD)).astype(np.int64))
+        near.append(np.rint(POTENTIAL_UNIT * np.exp(-distance / REPULSION_LENGTH)).astype(np.int64))
     down, across = near
     free = np.outer(heights, widths)
     mirrors = int(free.sum())
     wanted = 2 * np.outer(down @ heights, across @ widths)
-    excess = np.full(free.shape, UNIT**2 * mirrors)
+    excess = np.full(free.shape, POTENTIAL_UNIT**2 * mirrors)
     chosen = np.empty(mirrors, dtype=np.intp)
     for place in range(mirrors):
         excess -= wanted
@@ -198,11 +215,11 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 
 def _aligned(device: Device, grid: Grid) -> bool:
-    """Whether every cell begins and ends with a byte, and a table of its grey levels is small."""
+    """True where every cell begins and ends with a byte and a table of its levels is small."""
     return (
         grid.width % 8 == 0
         and grid.left % 8 == 0
-        and (grid.mirrors + 1) * grid.mirrors <= 8 * MOST_TILE_BYTES
+        and (grid.mirrors + 1) * grid.mirrors <= 8 * MOST_TABLE_BYTES
     )
 
 
@@ -215,7 +232,7 @@ def _look_up(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[n
     ).transpose(1, 0, 2)
     whole = np.ascontiguousarray(tiles).view(f"V{grid.width // 8}")[..., 0]
     for counts in on:
-        frame = np.zeros((device.rows, -(-device.columns // 8)), dtype=np.uint8)
+        frame = np.zeros(device.frame_shape, dtype=np.uint8)
         rows = frame[grid.top : grid.top + grid.down * grid.height]
         left = grid.left // 8
         window = rows[:, left : left + grid.across * grid.width // 8]
@@ -249,12 +266,5 @@ def _draw(
 def _pack(lit: np.ndarray, device: Device, grid: Grid) -> np.ndarray:
     """Packed frame of mirrors (down, height, across, width)."""
     mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
-    mirrors[_window(grid)] = lit.reshape(grid.down * grid.height, grid.across * grid.width)
+    mirrors[grid.window] = lit.reshape(grid.down * grid.height, grid.across * grid.width)
     return np.packbits(mirrors, axis=1)
-
-
-def _window(grid: Grid) -> tuple[slice, slice]:
-    return (
-        slice(grid.top, grid.top + grid.down * grid.height),
-        slice(grid.left, grid.left + grid.across * grid.width),
-    )

@@ -15,9 +15,10 @@ Each pass over the masks begins and ends with two *sentinel* frames, all mirrors
 all OFF.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -27,12 +28,30 @@ from deepfsi.errors import InputError, closest
 SCHEMA: Literal[1] = 1
 
 MOST_FRAMES = 2**20
-"""Of one pass, sentinels among them."""
+"""Frames of one pass at most, sentinels among them."""
+
+MOST_MIRRORS = 2**14
+"""Mirrors of a device in each direction at most."""
+
+LONGEST_PICTURE_S = 1e3
+"""Longest picture time that is exported, seconds."""
+
+SHARES_SLACK = 1e-4
+"""Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
+
+Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
+"""Light constraint of a design; `optics.constraints` has their laws."""
 
 Role = Literal["mask", "on", "off"]
 Rail = Literal["plus", "minus", "both"]
 Selection = Literal["ordered", "random"]
-Format = Literal["npy", "png", "raw"]
+Format = Literal["npy", "raw", "png"]
+
+
+def check_known(what: str, name: str, known: object) -> None:
+    """Raise `InputError` with the closest known name unless a `Literal` type has this one."""
+    if name not in get_args(known):
+        raise InputError(f"unknown {what} {name!r}: {closest(name, get_args(known))}")
 
 
 class Device(BaseModel):
@@ -52,15 +71,20 @@ class Device(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
-    columns: int = Field(ge=1, le=2**14)
-    rows: int = Field(ge=1, le=2**14)
+    columns: int = Field(ge=1, le=MOST_MIRRORS)
+    rows: int = Field(ge=1, le=MOST_MIRRORS)
     shortest_us: int = Field(44, ge=1)
     settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
 
     @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows, and bytes of a row at one bit a mirror: each row begins a new byte."""
+        return self.rows, -(-self.columns // 8)
+
+    @property
     def frame_bytes(self) -> int:
-        """Bytes of a frame at one bit a mirror; each row begins a new byte."""
-        return self.rows * -(-self.columns // 8)
+        """Bytes of a frame."""
+        return math.prod(self.frame_shape)
 
 
 DEVICES = {"dlp7000": Device(name="dlp7000", columns=1024, rows=768)}
@@ -73,7 +97,7 @@ def find_device(name: str) -> Device:
     sides = name.lower().split("x")
     if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
         columns, rows = map(int, sides)
-        if 1 <= columns <= 2**14 and 1 <= rows <= 2**14:
+        if 1 <= columns <= MOST_MIRRORS and 1 <= rows <= MOST_MIRRORS:
             return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
     raise InputError(
         f"unknown device {name!r}: {closest(name, DEVICES)}; or COLUMNSxROWS, such as 1920x1080"
@@ -106,6 +130,14 @@ class Grid:
         """K, mirrors of a cell."""
         return self.height * self.width
 
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the mirrors of all cells, to index those of a device."""
+        return (
+            slice(self.top, self.top + self.down * self.height),
+            slice(self.left, self.left + self.across * self.width),
+        )
+
 
 def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
     """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device.
@@ -126,6 +158,91 @@ def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
         )
     top, left = (device.rows - down * height) // 2, (device.columns - across * width) // 2
     return Grid(down, across, height, width, top, left)
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """Settings of an export: the device, how long it holds frames, their mirrors and their files.
+
+    Parameters
+    ----------
+    device : Device
+    dwell_s : float
+        Mean picture time of the masks' frames in seconds, at least the device's shortest.
+    selection : {"ordered", "random"}
+        How the mirrors of a grey cell are chosen.
+    seed : int
+        Of the random selection.
+    format : {"npy", "raw", "png"}
+
+    Raises
+    ------
+    InputError
+        If one of them is not allowed.
+    """
+
+    device: Device
+    dwell_s: float
+    selection: Selection = "ordered"
+    seed: int = 0
+    format: Format = "npy"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):
+            raise InputError(
+                f"dwell {self.dwell_s!r} is not allowed: give seconds above 0, up to "
+                f"{LONGEST_PICTURE_S:g}"
+            )
+        check_known("selection", self.selection, Selection)
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed} is not allowed: give 0 or more")
+        check_known("format", self.format, Format)
+
+    @property
+    def sentinel_us(self) -> int:
+        """Picture time of a sentinel, µs."""
+        return max(self.device.shortest_us, _whole(self.dwell_s * 1e6))
+
+    def picture_us(self, shares: np.ndarray, light: Light) -> list[int]:
+        """Picture times of the masks' frames, µs.
+
+        Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time to
+        settle is in proportion to its share of the exposure. Times are rounded up to whole
+        microseconds and to the device's shortest.
+
+        Parameters
+        ----------
+        shares : array, shape (f,)
+            Of the exposure.
+        light : Light
+
+        Raises
+        ------
+        InputError
+            If the dwell leaves no time after settling, or a picture would last too long.
+        """
+        device, mean = self.device, max(self.dwell_s * 1e6, self.device.shortest_us)
+        if light == "equal-dwell":
+            return [_whole(mean)] * len(shares)
+        rest = mean - device.settle_us
+        if rest <= 0:
+            raise InputError(
+                f"a dwell of {self.dwell_s:g} s leaves no time after {device.settle_us:g} µs to "
+                "settle: give a longer one"
+            )
+        wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
+        if wanted.max() > 1e6 * LONGEST_PICTURE_S:
+            raise InputError(
+                f"with a dwell of {self.dwell_s:g} s the longest picture takes "
+                f"{wanted.max() / 1e6:.3g} s, and {LONGEST_PICTURE_S:g} are allowed: give a "
+                "shorter one"
+            )
+        return [max(device.shortest_us, _whole(us)) for us in wanted.tolist()]
+
+
+def _whole(us: float) -> int:
+    """Number rounded up, but for what floating point adds."""
+    return math.ceil(round(us, 6))
 
 
 class Frame(BaseModel):
@@ -163,6 +280,11 @@ class Frame(BaseModel):
         if (self.role == "mask") != (self.share > 0):
             raise ValueError("a mask's frame has a share of the exposure, and a sentinel none")
         return self
+
+    def __str__(self) -> str:
+        if self.role != "mask":
+            return f"all {self.role.upper()}"
+        return f"mask {self.mask}" + ("" if self.rail == "both" else f", {self.rail}")
 
 
 class Manifest(BaseModel):
@@ -220,10 +342,14 @@ class Manifest(BaseModel):
             raise ValueError("a rail of a mask is shown twice")
         if any(mask is not None and mask >= self.masks for mask, _ in seen):
             raise ValueError("a frame shows a mask that does not exist")
-        if {rail for _, rail in seen} - ({"plus"} if self.rails == 1 else set(_RAILS)):
+        if {rail for _, rail in seen} - ({"plus"} if self.rails == 1 else set(get_args(Rail))):
             raise ValueError("a frame shows a rail that does not exist")
-        if sum(frame.share for frame in self.frames) > 1 + 1e-4:
+        if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
+        check_known("light constraint", self.light, Light)
+        if self.two_arm != (self.light == "two-arm") or not seen:
+            raise ValueError(f"the rails are not those of {self.light}")
+        find_grid(self.device, self.image_shape)  # the device must hold the cells
         return self
 
     @cached_property
@@ -260,11 +386,6 @@ class Manifest(BaseModel):
     def two_arm(self) -> bool:
         """Whether a second detector sees the mirrors that are OFF."""
         return any(frame.rail == "both" for frame in self.frames)
-
-
-_RAILS = ("plus", "minus", "both")
-SHORTEST_S = 1e-15
-LONGEST_S = 1e4
 
 
 @dataclass(frozen=True)

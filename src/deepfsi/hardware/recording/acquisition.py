@@ -126,9 +126,7 @@ def prepare(
     InputError
         If the folder holds something, or patterns and acquisition do not fit each other.
     """
-    target, source = Path(folder), Path(patterns_folder)
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} exists already: give a new folder")
+    source = Path(patterns_folder)
     patterns = read_patterns(source)
     names = ["manifest.json", "mirrors.npy"]
     if patterns.manifest.design_sha256 is not None:
@@ -142,7 +140,7 @@ def prepare(
         raise InputError(f"the acquisition is of other patterns than those in {source}")
     acquisition = acquisition.model_copy(update={"manifest_sha256": digest})
     _check_fit(acquisition, patterns.manifest, "the acquisition")
-    with new_folder(target) as draft:
+    with new_folder(folder) as draft:
         (draft / "calibration").mkdir()
         (draft / "patterns").mkdir()
         for name, held in content.items():

@@ -14,7 +14,8 @@ ideal camera a gate's counts are Poisson, with the scanner's mean.
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
@@ -31,18 +32,22 @@ from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, Scene, prepare
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
+from deepfsi.progress import SILENT, Report
 
 MARKER = 1
 """Bits of the marker at the start of each frame."""
 
 MOST_FLUX = 1e12
+"""Most photons/s on the device."""
 
-_SCENES = 64
-_FRAMES = 16
+SCENES_AT_ONCE = 64
+"""Scenes whose light on the mirrors is held in memory."""
+
+FRAMES_AT_ONCE = 16
+"""Frames that are unpacked in memory."""
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
-Progress = Callable[[float], None]
 
 
 class Camera(Detector):
@@ -147,15 +152,8 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
         if camera.blur:
             spectrum = fourier_gaussian(rfft2(light), camera.blur, n=light.shape[1])
             light = np.maximum(irfft2(spectrum, light.shape), 0)
-        mirrors[_area(grid)] = light[kept] * share
+        mirrors[grid.window] = light[kept] * share
     return out
-
-
-def _area(grid: Grid) -> tuple[slice, slice]:
-    return (
-        slice(grid.top, grid.top + grid.down * grid.height),
-        slice(grid.left, grid.left + grid.across * grid.width),
-    )
 
 
 def _look(
@@ -176,7 +174,7 @@ def rates(
     scenes: np.ndarray,
     camera: Camera,
     flux: float,
-    progress: Progress | None = None,
+    report: Report = SILENT,
 ) -> np.ndarray:
     """Arrivals/s at each detector while each frame is shown, before dead time.
 
@@ -188,9 +186,8 @@ def rates(
         Reflectance, 0 or more.
     camera : Camera
     flux : float
-        Photons/s on the device for a scene of the mean light of the training scenes.
-    progress : function, optional
-        Called with the share done.
+        Photons/s on the device for a scene of the training scenes' mean summed reflectance.
+    report : Report
 
     Returns
     -------
@@ -211,19 +208,18 @@ def rates(
     out = np.empty((len(images), frames, arms))
     device = manifest.device
     stray = camera.ambient / (device.rows * device.columns)
-    for first in range(0, len(images), _SCENES):
-        part = images[first : first + _SCENES]
+    for first in range(0, len(images), SCENES_AT_ONCE):
+        part = images[first : first + SCENES_AT_ONCE]
         light = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
         for place, on in _blocks(patterns_folder, device):
             for arm in range(arms):
                 seen = on if arm == 0 else 1 - on
-                area = seen.reshape(-1, device.rows, device.columns)[:, *_area(manifest.grid)]
+                area = seen.reshape(-1, device.rows, device.columns)[:, *manifest.grid.window]
                 signal = (seen @ light.T).astype(np.float64) * (flux / manifest.summed_reflectance)
                 photons = signal + area.sum(axis=(1, 2))[:, None] * stray
                 out[first : first + len(part), place : place + len(on), arm] = photons.T
-            if progress is not None:
-                done = first * frames + (place + len(on)) * len(part)
-                progress(done / (len(images) * frames))
+            done = first * frames + (place + len(on)) * len(part)
+            report(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
 
 
@@ -246,7 +242,7 @@ def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
 def _blocks(folder: str | os.PathLike[str], device: Device) -> Iterator[tuple[int, np.ndarray]]:
     """Some frames at a time: place of the first, mirrors ON as float32 (frames, mirrors)."""
     place, frames = 0, read_frames(folder)
-    while some := list(islice(frames, _FRAMES)):
+    while some := list(islice(frames, FRAMES_AT_ONCE)):
         yield place, np.stack([unpack(frame, device).ravel() for frame in some]).astype(np.float32)
         place += len(some)
 
@@ -289,20 +285,38 @@ def draw_counts(
     return out
 
 
+@dataclass(frozen=True)
+class RecordingSettings:
+    """Settings of a virtual recording.
+
+    Parameters
+    ----------
+    camera : Camera
+    flux : float
+        Photons/s on the device for a scene of the training scenes' mean summed reflectance.
+    exposure_s, settle_s, repeats
+        As for `find_gates`, and not more repeats than can be counted at once; noted for who
+        counts, the file holds all light.
+    seed : int
+        The same one gives the same file.
+    """
+
+    camera: Camera
+    flux: float
+    exposure_s: float
+    settle_s: float | None = None
+    repeats: int | None = None
+    seed: int = 0
+
+
 def record(
     patterns_folder: str | os.PathLike[str],
     scenes: np.ndarray,
     names: Sequence[str],
     labels: Sequence[str] | None,
     out: str | os.PathLike[str],
-    *,
-    camera: Camera,
-    flux: float,
-    exposure_s: float,
-    settle_s: float | None = None,
-    repeats: int | None = None,
-    seed: int,
-    progress: Progress | None = None,
+    settings: RecordingSettings,
+    report: Report = SILENT,
 ) -> Acquisition:
     """Write the folder of an acquisition in which the virtual camera looks at scenes in turn.
 
@@ -317,27 +331,15 @@ def record(
         Class of each scene.
     out : path
         New. It appears when it is whole.
-    camera : Camera
-    flux : float
-        Photons/s on the device for a scene of the mean light of the training scenes.
-    exposure_s, settle_s, repeats
-        As for `sequence.find_gates`, and not more repeats than can be counted at once; noted for
-        who counts, the file holds all light.
-    seed : int
-        The same one gives the same file.
-    progress : function, optional
-        Called with the share done.
-
-    Returns
-    -------
-    Acquisition
+    settings : RecordingSettings
+    report : Report
 
     Raises
     ------
     InputError
         If `out` exists, or scenes, names, labels, flux or gates cannot be used.
     """
-    target = Path(out)
+    target, camera = Path(out), settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = _check_scenes(scenes, manifest)
     if target.exists():
@@ -347,32 +349,36 @@ def record(
             f"{len(scenes)} scenes, {len(names)} names and "
             f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
         )
-    _check_flux(flux)
-    gates = find_gates(manifest, exposure_s, settle_s, repeats)
-    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
-    countable = max(MOST_READOUTS // readouts, 1)
-    wanted = Acquisition(
-        scenes=tuple(
-            Scene(name=name, label=None if labels is None else labels[place])
-            for place, name in enumerate(names)
-        ),
-        exposure_s=exposure_s,
-        settle_s=gates.settle_s,
-        repeats=repeats or min(gates.repeats, countable),
-        marker_bit=MARKER,
-        inputs=(0, 1) if manifest.two_arm else (0,),
-        flux=flux or None,
-        camera=camera.model_dump(mode="json"),
-        seed=seed,
-    )
+    _check_flux(settings.flux)
+    given: Sequence[str | None] = labels or [None] * len(names)
+    shown = (Scene(name=name, label=label) for name, label in zip(names, given, strict=True))
+    wanted = _describe(tuple(shown), manifest, settings)
     with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
-        part = None if progress is None else lambda share: progress(share / 2)
-        flow = rates(patterns_folder, scenes, camera, flux, part)
-        part = None if progress is None else lambda share: progress(0.5 + share / 2)
-        rng = np.random.default_rng(seed)
-        write_photons(draft / "photons.ptu", manifest, flow, camera, rng, part)
+        flow = rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
+        rng = np.random.default_rng(settings.seed)
+        write_photons(draft / "photons.ptu", manifest, flow, camera, rng, report.part(0.5, 1))
     return acquisition
+
+
+def _describe(
+    scenes: tuple[Scene, ...], manifest: Manifest, settings: RecordingSettings
+) -> Acquisition:
+    """Acquisition of a recording, with as many repeats as fit and can be counted."""
+    gates = find_gates(manifest, settings.exposure_s, settings.settle_s, settings.repeats)
+    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
+    countable = max(MOST_READOUTS // readouts, 1)
+    return Acquisition(
+        scenes=scenes,
+        exposure_s=settings.exposure_s,
+        settle_s=gates.settle_s,
+        repeats=settings.repeats or min(gates.repeats, countable),
+        marker_bit=MARKER,
+        inputs=(0, 1) if manifest.two_arm else (0,),
+        flux=settings.flux or None,
+        camera=settings.camera.model_dump(mode="json"),
+        seed=settings.seed,
+    )
 
 
 def write_photons(
@@ -381,7 +387,7 @@ def write_photons(
     rates: np.ndarray,
     camera: Camera,
     rng: np.random.Generator,
-    progress: Progress | None = None,
+    report: Report = SILENT,
 ) -> None:
     """Write the photons and markers of one pass for each scene, one right after another.
 
@@ -393,8 +399,7 @@ def write_photons(
         Of the function of that name.
     camera : Camera
     rng : numpy.random.Generator
-    progress : function, optional
-        Called with the share done.
+    report : Report
     """
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))
@@ -419,5 +424,4 @@ def write_photons(
             ready = np.searchsorted(times, end if last else end - streams[0].reach)
             writer.write(times[:ready], codes[:ready])
             times, codes, start = times[ready:], codes[ready:], end
-            if progress is not None:
-                progress(end / int(ends[-1]))
+            report(end / int(ends[-1]))

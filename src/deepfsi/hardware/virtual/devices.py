@@ -12,9 +12,9 @@ from typing import Self
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.drivers.protocols import Progress
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
+from deepfsi.progress import SILENT, Report
 
 __all__ = ["VirtualCounter", "VirtualProjector"]
 
@@ -45,9 +45,9 @@ class VirtualProjector:
     ) -> None:
         """Nothing to close."""
 
-    def load(self, folder: Path, progress: Progress | None = None) -> None:
+    def load(self, folder: Path, report: Report = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
-        check_patterns(folder, progress)
+        check_patterns(folder, report)
         self.folder = folder
 
     def run(self) -> None:
@@ -71,7 +71,7 @@ class VirtualCounter:
     projector : VirtualProjector
     camera : Camera
     flux : float
-        Photons/s on the device for a scene of the mean light of the training scenes.
+        Photons/s on the device for a scene of the training scenes' mean summed reflectance.
     seed : int
         The same one gives the same files.
     """
