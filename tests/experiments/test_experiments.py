@@ -21,6 +21,7 @@ from deepfsi.experiments.mnist import claims as mnist
 from deepfsi.statistics import differences
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
+from shared.results import a_point, some_results
 
 ALL = [each for members in experiments.STUDIES.values() for each in members]
 APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
@@ -138,8 +139,7 @@ def test_both_noises_cover_one_axis():
 
 
 def point(accuracies, half=0.01):
-    mean = float(np.mean(accuracies))
-    return {"accuracies": list(accuracies), "low": mean - half, "high": mean + half}
+    return a_point(float(np.mean(accuracies)), half, accuracies=tuple(accuracies))
 
 
 def test_trials_are_paired():
@@ -189,17 +189,10 @@ def comparison(values):
     """Results of a comparison from accuracies by (noise, design, budget), three trials each."""
     points = []
     for (noise, design, photons), accuracy in values.items():
-        points.append(
-            {
-                **point([accuracy - 0.001, accuracy, accuracy + 0.001], 0.002),
-                "noise": noise,
-                "design": design,
-                "label": design,
-                "photons": photons,
-                "best": True,
-            }
-        )
-    return {"points": points}
+        shifted = (accuracy - 0.001, accuracy, accuracy + 0.001)
+        place = {"noise": noise, "design": design, "photons": photons}
+        points.append(a_point(accuracy, 0.002, accuracies=shifted, **place))
+    return some_results(points)
 
 
 LEVEL = {

@@ -6,28 +6,15 @@ import numpy as np
 import pytest
 
 from deepfsi.experiments.flexible import claims as flexible
+from shared.results import a_point, some_results
 
 LIGHTS = (1e3, 1e4)
 SHIFTS = np.array([-0.001, 0.0, 0.001])
 
 
 def point(recipe, accuracy, **fields):
-    values = accuracy + SHIFTS
-    return {
-        "recipe": recipe,
-        "design": "deepfsi",
-        "label": "DFSI",
-        "title": "DeepFSI",
-        "masks": 92,
-        "ratio": fields.get("masks", 92) / 1024,
-        "photons": 1e4,
-        "trained_at": fields.get("photons", 1e4),
-        "accuracies": values.tolist(),
-        "accuracy": accuracy,
-        "low": accuracy - 0.002,
-        "high": accuracy + 0.002,
-        **fields,
-    }
+    given = {"recipe": recipe, "label": "DFSI", "title": "DeepFSI", **fields}
+    return a_point(accuracy, 0.002, accuracies=tuple(accuracy + SHIFTS), **given)
 
 
 def rate(mean):
@@ -76,7 +63,8 @@ def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001
         for recipe in ("nested", "both")
         for masks in (10, 92)
     ]
-    return {"points": points, "extra": {"prefixes": prefixes, "stopped": stopped, "looked": looked}}
+    extra = {"prefixes": prefixes, "stopped": stopped, "looked": looked}
+    return some_results(points, extra=extra)
 
 
 @pytest.mark.parametrize(

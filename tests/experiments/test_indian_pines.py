@@ -29,6 +29,7 @@ from deepfsi.experiments.indian_pines.measures import (
     pack,
 )
 from deepfsi.report.figures import svg
+from shared.results import a_point, some_results
 
 SIMULATED = "indian-pines-surrogate"
 NM = np.linspace(400, 2500, 220)
@@ -216,30 +217,23 @@ def answers(recall=(0.9, 0.8), **changed):
             level = changed.get(f"{split}|{noise}|{design}|{photons:g}", level)
             spread = -0.001 if (split, design) == ("random", "deepfsi") else 0.001
             points.append(
-                {
-                    "split": split,
-                    "noise": noise,
-                    "photons": photons,
-                    "design": design,
-                    "label": design,
-                    "masks": 3,
-                    "specific": design in ("pca", "deepfsi", "control"),
-                    "light": "column",
-                    "rails": "dual",
-                    "best": True,
-                    "validation": level,
-                    "accuracy": level,
-                    "low": level - 0.002,
-                    "high": level + 0.002,
-                    "accuracies": [level - spread, level, level + spread],
-                }
+                a_point(
+                    level,
+                    0.002,
+                    split=split,
+                    noise=noise,
+                    photons=photons,
+                    design=design,
+                    masks=3,
+                    specific=design in ("pca", "deepfsi", "control"),
+                    accuracies=(level - spread, level, level + spread),
+                )
             )
-    results = {
-        "recipe": {"data": SIMULATED, "sigma": 1.0},
-        "data": {"classes": ["a", "b"], "image_shape": [4]},
-        "chosen_on": "validation",
-        "points": points,
-        "extra": asdict(
+    results = some_results(
+        points,
+        recipe={"data": SIMULATED, "sigma": 1.0},
+        data={"classes": ("a", "b"), "image_shape": (4,)},
+        extra=asdict(
             measured(
                 [[0, 1, 1], [2, 2, 2]],
                 *(
@@ -249,7 +243,7 @@ def answers(recall=(0.9, 0.8), **changed):
                 ),
             )
         ),
-    }
+    )
     return [claim.holds for claim in indian_pines.show(results).claims]
 
 

@@ -15,10 +15,10 @@ from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
-from test_report import make_results
 from test_study_page import example
 
 from deepfsi.report import build, write_study
+from shared.results import make_results
 
 FLAGS = (
     "--headless=new",

@@ -10,102 +10,13 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
 
 from deepfsi.errors import InputError
 from deepfsi.report import accuracy_figure, build, count_figure, masks_figure, values_figure
 from deepfsi.report.comparison_page import summary
 from deepfsi.report.figures import photons_text, signed, svg
-
-DESIGNS = {
-    "impulse": ("II", "impulse imaging", False, False, 0.97),
-    "raster": ("RS", "raster scan", False, False, 0.31),
-    "truncated-hadamard": ("TH", "truncated Hadamard", False, False, 0.52),
-    "pca": ("FSI", "PCA (FSI)", True, False, 0.77),
-    "deepfsi": ("DFSI", "DeepFSI", True, True, 0.86),
-}
-
-
-def make_results(
-    folder,
-    designs=tuple(DESIGNS),
-    noises=("poisson",),
-    budgets=(1e2, 1e4),
-    counts=(4, 16),
-    lights=("column",),
-    shape=(4, 6),
-    **changes,
-):
-    """Write results.json and design files as `deepfsi compare` does; returns the results."""
-    pixels = int(np.prod(shape))
-    rng = np.random.default_rng(0)
-    points = []
-    for noise in noises:
-        for light in lights:
-            for design in designs:
-                label, title, specific, learned, top = DESIGNS[design]
-                fixed = design in ("impulse", "raster")
-                for photons in budgets:
-                    for masks in [pixels] if fixed else counts:
-                        accuracy = top - 0.3 / np.log10(photons) - masks / 1000
-                        key = f"{noise}-{light}-{design}-{photons:g}-{masks}"
-                        points.append(
-                            {
-                                "design": design,
-                                "label": label,
-                                "title": title,
-                                "specific": specific,
-                                "learned": learned,
-                                "noise": noise,
-                                "light": light,
-                                "rails": "single" if fixed else "dual",
-                                "photons": photons,
-                                "masks": masks,
-                                "ratio": masks / pixels,
-                                "trials": 3,
-                                "validation": accuracy + 0.01,
-                                "accuracy": accuracy,
-                                "low": accuracy - 0.004,
-                                "high": accuracy + 0.004,
-                                "covers": "seeds of training (t over 3 trials)",
-                                "throughput": 0.45,
-                                "keys": [key],
-                                "best": fixed or masks == counts[0],
-                            }
-                        )
-                        if learned:
-                            matrix = rng.normal(size=(masks, pixels)) / masks
-                            write_design(folder / "designs" / f"{key}.safetensors", matrix, shape)
-    results = {
-        "schema": 1,
-        "title": "digits under photon noise",
-        "command": "deepfsi compare --data digits -o out",
-        "recipe": {"photons": list(budgets), "training": {"epochs": 20, "hidden": [40, 128]}},
-        "data": {
-            "name": "digits",
-            "hash": "abc123",
-            "image_shape": list(shape),
-            "classes": [str(k) for k in range(10)],
-            "train": 1000,
-            "validation": 200,
-            "test": 360,
-            "preprocessing": "x / 16",
-            "mean_reflectance": 0.42,
-        },
-        "provenance": {"deepfsi": "0.1.0", "device": "cpu", "seconds": 63.1},
-        "chosen_on": "validation" if len(counts) > 1 else "nothing",
-        "points": points,
-        **changes,
-    }
-    (folder / "results.json").write_text(json.dumps(results))
-    return results
-
-
-def write_design(path, matrix, shape):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    rails = np.stack([matrix.clip(min=0), -matrix.clip(max=0)]).astype(np.float32)
-    header = {"deepfsi": json.dumps({"schema": 1, "image_shape": list(shape)})}
-    save_file({"rails": rails}, path, metadata=header)
+from deepfsi.sweeps.results import write_results
+from shared.results import DESIGNS, make_results, with_all
 
 
 def page_of(folder):
@@ -166,12 +77,12 @@ def test_page_is_one_self_contained_document(tmp_path):
 def test_all_designs_and_numbers_are_in_the_tables(tmp_path):
     results = make_results(tmp_path)
     text = words_of(page_of(tmp_path))
-    for point in results["points"]:
-        assert f"{point['accuracy']:.3f}" in text
-        assert f"{point['low']:.3f}" in text
-        assert f"{point['high']:.3f}" in text
-        assert point["label"] in text
-        assert point["title"] in text
+    for point in results.points:
+        assert f"{point.accuracy:.3f}" in text
+        assert f"{point.low:.3f}" in text
+        assert f"{point.high:.3f}" in text
+        assert point.label in text
+        assert point.title in text
     assert "100 photons" in text
     assert "10⁴ photons" in text
     for told in (
@@ -211,9 +122,7 @@ def test_summary_follows_the_numbers(tmp_path):
     assert "followed by PCA (FSI) with 0.616" in text
     assert "do not overlap" in text
     assert "Impulse imaging, with a detector for each pixel, reaches 0.796" in text
-    for point in results["points"]:
-        point["low"], point["high"] = 0.0, 1.0
-    assert "do not overlap" not in summary(results, "poisson")
+    assert "do not overlap" not in summary(with_all(results, low=0.0, high=1.0), "poisson")
 
 
 def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
@@ -231,18 +140,16 @@ def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
 
 def test_error_bars_are_the_intervals(tmp_path):
     results = make_results(tmp_path, designs=("deepfsi",), budgets=(1e3,))
-    best = next(p for p in results["points"] if p["best"])
+    best = next(p for p in results.points if p.best)
     (ax,) = accuracy_figure(results).axes
     (bar,) = (c for c in ax.collections if "LineCollection" in type(c).__name__)
     (segment,) = bar.get_segments()
-    np.testing.assert_allclose(sorted(segment[:, 1]), [best["low"], best["high"]])
+    np.testing.assert_allclose(sorted(segment[:, 1]), [best.low, best.high])
 
 
 def test_names_at_the_edge_do_not_touch(tmp_path):
     results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
-    for point in results["points"]:
-        point["accuracy"] = point["low"] = point["high"] = 0.99
-    figure = accuracy_figure(results)
+    figure = accuracy_figure(with_all(results, accuracy=0.99, low=0.99, high=0.99))
     figure.draw_without_rendering()
     boxes = [t.get_window_extent() for t in figure.axes[0].texts if t.get_text()]
     assert len(boxes) == 4
@@ -256,10 +163,10 @@ def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
         noises=("poisson", "gaussian"),
         lights=("column", "free-dwell"),
     )
-    results["points"] = [
-        p for p in results["points"] if (p["design"], p["light"]) != ("impulse", "free-dwell")
-    ]
-    (tmp_path / "results.json").write_text(json.dumps(results))
+    results = results.with_points(
+        p for p in results.points if (p.design, p.light) != ("impulse", "free-dwell")
+    )
+    write_results(tmp_path / "results.json", results)
     panels = accuracy_figure(results).axes
     assert [ax.get_title(loc="left") for ax in panels] == ["photon noise", "Gaussian read noise"]
     names = {text.get_text() for text in panels[0].texts} - {"", "chance"}
@@ -330,11 +237,11 @@ def test_values_hold_every_entry_once():
 def test_small_and_odd_comparisons_make_a_page(tmp_path, case):
     results = make_results(tmp_path, **case)
     page = page_of(tmp_path)
-    assert ("<h2>Learned masks" in page) == any(p["learned"] for p in results["points"])
-    several = len({p["masks"] for p in results["points"] if p["design"] in ("pca", "deepfsi")}) > 1
+    assert ("<h2>Learned masks" in page) == any(p.learned for p in results.points)
+    several = len({p.masks for p in results.points if p.design in ("pca", "deepfsi")}) > 1
     assert ("<h2>Accuracy and number of masks" in page) == several
-    assert ("nothing was chosen" in page) == (results["chosen_on"] == "nothing")
-    images = len(results["data"]["image_shape"]) == 2
+    assert ("nothing was chosen" in page) == (results.chosen_on == "nothing")
+    images = len(results.data.image_shape) == 2
     assert ("scale-figure_1" in page) == ("<h2>Learned masks" in page and images)
 
 
@@ -354,11 +261,9 @@ def test_designs_that_were_not_kept_are_said_to_be_missing(tmp_path):
 def test_markup_in_names_is_text(tmp_path):
     bad = "<script>alert('x')</script>"
     results = make_results(tmp_path, title=bad, command=f"deepfsi compare --data '{bad}'")
-    for point in results["points"]:
-        point["label"], point["title"], point["covers"] = f"{bad}{point['label']}", bad, bad
-        point["noise"] = f'"{bad}'
-    results["data"]["name"] = results["provenance"][bad] = bad
-    (tmp_path / "results.json").write_text(json.dumps(results))
+    results = with_all(results, label=bad, title=bad, covers=bad, noise=f'"{bad}')
+    changes = {"data": results.data.model_copy(update={"name": bad}), "recipe": {bad: bad}}
+    write_results(tmp_path / "results.json", results.model_copy(update=changes))
     page = page_of(tmp_path)
     assert bad not in page
     assert "&lt;script&gt;" in page
@@ -404,15 +309,20 @@ def test_budgets_are_written_as_people_do(photons, text):
     ("content", "told"),
     [
         (None, "no results in"),
-        ("{", "not a whole results file"),
-        ("[]", "not a whole results file"),
-        ('{"schema": 2, "points": []}', "upgrade deepfsi"),
-        ('{"schema": 1, "points": []}', "no finished point"),
+        ("{", r"cannot be used: .*; run the comparison again"),
+        ("[]", r"cannot be used: .*; run the comparison again"),
+        ({"schema": 2, "points": []}, "upgrade deepfsi"),
+        ({"points": []}, "no finished point"),
+        ({"points": [{}]}, r"at points\.0\.trained_under"),
     ],
 )
 def test_folders_without_usable_results_are_refused(tmp_path, content, told):
+    file = tmp_path / "results.json"
+    if isinstance(content, dict):
+        make_results(tmp_path)
+        content = json.dumps({**json.loads(file.read_text()), **content})
     if content is not None:
-        (tmp_path / "results.json").write_text(content)
+        file.write_text(content)
     with pytest.raises(InputError, match=told):
         build(tmp_path)
     assert not (tmp_path / "report.html").exists()

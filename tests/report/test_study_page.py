@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from test_report import Wellformed, make_results, words_of
+from test_report import Wellformed, words_of
 
 from deepfsi.errors import InputError
 from deepfsi.report import (
@@ -21,6 +21,7 @@ from deepfsi.report import (
     write_study,
 )
 from deepfsi.report.study_page import Shown, columns
+from shared.results import make_results
 
 SCRIPT = "<script>window.harmed = true</script>"
 LONG = "Donaudampfschifffahrtsgesellschaftskapitänsmützenabzeichenverleihungsurkunde"

@@ -180,7 +180,7 @@ def test_a_plan_on_digits(done):
     assert needs["pca"]["photons"] < needs["raster"]["photons"]
     assert needs["pca"]["masks"] == 8
     assert needs["raster"]["masks"] == data.pixels
-    json.dumps((plan, results))
+    json.dumps((plan, results.as_dict()))
 
 
 def test_masks_are_chosen_on_validation_data(done):
@@ -189,7 +189,7 @@ def test_masks_are_chosen_on_validation_data(done):
         for point in need["tried"]:
             rivals = [
                 rival["validation"]
-                for rival in results["points"]
+                for rival in results.points
                 if (rival["design"], rival["photons"]) == (need["design"], point["photons"])
             ]
             assert point["validation"] == max(rivals)

@@ -312,7 +312,7 @@ def test_every_list_of_the_training_is_an_axis(digits, tmp_path):
     assert len({trial.key for trial in trials}) == 4
     results, _ = run.compare(recipe, digits, tmp_path, command="deepfsi")
     assert len({point["variant"] for point in results["points"]}) == 4
-    assert all(point["best"] for point in results["points"])
+    assert all(point.best for point in results["points"])
 
 
 def test_noise_of_the_training_may_be_another_than_that_of_the_test(digits, tmp_path):
@@ -449,12 +449,12 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss"):
 
 
 def summary(data, records, **changes):
-    return summarise(small(**changes), data, records, command="deepfsi", seconds=1.0)["points"]
+    return summarise(small(**changes), data, records, command="deepfsi", seconds=1.0).points
 
 
 def test_mask_counts_are_chosen_on_validation_never_on_test(digits):
     records = [record(1e3, 3, 0, 0.8, 0.5), record(1e3, 6, 0, 0.7, 0.9)]
-    best = [point["masks"] for point in summary(digits, records) if point["best"]]
+    best = [point.masks for point in summary(digits, records) if point.best]
     assert best == [3]
 
 
@@ -462,20 +462,20 @@ def test_interval_over_trials_is_students(digits):
     values = [0.80, 0.83, 0.85, 0.79]
     (point,) = summary(digits, [record(1e3, 3, k, 0.8, v) for k, v in enumerate(values)])
     low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
-    assert (point["low"], point["high"]) == pytest.approx((low, high))
-    assert "4 trials" in point["covers"]
+    assert (point.low, point.high) == pytest.approx((low, high))
+    assert "4 trials" in point.covers
 
 
 def test_interval_of_one_trial_is_that_of_its_images(digits):
     (point,) = summary(digits, [record(1e3, 3, 0, 0.8, 0.5)])
-    assert (point["low"], point["high"]) == (0.1, 0.9)
-    assert "images" in point["covers"]
+    assert (point.low, point.high) == (0.1, 0.9)
+    assert "images" in point.covers
 
 
 def test_trials_of_different_training_noise_are_different_points(digits):
     records = [record(1e3, 3, 0, 0.8, 0.5, noise) for noise in ("ml_gauss", "gaussian")]
     points = summary(digits, records)
-    assert [(point["trained_under"], point["trials"]) for point in points] == [
+    assert [(point.trained_under, point.trials) for point in points] == [
         ("ml_gauss", 1),
         ("gaussian", 1),
     ]
@@ -518,7 +518,7 @@ def test_without_validation_nothing_is_chosen(digits):
     records = [record(1e3, 3, 0, 0.8, 0.5), record(1e3, 6, 0, 0.7, 0.9)]
     for entry in records:
         entry["validation"] = []
-    assert all(point["best"] for point in summary(digits, records, validation=0))
+    assert all(point.best for point in summary(digits, records, validation=0))
 
 
 def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
@@ -565,4 +565,4 @@ def test_every_recipe_runs_small(settings, digits, tmp_path):
     }
     recipe = Recipe(**{**settings, **tiny})
     results, _ = run.compare(recipe, digits, tmp_path, command="deepfsi")
-    assert {point["design"] for point in results["points"]} == set(recipe.designs)
+    assert {point.design for point in results.points} == set(recipe.designs)

@@ -83,6 +83,7 @@ def plan(
     """
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
+    from deepfsi.sweeps.results import write_results
 
     accuracy = options.number("target", target)
     recipe = options.recipe_from(context.params, {"ratios": (0.01, 0.04, 0.16)})
@@ -100,8 +101,8 @@ def plan(
             workers=workers,
             report=report,
         )
-    for name, value in (("plan", found), ("results", results)):
-        write_atomically(out / f"{name}.json", json.dumps(value, indent=1).encode())
+    write_atomically(out / "plan.json", json.dumps(found, indent=1).encode())
+    write_results(out / "results.json", results)
     if as_json:
         print_json(found)
         return

@@ -1,6 +1,5 @@
 """Commands that train many designs: compare, sweep, reproduce, report."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from deepfsi.report.study_page import Section
     from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.sweeps.results import Results
 
 
 def compare(
@@ -238,7 +238,7 @@ def _run(
     device: str,
     workers: int | None,
     ray: str | None = None,
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+) -> "tuple[Results, list[dict[str, Any]]]":
     from deepfsi.sweeps.run import compare as run
 
     scenes = load(recipe.data, recipe.size, split=recipe.split)
@@ -257,14 +257,14 @@ def _run(
         )
 
 
-def _finish(results: dict[str, Any], out: Path, as_json: bool) -> None:
-    from deepfsi.files import write_atomically
+def _finish(results: "Results", out: Path, as_json: bool) -> None:
     from deepfsi.report import build
+    from deepfsi.sweeps.results import write_results
 
-    write_atomically(out / "results.json", json.dumps(results, indent=1).encode())
+    write_results(out / "results.json", results)
     page = build(out)
     if as_json:
-        print_json(results)
+        print_json(results.as_dict())
         return
     _print_points(results)
     print(f"report: {page}")
@@ -308,29 +308,29 @@ def _given(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _print_points(results: dict[str, Any]) -> None:
+def _print_points(results: "Results") -> None:
     from deepfsi.report.figures import axis_text, series_axes
 
-    best = [point for point in results["points"] if point["best"]]
+    best = [point for point in results.points if point.best]
     apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]
     axes = ["noise", *apart]
-    axes = [axis for axis in axes if len({str(point.get(axis)) for point in best}) > 1]
+    axes = [axis for axis in axes if len({str(getattr(point, axis)) for point in best}) > 1]
     names = (axis.replace("_", " ") for axis in axes)
     heads = ("design", *names, "photons", "masks", "accuracy, 95 % interval", "counted")
-    best.sort(key=lambda p: (*(str(p[axis]) for axis in axes), p["photons"], -p["accuracy"]))
+    best.sort(key=lambda p: (*(str(getattr(p, axis)) for axis in axes), p.photons, -p.accuracy))
     rows = [
         (
-            f"{p['title']} ({p['label']})",
-            *(axis_text(axis, p[axis]) for axis in axes),
-            f"{p['photons']:g}",
-            str(p["masks"]),
-            f"{p['accuracy']:.4f} [{p['low']:.4f}, {p['high']:.4f}]",
-            f"{p['throughput']:.3f}",
+            f"{p.title} ({p.label})",
+            *(axis_text(axis, getattr(p, axis)) for axis in axes),
+            f"{p.photons:g}",
+            str(p.masks),
+            f"{p.accuracy:.4f} [{p.low:.4f}, {p.high:.4f}]",
+            f"{p.throughput:.3f}",
         )
         for p in best
     ]
-    print_table(results["title"], heads, rows)
-    print("interval: " + "; ".join(dict.fromkeys(p["covers"] for p in best)))
+    print_table(results.title, heads, rows)
+    print("interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("counted: share of the budget that reaches a detector")
-    if results["chosen_on"] == "validation":
+    if results.chosen_on == "validation":
         print("mask counts were chosen on validation data; the table is of test data")

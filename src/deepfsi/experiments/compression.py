@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from deepfsi.experiments.experiment import Experiment, Finding, Results, budgets, points
+from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
 from deepfsi.report.figures import photons_text
 from deepfsi.report.maps import accuracy_grid, heat_figure
 from deepfsi.report.study_page import Claim, Picture
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
+from deepfsi.sweeps.results import Results
 
 ROBUST = 0.02
 """Loss of accuracy above the training budget that still counts as robust."""

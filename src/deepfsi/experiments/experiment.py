@@ -1,9 +1,8 @@
 """What an experiment is: a recipe, numbers beyond its accuracies, and what it shows."""
 
 import io
-import json
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -20,9 +19,9 @@ from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows
+from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
 
-Results = Mapping[str, Any]
 Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
 
@@ -110,7 +109,8 @@ class Experiment:
         its `recipe`. Where a recipe names a split, its points and the name of the data do, too.
         """
         sources: dict[Any, Dataset] = {}
-        results: dict[str, Any] = {}
+        results: Results | None = None
+        points: list[Point] = []
         records: list[dict[str, Any]] = []
         for name, recipe in self.recipes(quick, trials).items():
             source = (recipe.data, recipe.size, recipe.split)
@@ -130,20 +130,22 @@ class Experiment:
             where = {"recipe": name}
             if recipe.split:
                 where |= {"data": recipe.data, "split": recipe.split}
-            points = [{**where, **point} for point in part["points"]]
-            results = {**part, **results, "points": [*results.get("points", []), *points]}
+            points += [point.model_copy(update=where) for point in part.points]
+            results = (results or part).with_points(points)
+        assert results is not None, "an experiment has a recipe"
         if self.measure:
             tell = report or (lambda share, now: None)
             first = next(iter(sources.values()))
-            results["extra"] = self.measure(results, first, folder / "designs", workers, tell)
+            extra = self.measure(results, first, folder / "designs", workers, tell)
+            results = results.model_copy(update={"extra": extra})
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
 
     def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
         """Write the results, a row for each point, and one for each test of a trial."""
         averaged = [
-            {name: value for name, value in point.items() if not isinstance(value, list)}
-            for point in results["points"]
+            {name: value for name, value in point.as_dict().items() if not isinstance(value, list)}
+            for point in results.points
         ]
         for table, name in (
             (polars.DataFrame(averaged, infer_schema_length=None), self.name),
@@ -152,7 +154,7 @@ class Experiment:
             text = io.BytesIO()
             table.write_csv(text)
             write_atomically(folder / f"{name}.csv", text.getvalue())
-        write_atomically(folder / f"{self.name}.json", json.dumps(results, indent=1).encode())
+        write_results(folder / f"{self.name}.json", results)
 
     def section(self, folder: Path) -> Section | None:
         """The experiment's part of the page, or None where it was not run."""
@@ -160,7 +162,7 @@ class Experiment:
         if not path.is_file():
             return None
         try:
-            results = json.loads(path.read_text(encoding="utf-8"))
+            results = read_results(path)
             shown = self.show(results)
         except (ValueError, KeyError) as error:
             raise InputError(
@@ -175,8 +177,12 @@ class Experiment:
             claims=shown.claims,
             tables=shown.tables,
             files=(f"{self.name}.csv", f"{self.name}-trials.csv"),
-            command=results["command"],
-            facts={key: results[key] for key in ("data", "recipe", "provenance")},
+            command=results.command,
+            facts={
+                "data": results.data.as_dict(),
+                "recipe": results.recipe,
+                "provenance": results.provenance.as_dict(),
+            },
         )
 
 
@@ -185,22 +191,20 @@ def _load(recipe: Recipe) -> Dataset:
     return replace(data, name=f"{data.name}, {recipe.split} split") if recipe.split else data
 
 
-def points(results: Results, **fields: Any) -> list[Mapping[str, Any]]:
+def points(results: Results, **fields: Any) -> list[Any]:
     """Points of results that have these values."""
     return [
         point
-        for point in results["points"]
-        if all(point[name] == value for name, value in fields.items())
+        for point in results.points
+        if all(getattr(point, name) == value for name, value in fields.items())
     ]
 
 
-def best(results: Results, **fields: Any) -> dict[tuple[str, float], Mapping[str, Any]]:
+def best(results: Results, **fields: Any) -> dict[tuple[str, float], Any]:
     """Points at their chosen number of masks, by design and budget."""
-    return {
-        (point["design"], point["photons"]): point for point in points(results, best=True, **fields)
-    }
+    return {(point.design, point.photons): point for point in points(results, best=True, **fields)}
 
 
-def budgets(chosen: Iterable[Mapping[str, Any]]) -> list[float]:
+def budgets(chosen: Iterable[Any]) -> list[float]:
     """Budgets of points, rising."""
-    return sorted({point["photons"] for point in chosen})
+    return sorted({point.photons for point in chosen})

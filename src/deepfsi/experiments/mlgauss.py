@@ -2,11 +2,12 @@
 
 from collections.abc import Iterable
 
-from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.experiments.paired_maps import pair
 from deepfsi.report.figures import photons_text
 from deepfsi.report.study_page import Claim, Picture
 from deepfsi.statistics.differences import Difference
+from deepfsi.sweeps.results import Results
 
 NOTICED = 0.02
 STARVED = 0.1

@@ -14,10 +14,10 @@ from safetensors import SafetensorError, safe_open
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.report import figures
-from deepfsi.report.figures import Point, Results, noise_text, photons_text
+from deepfsi.report.figures import noise_text, photons_text
 from deepfsi.report.rendering import flat, render, share_text
+from deepfsi.sweeps.results import Point, Results, read_results
 
-SCHEMA = 1
 MASKS_SHOWN = 12
 
 
@@ -69,31 +69,14 @@ def build(folder: str | os.PathLike[str]) -> Path:
         If there are no results, or they cannot be read.
     """
     home = Path(folder)
-    results = read_results(home)
+    if not (home / "results.json").is_file():
+        raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
+    results = read_results(home / "results.json")
     text = page_text(results, home / "designs")
     picture = io.BytesIO()
     figures.accuracy_figure(results).savefig(picture, dpi=160)
     write_atomically(home / "accuracy.png", picture.getvalue())
     return write_atomically(home / "report.html", text.encode())
-
-
-def read_results(folder: Path) -> Results:
-    """Content of a folder's `results.json`, or `InputError`."""
-    path = folder / "results.json"
-    if not path.is_file():
-        raise InputError(f"no results in {folder}: make them with `deepfsi compare -o {folder}`")
-    try:
-        results = json.loads(path.read_text(encoding="utf-8"))
-        schema, points = int(results["schema"]), len(results["points"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is not a whole results file: run the comparison again") from error
-    if schema > SCHEMA:
-        raise InputError(
-            f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
-        )
-    if not points:
-        raise InputError(f"{path} holds no finished point: run the comparison again")
-    return results
 
 
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
@@ -128,14 +111,14 @@ def page_text(results: Results, designs: Path) -> str:
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data["image_shape"]),
         facts=[
-            ("Data", list(flat({k: v for k, v in data.items() if k != "classes"}))),
-            ("Recipe", list(flat(results["recipe"]))),
-            ("Made with", list(flat(results["provenance"]))),
+            ("Data", list(flat({k: v for k, v in data.as_dict().items() if k != "classes"}))),
+            ("Recipe", list(flat(results.recipe))),
+            ("Made with", list(flat(results.provenance.as_dict()))),
         ],
     )
 
 
-def scene_text(shape: list[int]) -> str:
+def scene_text(shape: tuple[int, ...]) -> str:
     """Scene's size in words."""
     if len(shape) == 1:
         return f"{shape[0]} bands"
@@ -215,7 +198,7 @@ def listed(words: list[str]) -> str:
 
 def only(results: Results, points: list[Point]) -> Results:
     """Return the same comparison with some of its points."""
-    return {**results, "points": points}
+    return results.with_points(points)
 
 
 def accuracy_panels(results: Results) -> Iterator[Panel]:

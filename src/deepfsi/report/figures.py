@@ -7,7 +7,7 @@ page whose colours are CSS variables, so that the page decides what light and da
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import wraps
 from html import escape
 from typing import Any, ParamSpec
@@ -22,8 +22,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-Point = Mapping[str, Any]
-Results = Mapping[str, Any]
+Point = Any
+Results = Any
 P = ParamSpec("P")
 
 INK, MUTED, GRID, PAPER = "#1b1f24", "#5d6670", "#dfe3e8", "#ffffff"

@@ -95,7 +95,7 @@ def error_figure(results: Results) -> Figure:
     points: dict[str, list[Point]] = {
         noise: [
             {
-                **point,
+                **(point if isinstance(point, dict) else vars(point)),
                 "error": impulse_imaging_error(
                     point["photons"], data["mean_reflectance"], pixels, noise, sigma
                 ),

@@ -1,14 +1,14 @@
 """Differences of accuracies, trial by trial, and what they say of a claim."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-Point = Mapping[str, Any]
+Point = Any
 CONFIDENCE = 0.95
 
 

@@ -6,7 +6,7 @@ interval holds the target.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +17,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.run import run
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import plan as trials_of
@@ -30,7 +31,7 @@ APART = 0.2
 KIND = ("light", "rails", "design")
 """What tells two curves apart."""
 
-Curve = dict[float, Mapping[str, Any]]
+Curve = dict[float, Point]
 """Point of a summary at the best mask count, by budget, rising."""
 
 
@@ -176,7 +177,7 @@ def photons_needed(
     device: str = "auto",
     workers: int | None = 1,
     report: Report | None = None,
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[dict[str, Any], Results]:
     """Photons and masks that a target accuracy needs, for each design, light and rails.
 
     Mask counts and the budgets that are added are chosen on validation data, and the crossings
@@ -202,10 +203,11 @@ def photons_needed(
 
     Returns
     -------
-    plan, results : dict
+    plan : dict
         JSON types only. ``plan["needs"]`` has for each curve the fields of its `Crossing`, its
         ``design``, ``light`` and ``rails``, the ``masks`` that were best at the tried budget
-        nearest to the crossing, and what was ``tried``. The second is `sweep.summarise`'s.
+        nearest to the crossing, and what was ``tried``.
+    results : Results
 
     Raises
     ------
@@ -245,11 +247,9 @@ def photons_needed(
     plan = {
         "target": target,
         "command": command,
-        "data": results["data"],
+        "data": results.data.as_dict(),
         "covers": f"{covers}, and what lies between tried budgets",
-        "needs": [
-            _need(kind, curve, results["data"]["test"], target) for kind, curve in curves.items()
-        ],
+        "needs": [_need(kind, curve, results.data.test, target) for kind, curve in curves.items()],
     }
     tell(1.0, "done")
     return plan, results
@@ -274,22 +274,22 @@ def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
         )
 
 
-def _curves(results: Mapping[str, Any]) -> dict[tuple[str, ...], Curve]:
+def _curves(results: Results) -> dict[tuple[str, ...], Curve]:
     curves: dict[tuple[str, ...], Curve] = defaultdict(dict)
-    for point in sorted(results["points"], key=lambda point: point["photons"]):
-        if point["best"]:
-            curves[tuple(point[axis] for axis in KIND)][point["photons"]] = point
+    for point in sorted(results.points, key=lambda point: point.photons):
+        if point.best:
+            curves[tuple(getattr(point, axis) for axis in KIND)][point.photons] = point
     return curves
 
 
 def _more(recipe: Recipe, kind: tuple[str, ...], curve: Curve, target: float) -> Recipe | None:
     """One more budget of a curve, with the mask counts that are best at its neighbours."""
     tried = list(curve)
-    budget = next_budget(tried, [point["validation"] for point in curve.values()], target)
+    budget = next_budget(tried, [point.validation or 0.0 for point in curve.values()], target)
     if budget is None:
         return None
     above = next(place for place, each in enumerate(tried) if each > budget)
-    masks = {curve[tried[place]]["masks"] for place in (above - 1, above)}
+    masks = {curve[tried[place]].masks for place in (above - 1, above)}
     light, rails, design = kind
     asked = {
         "designs": (design,),
@@ -305,14 +305,14 @@ def _more(recipe: Recipe, kind: tuple[str, ...], curve: Curve, target: float) ->
 
 def _need(kind: tuple[str, ...], curve: Curve, images: int, target: float) -> dict[str, Any]:
     tried = list(curve)
-    found = crossing(tried, [point["accuracies"] for point in curve.values()], images, target)
+    found = crossing(tried, [point.accuracies for point in curve.values()], images, target)
     at = found.photons or (tried[0] if found.found == "below" else tried[-1])
     nearest = min(tried, key=lambda budget: abs(np.log(budget / at)))
-    kept = ("photons", "masks", "accuracy", "low", "high", "validation", "keys")
+    kept = {"photons", "masks", "accuracy", "low", "high", "validation", "keys"}
     return {
         **dict(zip(KIND, kind, strict=True)),
-        "title": curve[nearest]["title"],
+        "title": curve[nearest].title,
         **asdict(found),
-        "masks": curve[nearest]["masks"],
-        "tried": [{name: point[name] for name in kept} for point in curve.values()],
+        "masks": curve[nearest].masks,
+        "tried": [point.model_dump(mode="json", include=kept) for point in curve.values()],
     }

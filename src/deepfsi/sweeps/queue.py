@@ -19,7 +19,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Resources
 from deepfsi.sweeps.records import Records
-from deepfsi.sweeps.summary import SCHEMA
+from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi.training.learning import Diverged, train

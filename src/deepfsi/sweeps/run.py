@@ -25,6 +25,7 @@ from deepfsi.sweeps.queue import (
 )
 from deepfsi.sweeps.recipe import Recipe, Resources
 from deepfsi.sweeps.records import Records
+from deepfsi.sweeps.results import Results
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import Trial, plan
 
@@ -127,7 +128,7 @@ def compare(
     workers: int | None = 1,
     ray: str | None = None,
     report: Report | None = None,
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+) -> tuple[Results, list[dict[str, Any]]]:
     """Plan, run and summarise a recipe; returns the summary and the records."""
     began = time.perf_counter()
     trials = plan(recipe, data, matrix)

@@ -13,8 +13,8 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import COVERS
 from deepfsi.optics import codes
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
-SCHEMA = 1
 TRAINED = ("noise", "light", "rails", "design", "photons")
 AXES = (
     "trained_under",
@@ -38,16 +38,11 @@ def summarise(
     *,
     command: str,
     seconds: float,
-) -> dict[str, Any]:
+) -> Results:
     """Points of a comparison: trials averaged, mask counts chosen on validation data.
 
     The interval of a point is Student's over its trials (training seeds); of a single trial, the
     one over its test images.
-
-    Returns
-    -------
-    dict
-        What `results.json` holds, JSON types only.
     """
     held_out = recipe.held_out(data)
     groups = defaultdict(list)
@@ -62,62 +57,61 @@ def summarise(
         for key, members in groups.items()
     ]
     chosen = defaultdict(list)
-    for each in points:
-        chosen[tuple(each[axis] for axis in AXES if axis != "masks")].append(each)
+    for place, each in enumerate(points):
+        chosen[tuple(getattr(each, axis) for axis in AXES if axis != "masks")].append(place)
     for rivals in chosen.values():
-        for each in rivals:
-            each["best"] = not held_out or each is max(rivals, key=lambda p: p["validation"])
-    return {
-        "schema": SCHEMA,
-        "title": f"{data.name} under {' and '.join(recipe.noise)} noise",
-        "command": command,
-        "recipe": recipe.model_dump(mode="json"),
-        **origin(data, held_out, records, seconds),
-        "chosen_on": "validation" if held_out else "nothing",
-        "points": points,
-    }
+        for place in rivals:
+            best = not held_out or place == max(rivals, key=lambda p: points[p].validation or 0)
+            points[place] = points[place].model_copy(update={"best": best})
+    return Results(
+        revision=SCHEMA,
+        title=f"{data.name} under {' and '.join(recipe.noise)} noise",
+        command=command,
+        recipe=recipe.model_dump(mode="json"),
+        data=facts_of(data, held_out),
+        provenance=provenance_of(records, seconds),
+        chosen_on="validation" if held_out else "nothing",
+        points=tuple(points),
+    )
 
 
-def origin(
-    data: Dataset,
-    held_out: int,
-    records: Sequence[Mapping[str, Any]],
-    seconds: float,
-) -> dict[str, Any]:
-    """What a `results.json` says of its data, and of what made it."""
+def facts_of(data: Dataset, held_out: int) -> Data:
+    """Facts of a data set of which some training scenes are held out for validation."""
     train = len(data.x_train) - held_out
-    return {
-        "data": {
-            "name": data.name,
-            "hash": data.hash,
-            "image_shape": list(data.image_shape),
-            "classes": list(data.classes),
-            "train": train,
-            "validation": held_out,
-            "test": len(data.x_test),
-            "preprocessing": data.preprocessing,
-            "mean_reflectance": float(data.x_train[:train].mean(dtype=np.float64)),
-        },
-        "provenance": {
-            **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
-            "python": platform.python_version(),
-            "device": ", ".join(sorted({record["info"]["device"] for record in records})),
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            "seconds": round(seconds, 1),
-            "training_seconds": round(sum(record["info"]["seconds"] for record in records), 1),
-        },
-    }
+    return Data(
+        name=data.name,
+        hash=data.hash,
+        image_shape=data.image_shape,
+        classes=data.classes,
+        train=train,
+        validation=held_out,
+        test=len(data.x_test),
+        preprocessing=data.preprocessing,
+        mean_reflectance=float(data.x_train[:train].mean(dtype=np.float64)),
+    )
+
+
+def provenance_of(records: Sequence[Mapping[str, Any]], seconds: float) -> Provenance:
+    """Versions and devices behind records, finished now after that many seconds."""
+    return Provenance(
+        **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
+        python=platform.python_version(),
+        device=", ".join(sorted({record["info"]["device"] for record in records})),
+        finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        seconds=round(seconds, 1),
+        training_seconds=round(sum(record["info"]["seconds"] for record in records), 1),
+    )
 
 
 def point(
     axes: Mapping[str, Any], members: Sequence[tuple[Mapping[str, Any], int]], pixels: int
-) -> dict[str, Any]:
+) -> Point:
     """One point of a summary: trials averaged.
 
     Parameters
     ----------
     axes : mapping
-        What tells the point apart; `design` and `masks` at least.
+        What tells the point apart: a value for each of `AXES`.
     members : sequence of tuple
         Records, each with the place of the test in it that belongs here.
     pixels : int
@@ -135,21 +129,22 @@ def point(
         low, high, covers = tests[0]["low"], tests[0]["high"], COVERS
     validated = [record["validation"][index] for record, index in members if record["validation"]]
     code = codes.DESIGNS[axes["design"]]
-    return {
+    return Point(
         **axes,
-        "label": code.label,
-        "title": code.title,
-        "specific": code.specific,
-        "learned": code.learned,
-        "ratio": axes["masks"] / pixels,
-        "trials": len(tests),
-        "validation": float(np.mean([v["accuracy"] for v in validated])) if validated else None,
-        "accuracy": float(accuracy.mean()),
-        "low": max(low, 0.0),
-        "high": min(high, 1.0),
-        "covers": covers,
-        "throughput": float(np.mean([test["throughput"] for test in tests])),
-        "seconds": float(np.mean([record["info"]["seconds"] for record, _ in members])),
-        "accuracies": [float(value) for value in accuracy],
-        "keys": [record["design"] for record, _ in members],
-    }
+        label=code.label,
+        title=code.title,
+        specific=code.specific,
+        learned=code.learned,
+        ratio=axes["masks"] / pixels,
+        trials=len(tests),
+        validation=float(np.mean([v["accuracy"] for v in validated])) if validated else None,
+        accuracy=float(accuracy.mean()),
+        low=max(low, 0.0),
+        high=min(high, 1.0),
+        covers=covers,
+        throughput=float(np.mean([test["throughput"] for test in tests])),
+        seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
+        accuracies=tuple(float(value) for value in accuracy),
+        keys=tuple(record["design"] for record, _ in members),
+        best=True,
+    )

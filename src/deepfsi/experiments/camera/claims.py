@@ -33,7 +33,7 @@ from deepfsi.experiments.camera.published import (
     WILCOXON,
 )
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
-from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.hardware.patterns.sequence import Grid, find_grid
 from deepfsi.report.figures import photons_text
@@ -44,6 +44,7 @@ from deepfsi.statistics.bootstrap import (
     wilcoxon_signed_rank,
 )
 from deepfsi.statistics.differences import Difference, above, of_trials
+from deepfsi.sweeps.results import Results
 
 OURS = "deepfsi"
 BRIGHT = tuple(exposure for exposure in EXPOSURES if exposure >= 1e-3)

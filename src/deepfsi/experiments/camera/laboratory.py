@@ -21,7 +21,6 @@ import numpy as np
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.experiments.camera.measures import DigitTest, Measures, RunTime, Views
-from deepfsi.experiments.experiment import Results
 from deepfsi.hardware.calibration import fit as calibration
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.gates import find_gates
@@ -40,6 +39,7 @@ from deepfsi.hardware.virtual.camera import (
 )
 from deepfsi.statistics.differences import Point
 from deepfsi.sweeps.queue import Report
+from deepfsi.sweeps.results import Results
 from deepfsi.sweeps.workers import cores, processes
 
 FLUX = 1e7

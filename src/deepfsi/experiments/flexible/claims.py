@@ -15,7 +15,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
-from deepfsi.experiments.experiment import Experiment, Finding, Results, budgets, points
+from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
 from deepfsi.experiments.flexible.figures import Line, Stops, lines_figure, stopping_figure
 from deepfsi.report.figures import photons_text
 from deepfsi.report.maps import accuracy_grid, heat_figure
@@ -29,6 +29,7 @@ from deepfsi.statistics.differences import (
     signed,
 )
 from deepfsi.sweeps.queue import Report
+from deepfsi.sweeps.results import Results
 
 RANGE_LOSS, NESTED_LOSS = 0.01, 0.015
 """Accuracy that one design may lose against each of those that it stands for."""

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.datasets.indian_pines import SURROGATE, where
-from deepfsi.experiments.experiment import Experiment, Finding, Results, best
+from deepfsi.experiments.experiment import Experiment, Finding, best
 from deepfsi.experiments.indian_pines.figures import (
     class_maps_figure,
     overview_figure,
@@ -24,6 +24,7 @@ from deepfsi.report.figures import INK, accuracy_figure, photons_text
 from deepfsi.report.study_page import Claim, Picture, Table
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.results import Results
 
 SCENES = ("indian-pines", "indian-pines-corrected", SURROGATE)
 """What may stand for the scene, best first."""
@@ -256,7 +257,7 @@ def _found(
 
 
 def _accuracy_picture(results: Results, of: str, measures: Measures, split: str) -> Picture:
-    part = {**results, "points": [p for p in results["points"] if p["split"] == split]}
+    part = results.with_points(p for p in results.points if p.split == split)
     figure = accuracy_figure(part)
     figure.suptitle(f"{of}, {split} split", fontsize=10, fontweight="bold", color=INK)
     counts = np.bincount(measures.scene.labels.values.ravel())[1:]

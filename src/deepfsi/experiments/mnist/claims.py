@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-from deepfsi.experiments.experiment import Experiment, Finding, Results, best
+from deepfsi.experiments.experiment import Experiment, Finding, best
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.figures import accuracy_figure, photons_text
 from deepfsi.report.maps import error_figure
 from deepfsi.report.study_page import Claim, Picture, Table
 from deepfsi.statistics.differences import Difference, above, difference
+from deepfsi.sweeps.results import Results
 
 PAPER_SECONDS_PER_RUN, PAPER_SECONDS = 71.0, 2.87e4
 NOTHING = 0.01
@@ -56,7 +57,7 @@ def show(results: Results) -> Finding:
         )
     ]
     for noise, name in (("poisson", "photon noise"), ("gaussian", "read noise")):
-        part = {**results, "points": [point for point in chosen if point["noise"] == noise]}
+        part = results.with_points(point for point in chosen if point["noise"] == noise)
         caption = f"The same against photons, {name}."
         pictures.append(Picture(accuracy_figure(part), caption, photons_words))
     return Finding(found, tuple(pictures), claims, (_accuracies(results), _cost(results)))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepfsi.datasets import Dataset
-from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.optics.codes import sensing_matrix
 from deepfsi.optics.measures import (
     effective_directions,
@@ -21,6 +21,7 @@ from deepfsi.report.maps import masks_table_figure, measures_figure
 from deepfsi.report.study_page import Claim, Picture, Table
 from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.queue import Report
+from deepfsi.sweeps.results import Results
 
 SHOWN = (1e3, 1e5, 1e8)
 LIGHT, SPAN = "light counted", "independent directions"

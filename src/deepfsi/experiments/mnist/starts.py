@@ -2,11 +2,12 @@
 
 from typing import Any
 
-from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.report.figures import photons_text
 from deepfsi.report.maps import starts_figure
 from deepfsi.report.study_page import Claim, Picture, Table
 from deepfsi.statistics.differences import CONFIDENCE, Difference, difference
+from deepfsi.sweeps.results import Results
 
 PAPER = (
     "The initial matrix of DeepFSI can affect its performance in the presence of noise; it was "
@@ -19,7 +20,8 @@ MATTERS = 0.005
 def show(results: Results) -> Finding:
     """Accuracies by start, and paired differences to the start from principal components."""
     points = [
-        {**point, "start": point["variant"].removeprefix("start ")} for point in results["points"]
+        {**vars(point), "start": point["variant"].removeprefix("start ")}
+        for point in results["points"]
     ]
     at = {(point["start"], point["photons"]): point for point in points}
     compared = {
@@ -59,7 +61,7 @@ def show(results: Results) -> Finding:
         tuple(tuple(row[field] for field in fields) for row in rows),
     )
     picture = Picture(
-        starts_figure({**results, "points": points, "differences": rows}),
+        starts_figure({"data": results.data, "points": points, "differences": rows}),
         "Accuracy by the matrix that masks start from, and differences to pca. Bars: 95 % "
         "intervals.",
         "Accuracy of learned masks from three initial matrices; numbers in the table.",

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from deepfsi.datasets import Dataset, list_datasets, load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
-from deepfsi.experiments.experiment import Experiment, Finding, Results
+from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.measures import effective_directions
 from deepfsi.report.comparison_page import listed, read_masks
@@ -35,7 +35,8 @@ from deepfsi.report.study_page import Claim, Picture, Table
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.queue import Report, workers_for
 from deepfsi.sweeps.records import Records
-from deepfsi.sweeps.summary import origin, point
+from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.summary import facts_of, point, provenance_of
 from deepfsi.sweeps.workers import processes
 from deepfsi.training.patches import (
     REVISION,
@@ -273,21 +274,22 @@ class PatchExperiment(Experiment):
         data = recipe.load()
         bench = Bench(data, recipe, device)
         records = run_trials(plan(recipe, data), bench, folder, workers, tell)
-        results = {
-            "schema": SCHEMA,
-            "title": f"{data.name}, patch by patch",
-            "command": command,
-            "recipe": recipe.model_dump(mode="json"),
-            **origin(data, recipe.validation, records, time.perf_counter() - began),
-            "chosen_on": "validation",
-            "points": summarise(records),
-            "extra": {"masks": learned_masks(records, folder / "designs")},
-        }
+        results = Results(
+            revision=1,
+            title=f"{data.name}, patch by patch",
+            command=command,
+            recipe=recipe.model_dump(mode="json"),
+            data=facts_of(data, recipe.validation),
+            provenance=provenance_of(records, time.perf_counter() - began),
+            chosen_on="validation",
+            points=tuple(summarise(records)),
+            extra={"masks": learned_masks(records, folder / "designs")},
+        )
         self.keep(folder, results, polars.DataFrame([_row(record) for record in records]))
         return results
 
 
-def summarise(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def summarise(records: Sequence[Mapping[str, Any]]) -> list[Point]:
     """Points of the figure, each the mean of its trials."""
     groups = defaultdict(list)
     for record in records:
@@ -299,14 +301,18 @@ def summarise(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         axes = {
             "design": design,
             "photons": photons,
+            "trained_under": "poisson",
+            "trained_at": photons,
+            "variant": "",
+            "levels": 0,
             "noise": "poisson",
             "light": "column",
             "rails": "dual",
             "masks": masks,
         }
         made = point(axes, members, masks)
-        label = LABEL if design == LEARNED else made["label"]
-        found.append({**made, "label": label, "best": True})
+        label = LABEL if design == LEARNED else made.label
+        found.append(made.model_copy(update={"label": label}))
     return found
 
 

@@ -1,0 +1,186 @@
+"""Results of a comparison: averaged points, data and provenance, as `results.json` holds them."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from deepfsi.errors import as_input_error
+from deepfsi.files import write_atomically
+
+SCHEMA = 1
+"""Schema of a results file, the only one."""
+
+
+def _readable(schema: int) -> int:
+    if schema != SCHEMA:
+        raise ValueError(f"schema {schema} is not the {SCHEMA} of this version: upgrade deepfsi")
+    return schema
+
+
+def _some(points: tuple["Point", ...]) -> tuple["Point", ...]:
+    if not points:
+        raise ValueError("no finished point")
+    return points
+
+
+class Frozen(BaseModel):
+    """Part of a results file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only: fields that were given."""
+        return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+    def __getitem__(self, name: str) -> Any:  # until all readers use attributes
+        return getattr(self, name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Field of a name."""
+        return getattr(self, name, default)
+
+
+class Point(Frozen):
+    """Trials of one setting, averaged.
+
+    Attributes
+    ----------
+    recipe : str
+        Name of the recipe, in an experiment that has several.
+    data, split : str
+        Data set and its split, in an experiment that has several.
+    trained_under, noise : str
+        Noise of the training and of the test.
+    light, rails, design, variant : str
+    trained_at, photons : float
+        Budget of the training and of the test.
+    levels : int
+        Grey levels of the masks in the test; 0 for continuous ones.
+    masks : int
+    label, title : str
+        Short and long name of the design.
+    specific, learned : bool
+        Whether the design depends on the task, and whether its masks are trained.
+    ratio : float
+        m / N.
+    trials : int
+    validation : float or None
+        Mean accuracy on validation data, if any was held out.
+    accuracy, low, high : float
+        Mean over trials, and its 95 % interval.
+    covers : str
+        What the interval covers.
+    throughput : float
+        Share of the budget that reaches a detector.
+    seconds : float
+        Mean time of a training.
+    accuracies : tuple of float
+        Of each trial.
+    keys : tuple of str
+        Design file of each trial.
+    best : bool
+        Whether its mask count was chosen on validation data, or nothing was chosen.
+    """
+
+    recipe: str = ""
+    data: str = ""
+    split: str = ""
+    trained_under: str
+    light: str
+    rails: str
+    design: str
+    trained_at: float
+    variant: str
+    noise: str
+    photons: float
+    levels: int
+    masks: int
+    label: str
+    title: str
+    specific: bool
+    learned: bool
+    ratio: float
+    trials: int
+    validation: float | None
+    accuracy: float
+    low: float
+    high: float
+    covers: str
+    throughput: float
+    seconds: float
+    accuracies: tuple[float, ...]
+    keys: tuple[str, ...]
+    best: bool
+
+
+class Data(Frozen):
+    """Data set of a comparison and the sizes of its parts."""
+
+    name: str
+    hash: str
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    train: int
+    validation: int
+    test: int
+    preprocessing: str
+    mean_reflectance: float
+
+
+class Provenance(Frozen):
+    """Versions, device and times (s) behind a comparison."""
+
+    deepfsi: str
+    torch: str
+    numpy: str
+    python: str
+    device: str
+    finished: str
+    seconds: float
+    training_seconds: float
+
+
+class Results(Frozen):
+    """Results of a comparison.
+
+    Attributes
+    ----------
+    title, command : str
+    recipe : dict
+        Its settings.
+    data : Data
+    provenance : Provenance
+    chosen_on : {"validation", "nothing"}
+        Data that mask counts were chosen on.
+    points : tuple of Point
+    extra : dict
+        Further numbers of an experiment.
+    """
+
+    revision: Annotated[int, AfterValidator(_readable)] = Field(SCHEMA, alias="schema")
+    title: str
+    command: str
+    recipe: dict[str, Any]
+    data: Data
+    provenance: Provenance
+    chosen_on: str
+    points: Annotated[tuple[Point, ...], AfterValidator(_some)]
+    extra: dict[str, Any] = {}
+
+    def with_points(self, points: Iterable[Point]) -> "Results":
+        """The same comparison with other points."""
+        return self.model_copy(update={"points": tuple(points)})
+
+
+def write_results(path: Path, results: Results) -> Path:
+    """Write results as JSON, all or nothing."""
+    return write_atomically(path, json.dumps(results.as_dict(), indent=1).encode())
+
+
+def read_results(path: Path) -> Results:
+    """Results that `write_results` wrote, or `InputError`."""
+    with as_input_error(str(path), "run the comparison again"):
+        return Results.model_validate_json(path.read_bytes())

@@ -1,0 +1,162 @@
+"""Points and results of comparisons, whole, of which a test says only what matters to it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import save_file
+
+from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results, write_results
+
+DESIGNS = {
+    "impulse": ("II", "impulse imaging", False, False, 0.97),
+    "raster": ("RS", "raster scan", False, False, 0.31),
+    "truncated-hadamard": ("TH", "truncated Hadamard", False, False, 0.52),
+    "pca": ("FSI", "PCA (FSI)", True, False, 0.77),
+    "deepfsi": ("DFSI", "DeepFSI", True, True, 0.86),
+}
+
+
+def a_point(accuracy: float = 0.9, half: float = 0.01, **fields: Any) -> Point:
+    """A point with these fields; its interval is `half` to both sides unless given."""
+    photons, design = fields.get("photons", 1e4), fields.get("design", "deepfsi")
+    given = {
+        "trained_under": "ml_gauss",
+        "light": "column",
+        "rails": "dual",
+        "design": design,
+        "trained_at": photons,
+        "variant": "",
+        "noise": "poisson",
+        "photons": photons,
+        "levels": 0,
+        "masks": 92,
+        "label": design,
+        "title": design,
+        "specific": True,
+        "learned": False,
+        "ratio": fields.get("masks", 92) / 1024,
+        "trials": 3,
+        "validation": accuracy,
+        "accuracy": accuracy,
+        "low": accuracy - half,
+        "high": accuracy + half,
+        "covers": "seeds of training (t over 3 trials)",
+        "throughput": 0.45,
+        "seconds": 1.0,
+        "accuracies": (accuracy,),
+        "keys": ("key",),
+        "best": True,
+    }
+    return Point(**{**given, **fields})
+
+
+def some_results(
+    points: Iterable[Point],
+    *,
+    recipe: dict[str, Any] | None = None,
+    data: dict[str, Any] | None = None,
+    **fields: Any,
+) -> Results:
+    """Results of ten classes with these points; `data` holds fields of it that are others."""
+    facts = {
+        "name": "digits",
+        "hash": "abc123",
+        "image_shape": (32, 32),
+        "classes": tuple(str(k) for k in range(10)),
+        "train": 1000,
+        "validation": 200,
+        "test": 360,
+        "preprocessing": "x / 16",
+        "mean_reflectance": 0.42,
+    }
+    given = {
+        "title": "digits under photon noise",
+        "command": "deepfsi compare --data digits -o out",
+        "recipe": recipe or {},
+        "data": Data(**{**facts, **(data or {})}),
+        "provenance": Provenance(
+            deepfsi="0.1.0",
+            torch="2.13.0",
+            numpy="2.0.0",
+            python="3.11.2",
+            device="cpu",
+            finished="2026-01-01T00:00:00+00:00",
+            seconds=63.1,
+            training_seconds=60.0,
+        ),
+        "chosen_on": "validation",
+        "points": tuple(points),
+    }
+    return Results(revision=SCHEMA, **{**given, **fields})
+
+
+def make_results(
+    folder: Path,
+    designs: Iterable[str] = tuple(DESIGNS),
+    noises: Iterable[str] = ("poisson",),
+    budgets: Iterable[float] = (1e2, 1e4),
+    counts: tuple[int, ...] = (4, 16),
+    lights: Iterable[str] = ("column",),
+    shape: tuple[int, ...] = (4, 6),
+    **changes: Any,
+) -> Results:
+    """Write results.json and design files as `deepfsi compare` does; returns the results."""
+    pixels = int(np.prod(shape))
+    rng = np.random.default_rng(0)
+    points = []
+    for noise, light, design, photons in product(noises, lights, designs, budgets):
+        label, title, specific, learned, top = DESIGNS[design]
+        fixed = design in ("impulse", "raster")
+        for masks in [pixels] if fixed else counts:
+            accuracy = top - 0.3 / np.log10(photons) - masks / 1000
+            key = f"{noise}-{light}-{design}-{photons:g}-{masks}"
+            points.append(
+                a_point(
+                    accuracy,
+                    0.004,
+                    design=design,
+                    label=label,
+                    title=title,
+                    specific=specific,
+                    learned=learned,
+                    noise=noise,
+                    light=light,
+                    rails="single" if fixed else "dual",
+                    photons=photons,
+                    masks=masks,
+                    ratio=masks / pixels,
+                    validation=accuracy + 0.01,
+                    keys=(key,),
+                    best=fixed or masks == counts[0],
+                )
+            )
+            if learned:
+                matrix = rng.normal(size=(masks, pixels)) / masks
+                write_design(folder / "designs" / f"{key}.safetensors", matrix, shape)
+    results = some_results(
+        points,
+        recipe={"photons": list(budgets), "training": {"epochs": 20, "hidden": [40, 128]}},
+        data={"image_shape": shape},
+        chosen_on="validation" if len(counts) > 1 else "nothing",
+    ).model_copy(update=changes)
+    write_results(folder / "results.json", results)
+    return results
+
+
+def write_design(path: Path, matrix: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Write what a page reads of a design file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rails = np.stack([matrix.clip(min=0), -matrix.clip(max=0)]).astype(np.float32)
+    header = {"deepfsi": json.dumps({"schema": 1, "image_shape": list(shape)})}
+    save_file({"rails": rails}, path, metadata=header)
+
+
+def with_all(results: Results, **fields: Any) -> Results:
+    """The same results, all of whose points have these fields."""
+    return results.with_points(point.model_copy(update=fields) for point in results.points)
