@@ -17,11 +17,12 @@ from deepfsi.datasets import Dataset, SpectralImage, load_spectra
 from deepfsi.datasets.indian_pines import WATER
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.experiments.experiment import Results, best
+from deepfsi.experiments.experiment import best
 from deepfsi.optics.scanner import subtract
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.figures import brightest
 from deepfsi.sweeps.queue import Report
+from deepfsi.sweeps.results import Results
 
 MAPPED = (1e2, 1e4, 1e6)
 """Budgets of the class maps, photons."""
