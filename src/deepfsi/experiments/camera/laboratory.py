@@ -21,7 +21,10 @@ import numpy as np
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.experiments.camera.measures import DigitTest, Measures, RunTime, Views
-from deepfsi.hardware.calibration import fit as calibration
+from deepfsi.hardware.calibration import fit
+from deepfsi.hardware.calibration.background import black_rates, subtract_background
+from deepfsi.hardware.calibration.calibration_file import Calibration
+from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.gates import find_gates
 from deepfsi.hardware.patterns.mirrors import make_frames
@@ -88,10 +91,10 @@ EFFECTS: dict[str, tuple[float, ...]] = {
 
 
 @lru_cache(maxsize=1)
-def calibrate() -> calibration.Calibration:
+def calibrate() -> Calibration:
     """Calibration of the laboratory by spots, a white and a black display, as in a real one."""
     grid = find_grid(DEVICE, (32, 32))
-    spots = calibration.spot_scenes((32, 32))
+    spots = fit.spot_scenes((32, 32))
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     exposure = 10.0
     rails = np.eye(grid.down * grid.across)[None] / (grid.down * grid.across)
@@ -107,8 +110,8 @@ def calibrate() -> calibration.Calibration:
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
     black = arrivals[-1, :2, 0]
-    dark, ambient = calibration.black_rates(black[:1], black[1:])
-    return calibration.calibrate(
+    dark, ambient = black_rates(black[:1], black[1:])
+    return fit.calibrate(
         spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1],
         dark=dark, ambient=ambient,
     )  # fmt: skip
@@ -116,7 +119,7 @@ def calibrate() -> calibration.Calibration:
 
 def prepare(data: Dataset) -> Dataset:
     """The camera's view of a data set."""
-    return calibration.view_dataset(data, calibrate())
+    return view_dataset(data, calibrate())
 
 
 @dataclass(frozen=True)
@@ -216,7 +219,7 @@ def classify(
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s
     on, off = (detector.draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
-    signal = calibration.subtract_background(counts, mounted.patterns, exposure_s, off)
+    signal = subtract_background(counts, mounted.patterns, exposure_s, off)
     chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)
 

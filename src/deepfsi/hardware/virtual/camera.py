@@ -254,7 +254,7 @@ def draw_counts(
     camera: Camera,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Draw what `acquisition.count` would count, without a file.
+    """Draw what `count` would count, without a file.
 
     Parameters
     ----------

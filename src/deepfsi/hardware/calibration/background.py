@@ -1,0 +1,95 @@
+"""Counts that do not come from the scene: dark counts and ambient light."""
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.sequence import Patterns
+
+
+def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float]:
+    """Dark and ambient rates of a run with the display black.
+
+    Parameters
+    ----------
+    on_rate, off_rate : array
+        Counts/s in the frames with all mirrors ON and OFF, as `acquisition.Counts` has them.
+
+    Returns
+    -------
+    dark, ambient : float
+        Counts/s. NaN passes are left out; an ambient rate below 0 is noise and becomes 0.
+
+    Raises
+    ------
+    InputError
+        If no pass has both rates.
+    """
+    on, off = np.broadcast_arrays(np.asarray(on_rate, float), np.asarray(off_rate, float))
+    whole = np.isfinite(on) & np.isfinite(off)
+    if not whole.any():
+        raise InputError("no pass has frames all ON and all OFF: record the black scene again")
+    dark = float(off[whole].mean())
+    return dark, max(0.0, float(on[whole].mean()) - dark)
+
+
+def expected_background(
+    patterns: Patterns,
+    exposure_s: float,
+    dark: float | np.ndarray,
+    ambient: float | np.ndarray = 0.0,
+) -> np.ndarray:
+    """Expected counts of each readout that do not come from the scene.
+
+    The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
+    spread evenly over the cells.
+
+    Parameters
+    ----------
+    patterns : Patterns
+    exposure_s : float
+        Total exposure, seconds; a frame's gate is its share of it.
+    dark, ambient : float or array, shape (rails,)
+        Counts/s; one for each detector on two arms.
+
+    Returns
+    -------
+    array, shape (rails, m)
+        Counts; 0 for a rail that is not shown.
+    """
+    manifest = patterns.manifest
+    dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
+    out = np.zeros((manifest.rails, manifest.masks))
+    opened = patterns.fractions.mean(axis=1)
+    for place, share, part in zip(manifest.shown, manifest.shares, opened, strict=True):
+        frame, gate = manifest.frames[place], share * exposure_s
+        if frame.rail in ("plus", "both"):
+            out[0, frame.mask] = gate * (dark[0] + ambient[0] * part)
+        if frame.rail in ("minus", "both"):
+            part = 1 - part if frame.rail == "both" else part
+            out[1, frame.mask] = gate * (dark[1] + ambient[1] * part)
+    return out
+
+
+def subtract_background(
+    counts: np.ndarray,
+    patterns: Patterns,
+    exposure_s: float,
+    dark: float | np.ndarray,
+    ambient: float | np.ndarray = 0.0,
+) -> np.ndarray:
+    """Counts (..., rails, m) less their expected background, whose noise stays.
+
+    The parameters are those of `expected_background`.
+
+    Raises
+    ------
+    InputError
+        If the counts are not those of the patterns.
+    """
+    expected = expected_background(patterns, exposure_s, dark, ambient)
+    if np.shape(counts)[-2:] != expected.shape:
+        raise InputError(
+            f"counts of shape {np.shape(counts)} are not of these patterns: give "
+            f"(..., {expected.shape[0]}, {expected.shape[1]})"
+        )
+    return np.asarray(counts) - expected

@@ -1,0 +1,229 @@
+"""Scenes as the cells of a mask see them: where, how sharp and how bright.
+
+Places on the display and on the device are (across, down) in a *unit square* each: the displayed
+image, and the area of the device that the cells of a mask fill. So a calibration made with a few
+large cells serves masks with many small ones. The view of a scene x is
+
+    x' = flat · average over each cell of (blurred image of x),
+
+relative light in [0, 1], dark where a cell looks beside the display. Training on views instead of
+scenes is what makes a design fit the camera.
+"""
+
+import hashlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy import ndimage, sparse
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.calibration_file import Calibration
+
+POINTS_PER_CELL = 24, 32
+"""Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
+
+SCENES_AT_ONCE = 4096
+"""Scenes that are viewed at once."""
+
+
+def view_matrix(
+    image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, int]
+) -> sparse.csr_array:
+    """Matrix from a displayed scene to what each cell sees of it.
+
+    Parameters
+    ----------
+    image_shape : tuple of int
+        (h, w) of the scene.
+    calibration : Calibration
+    cells_shape : tuple of int
+        Cells of a mask, down and across.
+
+    Returns
+    -------
+    sparse array, shape (down * across, h * w)
+        Its rows sum to at most 1.
+
+    Raises
+    ------
+    InputError
+        If the scene is no image, or no cell looks at the display.
+    """
+    if len(image_shape) != 2:
+        raise InputError(f"scenes of shape {image_shape} are no images: a camera's view needs two")
+    view = geometry_matrix(image_shape, cells_shape, calibration.homography, calibration.blur)
+    if not view.nnz:
+        raise InputError("no cell looks at the display: calibrate the camera again")
+    flat = _at_cells(np.array(calibration.flat), cells_shape)
+    return sparse.csr_array(sparse.diags_array(flat.ravel()) @ view)
+
+
+def camera_view(
+    x: np.ndarray,
+    image_shape: tuple[int, ...],
+    calibration: Calibration,
+    cells_shape: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """Scenes as the cells of a mask see them.
+
+    Parameters
+    ----------
+    x : array, shape (n, h * w)
+        Reflectance in [0, 1].
+    image_shape : tuple of int
+        (h, w) of a scene.
+    calibration : Calibration
+    cells_shape : tuple of int, optional
+        Down and across; as the scene unless given.
+
+    Returns
+    -------
+    array, shape (n, down * across), float32
+        Relative light in [0, 1].
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit.
+    """
+    x = np.asarray(x, dtype=np.float32)
+    if len(image_shape) != 2 or x.ndim != 2 or x.shape[1] != np.prod(image_shape):
+        raise InputError(
+            f"scenes of shape {x.shape} with images of {image_shape}: give one row of h * w "
+            "values for each image"
+        )
+    down, across = cells_shape or (image_shape[0], image_shape[1])
+    view = view_matrix(image_shape, calibration, (down, across)).astype(np.float32)
+    out = np.empty((len(x), down * across), dtype=np.float32)
+    for first in range(0, len(x), SCENES_AT_ONCE):
+        block = x[first : first + SCENES_AT_ONCE]
+        out[first : first + SCENES_AT_ONCE] = (view @ np.ascontiguousarray(block.T)).T
+    return np.clip(out, 0, 1, out=out)  # rounding
+
+
+def view_dataset(
+    data: Dataset, calibration: Calibration, cells_shape: tuple[int, int] | None = None
+) -> Dataset:
+    """Data set of scenes as the camera sees them, to train on.
+
+    Parameters
+    ----------
+    data : Dataset
+        Images.
+    calibration : Calibration
+    cells_shape : tuple of int, optional
+        Cells of a mask, down and across; as the images unless given.
+
+    Returns
+    -------
+    Dataset
+        Its preprocessing names the calibration.
+
+    Raises
+    ------
+    InputError
+        If the scenes are no images.
+    """
+    content = calibration.model_dump_json().encode()
+    shape = cells_shape or data.image_shape
+    if len(shape) != 2:
+        raise InputError(
+            f"{data.name}: scenes of shape {shape} are no images: give a data set of some"
+        )
+    return replace(
+        data,
+        x_train=camera_view(data.x_train, data.image_shape, calibration, shape),
+        x_test=camera_view(data.x_test, data.image_shape, calibration, shape),
+        image_shape=shape,
+        preprocessing=(
+            f"{data.preprocessing} Then as {shape[0]}x{shape[1]} cells of a camera see it "
+            f"(calibration {hashlib.sha256(content).hexdigest()[:12]})."
+        ),
+    )
+
+
+def geometry_matrix(
+    image_shape: tuple[int, ...],
+    cells_shape: tuple[int, ...],
+    homography: Any,
+    blur: tuple[float, float],
+) -> sparse.csr_array:
+    """Matrix of geometry and blur: cell averages over points that each see one pixel.
+
+    The average over a cell of the blurred image is separable, so it is applied to the points'
+    pixels one axis after the other.
+
+    Parameters
+    ----------
+    image_shape, cells_shape : tuple of int
+        Pixels of the display and cells of a mask, down and across.
+    homography : 3 x 3 numbers
+        Display → device, in unit squares.
+    blur : tuple of float
+        Standard deviation down and across, in the device's unit square.
+
+    Returns
+    -------
+    sparse array, shape (cells, pixels)
+        Its rows sum to at most 1.
+    """
+    (h, w), (down, across) = image_shape, cells_shape
+    average_down, tops = _axis_average(down, blur[0], POINTS_PER_CELL[0])
+    average_across, lefts = _axis_average(across, blur[1], POINTS_PER_CELL[1])
+    x, y = np.meshgrid(lefts, tops)
+    back = np.linalg.inv(np.asarray(homography, dtype=float))
+    u, v, scale = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    front = scale * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # not behind the camera
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = u / scale, v / scale
+    inside = np.flatnonzero(front & (u >= 0) & (u < 1) & (v >= 0) & (v < 1))
+    pixel = (v[inside] * h).astype(int) * w + (u[inside] * w).astype(int)
+    # rows: points down; columns: (point across, pixel)
+    row, column = np.divmod(inside, len(lefts))
+    shape = (len(tops), len(lefts) * h * w)
+    points = sparse.csr_array((np.ones(len(inside)), (row, column * h * w + pixel)), shape=shape)
+    half = (average_down @ points).tocoo()
+    cell_row, (column, pixel) = half.row, np.divmod(half.col, h * w)
+    half = sparse.csr_array(
+        (half.data, (column, cell_row * h * w + pixel)), shape=(len(lefts), down * h * w)
+    )
+    whole = (average_across @ half).tocoo()
+    cell_row, pixel = np.divmod(whole.col, h * w)
+    return sparse.csr_array(
+        (whole.data, (cell_row * across + whole.row, pixel)), shape=(down * across, h * w)
+    )
+
+
+def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array, np.ndarray]:
+    """Average of blurred light over each cell of an axis, (cells, points), and the points.
+
+    Points lie beyond the cells as far as the blur reaches.
+    """
+    step = 1 / (cells * each)
+    beyond = int(np.ceil(4 * blur / step))
+    places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step
+    kernel = np.ones(1)
+    if beyond:
+        kernel = np.exp(-((np.arange(-beyond, beyond + 1) * step / blur) ** 2) / 2)
+    weights = np.convolve(kernel / kernel.sum(), np.full(each, 1 / each))
+    cell = np.repeat(np.arange(cells), len(weights))
+    point = cell * each + np.tile(np.arange(len(weights)), cells)
+    values = np.tile(weights, cells)
+    return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
+
+
+def _at_cells(values: np.ndarray, cells_shape: tuple[int, int]) -> np.ndarray:
+    """Values of a grid over the unit square at the centres of another's cells, linear between."""
+    if values.shape == cells_shape:
+        return values
+    places = [
+        (np.arange(n) + 0.5) / n * size - 0.5
+        for n, size in zip(cells_shape, values.shape, strict=True)
+    ]
+    return np.asarray(
+        ndimage.map_coordinates(
+            values, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"
+        )
+    )

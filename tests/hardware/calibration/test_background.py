@@ -1,0 +1,71 @@
+"""Counts that do not come from the scene: expected, and taken off."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.background import (
+    black_rates,
+    expected_background,
+    subtract_background,
+)
+from deepfsi.hardware.patterns.sequence import Device, Frame, Manifest, Patterns
+
+
+def patterns_of(frames, on, rails):
+    sha256 = "0" * 64
+    manifest = Manifest(
+        deepfsi="0",
+        device=Device(name="d", columns=8, rows=8),
+        image_shape=(2, 2),
+        masks=2,
+        rails=rails,
+        light="two-arm" if frames[0][1] == "both" else "equal-dwell",
+        dimmed=1,
+        summed_reflectance=1,
+        selection="ordered",
+        format="npy",
+        frames=tuple(
+            Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=100, sha256=sha256)
+            for mask, rail, share in frames
+        ),
+    )
+    return Patterns(manifest, np.array(on, dtype=np.uint32))
+
+
+def test_background_counts_dark_always_and_ambient_through_open_mirrors():
+    frames = [(0, "plus", 0.2), (1, "minus", 0.4)]
+    patterns = patterns_of(frames, [[16, 0, 0, 0], [16, 16, 8, 8]], 2)
+    wanted = [[0.2 * 10 * (5 + 100 * 0.25), 0], [0, 0.4 * 10 * (5 + 100 * 0.75)]]
+    np.testing.assert_allclose(expected_background(patterns, 10.0, 5.0, 100.0), wanted)
+    counts = np.full((3, 2, 2, 2), 1000)
+    np.testing.assert_allclose(
+        subtract_background(counts, patterns, 10.0, 5.0, 100.0),
+        np.broadcast_to(1000 - np.array(wanted), counts.shape),
+    )
+    with pytest.raises(InputError, match="not of these patterns"):
+        subtract_background(counts[..., :1], patterns, 10.0, 5.0)
+
+
+def test_background_on_two_arms():
+    frames = [(0, "both", 0.3), (1, "both", 0.7)]
+    patterns = patterns_of(frames, [[16, 0, 0, 0], [16, 16, 16, 0]], 2)
+    found = expected_background(patterns, 1.0, np.array([5.0, 7.0]), np.array([100.0, 10.0]))
+    wanted = [[0.3 * (5 + 25), 0.7 * (5 + 75)], [0.3 * (7 + 7.5), 0.7 * (7 + 2.5)]]
+    np.testing.assert_allclose(found, wanted)
+
+
+def test_background_on_one_rail():
+    frames = [(0, "plus", 0.5), (1, "plus", 0.5)]
+    patterns = patterns_of(frames, [[16, 0, 0, 0], [16, 16, 16, 16]], 1)
+    np.testing.assert_allclose(expected_background(patterns, 2.0, 3.0, 8.0), [[5, 11]])
+
+
+def test_rates_of_a_black_run():
+    on, off = np.array([12.0, np.nan, 14.0]), np.array([4.0, 5.0, 6.0])
+    assert black_rates(on, off) == (5.0, 8.0)
+    assert black_rates(off, off + 1) == (6.0, 0.0)
+    with pytest.raises(InputError, match="no pass"):
+        black_rates(np.array([np.nan]), np.array([1.0]))

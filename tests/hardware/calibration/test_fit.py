@@ -1,0 +1,237 @@
+"""Calibrations: what was done to scenes is found from pictures of spots, white and black."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibration_samples import (
+    GRID,
+    IDENTITY,
+    VIEW,
+    apply,
+    calibration_of,
+    pictures_of,
+    vignette,
+)
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.background import black_rates
+from deepfsi.hardware.calibration.calibration_file import load_calibration, save_calibration
+from deepfsi.hardware.calibration.fit import (
+    calibrate,
+    find_flat,
+    find_homography,
+    find_spots,
+    spot_scenes,
+)
+from deepfsi.hardware.calibration.view import camera_view, view_matrix
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import Device, find_grid
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.virtual import camera
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("blur_cells", [0.4, 1.0])
+def test_a_calibration_finds_what_was_done(blur_cells, noise):
+    side = np.sqrt(GRID.mirrors)
+    blur = blur_cells * side / 24 / 32, blur_cells * side / 32 / 32
+    flat = vignette((32, 32))
+    scenes = spot_scenes((32, 32))
+    shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
+    pictures = pictures_of(shown, VIEW, blur, flat, noise)
+    found = calibrate(scenes, pictures[:-1], GRID, white=pictures[-1], dark=3.0, ambient=5.0)
+    corners = np.array([[x, y] for x in (0.05, 0.95) for y in (0.05, 0.95)])
+    assert 32 * np.abs(apply(found.homography, corners) - apply(VIEW, corners)).max() < 0.15
+    assert found.residual < 0.08
+    assert (found.spots, found.shown) == (25, 25)
+    np.testing.assert_allclose(found.blur, blur, rtol=0.05)
+    filled = view_matrix((32, 32), calibration_of(VIEW, blur), (32, 32)).sum(axis=1) > 0.99
+    ratio = np.array(found.flat)[filled.reshape(32, 32)] / flat[filled.reshape(32, 32)]
+    assert ratio.std() / ratio.mean() < 0.01 + 1.5 * noise
+    assert (found.dark, found.ambient) == (3.0, 5.0)
+    # the aim of it all: the view of a scene nobody calibrated with
+    scene = np.random.default_rng(5).random((1, 32, 32), dtype=np.float32)
+    truth = pictures_of(scene, VIEW, blur, flat, 0.0)
+    mine = camera_view(scene.reshape(1, -1), (32, 32), found).reshape(truth.shape)
+    gain = (mine * truth).sum() / (mine**2).sum()
+    assert np.abs(gain * mine - truth).mean() < 0.01 + noise
+
+
+def test_other_device_and_cell_number():
+    grid = find_grid(Device(name="d", columns=100, rows=90), (16, 20))
+    scenes = spot_scenes((30, 40), (4, 6), 3)
+    pictures = pictures_of(scenes, VIEW, (0.03, 0.03), ((1.0,),), 0.003, grid=grid)
+    found = calibrate(scenes, pictures, grid)
+    corners = np.array([[x, y] for x in (0.05, 0.95) for y in (0.05, 0.95)])
+    assert 20 * np.abs(apply(found.homography, corners) - apply(VIEW, corners)).max() < 0.15
+    assert found.flat == ((1.0,),)
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (4, 4), (32, 32)])
+def test_a_flat_field_without_noise_is_found(shape):
+    rows, columns = shape
+    level = np.ones(shape) if rows * columns < 16 else 1 - 0.2 * np.indices(shape)[0] / rows
+    found = find_flat(7 * level, (32, 32), IDENTITY)
+    np.testing.assert_allclose(found, level / level.max(), atol=1e-9)
+
+
+def test_noise_of_the_white_picture_stays_out_of_the_flat_field():
+    truth = vignette((32, 32))
+    white = truth * np.random.default_rng(0).normal(1, 0.1, truth.shape)
+    found = find_flat(white, (32, 32), IDENTITY)
+    assert np.mean(found / truth) == pytest.approx(1, abs=0.03)
+    assert np.std(found / truth) < 0.02
+
+
+def test_black_is_taken_from_every_picture():
+    scenes = spot_scenes((32, 32))
+    shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
+    pictures = pictures_of(shown, VIEW, (0.01, 0.01), vignette((32, 32)), 0.0)
+    glow = np.random.default_rng(0).random((32, 32))
+    plain = calibrate(scenes, pictures[:-1], GRID, white=pictures[-1])
+    freed = calibrate(scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow)
+    np.testing.assert_allclose(freed.homography, plain.homography, atol=1e-9)
+    np.testing.assert_allclose(freed.flat, plain.flat, atol=1e-9)
+
+
+def test_spots_are_centred_wherever_they_are():
+    rng = np.random.default_rng(4)
+    centres = rng.uniform(6, 26, (40, 2))
+    down, across = np.indices((32, 32)) + 0.5
+    spots = np.exp(
+        -((down - centres[:, 1, None, None]) ** 2 + (across - centres[:, 0, None, None]) ** 2) / 4
+    )
+    np.testing.assert_allclose(32 * find_spots(spots), centres, atol=0.01)
+    noisy = 32 * find_spots(7 + spots + rng.normal(0, 0.02, spots.shape))
+    assert np.abs(noisy - centres).max() < 0.1
+
+
+def test_a_spot_in_noise_is_not_seen():
+    noise = np.random.default_rng(0).normal(0, 1, (40, 32, 32))
+    assert np.isnan(find_spots(noise)).all(axis=1).mean() > 0.9
+    assert np.isnan(find_spots(np.zeros((1, 8, 8)))).all()
+
+
+def test_lost_and_wrong_spots_do_not_count():
+    rng = np.random.default_rng(7)
+    display = np.array([[x, y] for x in np.linspace(0.1, 0.9, 5) for y in np.linspace(0.1, 0.9, 5)])
+    device = apply(VIEW, display) + rng.normal(0, 0.001, display.shape)
+    device[3] = np.nan
+    device[[8, 15, 20]] = rng.random((3, 2))
+    found = find_homography(display, device, (32, 32))
+    assert found.spots == 21
+    assert 32 * np.abs(apply(found.matrix, display) - apply(VIEW, display)).max() < 0.1
+    assert 0.01 < found.residual < 0.1
+
+
+@pytest.mark.parametrize("kind", ["few", "line", "diagonal", "chaos"])
+def test_too_little_for_a_homography_is_an_error(kind):
+    rng = np.random.default_rng(0)
+    display = rng.random((9, 2))
+    device = display.copy()
+    if kind == "few":
+        device[3:] = np.nan
+    elif kind == "line":
+        display[:, 1] = device[:, 1] = 0.5
+    elif kind == "diagonal":
+        display[:, 1] = device[:, 1] = 0.7 * display[:, 0] + 0.1
+    else:
+        display, device = display[:5], rng.random((5, 2))
+        device[:2] = np.nan
+    with pytest.raises(InputError, match="spots are seen") as caught:
+        find_homography(display, device, (32, 32))
+    assert "\n" not in str(caught.value)
+
+
+def test_spot_scenes_lie_symmetrically():
+    scenes = spot_scenes((32, 24), (3, 4), 2)
+    assert scenes.shape == (12, 32, 24)
+    assert (scenes.sum(axis=(1, 2)) == 4).all()
+    assert scenes.sum(axis=0).max() == 1
+    for spots, side in (((1, 5), 2), ((5, 5), 7), ((5, 5), 0)):
+        with pytest.raises(InputError, match="do not fit"):
+            spot_scenes((32, 32), spots, side)
+
+
+def test_words_on_arrays_that_do_not_fit():
+    scenes = spot_scenes((32, 32))
+    pictures = np.zeros((25, 32, 32))
+    with pytest.raises(InputError, match="one picture of 32 x 32"):
+        calibrate(scenes, pictures[:3], GRID)
+    with pytest.raises(InputError, match="white picture has shape"):
+        calibrate(scenes, pictures, GRID, white=np.ones((3, 3)))
+    with pytest.raises(InputError, match="uniform"):
+        calibrate(np.ones((25, 32, 32)), pictures, GRID)
+    with pytest.raises(InputError, match="0 of 25 spots"):
+        calibrate(scenes, pictures, GRID)
+    with pytest.raises(InputError, match="is dark"):
+        find_flat(np.zeros((8, 8)), (8, 8), IDENTITY)
+
+
+def test_the_virtual_camera_is_calibrated():
+    """Spots, white and black shown to it, counted, and found again."""
+    grid = find_grid(Device(name="d", columns=512, rows=384), (32, 32))
+    device = Device(name="d", columns=512, rows=384)
+    eyes = camera.Camera(view=tuple(map(tuple, VIEW.tolist())), blur=7.0, vignetting=0.3)
+    spots = spot_scenes((32, 32))
+    shown = np.concatenate([spots, np.ones((1, 32, 32), np.float32)])
+    mirrors = camera.irradiance(shown, eyes, device, grid)
+    cells = mirrors.reshape(26, 32, 12, 32, 16).sum(axis=(2, 4))
+    pictures = np.random.default_rng(0).poisson(4000 * cells) / 4000
+    found = calibrate(spots, pictures[:-1], grid, white=pictures[-1])
+    scene = np.random.default_rng(1).random((1, 32, 32), dtype=np.float32)
+    truth = camera.irradiance(scene, eyes, device, grid).reshape(32, 12, 32, 16).sum(axis=(1, 3))
+    mine = camera_view(scene.reshape(1, -1), (32, 32), found).reshape(32, 32)
+    gain = (mine * truth).sum() / (mine**2).sum()
+    assert np.sqrt(((gain * mine - truth) ** 2).mean()) < 0.02
+    assert truth.std() > 0.1
+
+
+def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
+    """Spots, white and black: pattern folder, photon file, counts, calibration, view."""
+    device, shape = Device(name="d", columns=128, rows=128), (16, 16)
+    grid = find_grid(device, shape)
+    eyes = camera.Camera(
+        view=tuple(map(tuple, VIEW.tolist())), blur=3.0, vignetting=0.2, dark=1e3, ambient=2e4
+    )
+    raster = np.eye(256)[None] / 256
+    export_patterns(
+        raster, "equal-dwell", shape, device, 4e-3, tmp_path / "patterns", summed_reflectance=150.0
+    )
+    spots = spot_scenes((32, 32), (3, 3), 4)
+    scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
+    names = [f"scene {k}" for k in range(len(scenes))]
+    camera.record(
+        tmp_path / "patterns",
+        scenes,
+        names,
+        None,
+        tmp_path / "run",
+        camera=eyes,
+        flux=2e7,
+        exposure_s=1.0,
+        seed=0,
+    )
+    counts = count(tmp_path / "run")
+    pictures = counts.counts[:, 0, 0].reshape(-1, *shape)  # of a raster
+    dark, ambient = black_rates(counts.on_rate[-1:], counts.off_rate[-1:])
+    assert dark == pytest.approx(1e3, abs=6 * np.sqrt(1e3 / 8e-3))
+    assert ambient == pytest.approx(2e4, abs=6 * np.sqrt(2e4 / 8e-3))
+    found = calibrate(
+        spots,
+        pictures[:-2],
+        grid,
+        white=pictures[-2],
+        black=pictures[-1],
+        dark=dark,
+        ambient=ambient,
+    )
+    save_calibration(found, tmp_path / "run" / "calibration")
+    found = load_calibration(tmp_path / "run" / "calibration")
+    scene = np.random.default_rng(0).random((4, 8, 8)).repeat(4, axis=1).repeat(4, axis=2)
+    mirrors = camera.irradiance(scene, eyes, device, grid)
+    truth = mirrors.reshape(4, 16, 8, 16, 8).sum(axis=(2, 4))
+    seen = camera_view(scene.reshape(4, -1), (32, 32), found, shape).reshape(truth.shape)
+    assert np.sqrt(((seen - truth) ** 2).mean()) < 0.15 * truth.std()
+    assert seen.sum() == pytest.approx(truth.sum(), rel=0.05)

@@ -1,0 +1,143 @@
+"""Views of scenes: against point by point averages, and against the virtual camera."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
+from scipy import ndimage
+
+from deepfsi.datasets import load_dataset
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
+from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
+from deepfsi.hardware.virtual import camera
+
+
+def slow_view(scene, view, shape, blur=(0.0, 0.0), flat=1.0, points=40):
+    """The camera's view point by point: the display's pixel, blurred as an image, averaged."""
+    edge = [int(np.ceil(4 * b * n * points)) for b, n in zip(blur, shape, strict=True)]
+    places = [
+        (np.arange(-e, n * points + e) + 0.5) / (n * points)
+        for e, n in zip(edge, shape, strict=True)
+    ]
+    x, y = np.meshgrid(places[1], places[0])
+    u, v = apply(np.linalg.inv(view), np.c_[x.ravel(), y.ravel()]).T
+    h, w = scene.shape
+    inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
+    rows, columns = (np.clip((p * n).astype(int), 0, n - 1) for p, n in ((v, h), (u, w)))
+    light = np.where(inside, scene[rows, columns], 0).reshape(x.shape)
+    sigma = [b * n * points for b, n in zip(blur, shape, strict=True)]
+    light = ndimage.gaussian_filter(light, sigma, mode="constant", truncate=4)
+    light = light[edge[0] : edge[0] + shape[0] * points, edge[1] : edge[1] + shape[1] * points]
+    return flat * light.reshape(shape[0], points, shape[1], points).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("blur", [(0.0, 0.0), (0.04, 0.02)])
+@pytest.mark.parametrize("shape", [(8, 8), (12, 10)])
+def test_view_is_the_area_average_of_the_blurred_image(blur, shape):
+    scene = np.random.default_rng(1).random((9, 11), dtype=np.float32)
+    flat = vignette(shape)
+    seen = camera_view(
+        scene.reshape(1, -1), scene.shape, calibration_of(VIEW, blur, flat), shape
+    ).reshape(shape)
+    wanted = slow_view(scene, VIEW, shape, blur, flat)
+    np.testing.assert_allclose(seen, wanted, atol=6e-3)
+    assert wanted.std() > 0.1
+
+
+def test_identity_is_no_change():
+    x = np.random.default_rng(2).random((5, 48), dtype=np.float32)
+    seen = camera_view(x, (6, 8), calibration_of(IDENTITY))
+    np.testing.assert_allclose(seen, x, atol=1e-6)
+    assert seen.dtype == np.float32
+
+
+def test_down_and_across_keep_their_places():
+    """A display shifted to the right and down by a quarter, on cells of another number."""
+    shift = [[1, 0, 0.25], [0, 1, 0.5], [0, 0, 1]]
+    scene = np.zeros((4, 4), dtype=np.float32)
+    scene[0, 1] = 1
+    seen = camera_view(scene.reshape(1, -1), (4, 4), calibration_of(shift), (2, 8))
+    wanted = np.zeros((2, 8))
+    wanted[1, 4:6] = 0.5
+    np.testing.assert_allclose(seen.reshape(2, 8), wanted, atol=1e-6)
+
+
+def test_rows_sum_to_what_the_display_fills():
+    half = [[0.5, 0, 0], [0, 1, 0], [0, 0, 1]]
+    view = view_matrix((8, 8), calibration_of(half), (4, 4))
+    np.testing.assert_allclose(view.sum(axis=1).reshape(4, 4), [[1, 1, 0, 0]] * 4, atol=1e-12)
+
+
+def test_flat_field_of_another_size_is_interpolated():
+    at = (32, 32)
+    fine = view_matrix(at, calibration_of(IDENTITY, flat=vignette((64, 64))), at)
+    same = view_matrix(at, calibration_of(IDENTITY, flat=vignette(at)), at)
+    assert abs(fine - same).max() < 2e-3
+
+
+def test_a_data_set_in_the_cameras_view():
+    data = load_dataset("digits")
+    calibration = calibration_of(VIEW, (0.03, 0.03), vignette((8, 8)))
+    view = view_dataset(data, calibration)
+    np.testing.assert_array_equal(
+        view.x_test, camera_view(data.x_test, (8, 8), calibration, (8, 8))
+    )
+    assert view.x_train.shape == data.x_train.shape
+    assert view.preprocessing.startswith(data.preprocessing + " ")
+    assert view.preprocessing != view_dataset(data, calibration_of()).preprocessing
+    assert view.hash != data.hash
+    np.testing.assert_array_equal(view.y_train, data.y_train)
+    larger = view_dataset(data, calibration, (16, 12))
+    assert (larger.image_shape, larger.pixels) == ((16, 12), 192)
+
+
+def test_sixty_thousand_images_in_seconds():
+    x = np.random.default_rng(0).random((60_000, 1024), dtype=np.float32)
+    calibration = calibration_of(VIEW, (0.02, 0.015), vignette((32, 32)))
+    start = time.process_time()
+    seen = camera_view(x, (32, 32), calibration)
+    assert time.process_time() - start < 30
+    one = camera_view(x[-1:], (32, 32), calibration)
+    np.testing.assert_allclose(seen[-1:], one, rtol=1e-6)
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(InputError, match="one row of h"):
+        camera_view(np.ones((2, 7)), (2, 4), calibration_of())
+    with pytest.raises(InputError, match="no images"):
+        view_matrix((8,), calibration_of(), (4, 4))
+    away = [[1, 0, 5], [0, 1, 0], [0, 0, 1]]
+    with pytest.raises(InputError, match="no cell looks"):
+        view_matrix((8, 8), calibration_of(away), (4, 4))
+
+
+@pytest.mark.parametrize("blur", [0.0, 10.0])
+@pytest.mark.parametrize(
+    ("device", "shape", "tolerance"),
+    [
+        (find_device("dlp7000"), (32, 32), 2e-3),  # it samples the same points
+        (find_device("dlp7000"), (12, 16), 0.015),
+        (Device(name="tall cells", columns=170, rows=330), (16, 16), 0.03),
+    ],
+    ids=["same points", "larger cells", "tall cells"],
+)
+def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blur):
+    grid = find_grid(device, shape)
+    eyes = camera.Camera(view=tuple(map(tuple, VIEW.tolist())), blur=blur, vignetting=0.3)
+    scenes = np.random.default_rng(0).random((3, 16, 16), dtype=np.float32)
+    mirrors = camera.irradiance(scenes, eyes, device, grid)
+    kept = mirrors[
+        :,
+        grid.top : grid.top + grid.down * grid.height,
+        grid.left : grid.left + grid.across * grid.width,
+    ]
+    cells = kept.reshape(3, grid.down, grid.height, grid.across, grid.width).sum(axis=(2, 4))
+    spread = blur / (grid.down * grid.height), blur / (grid.across * grid.width)
+    calibration = calibration_of(VIEW, spread, vignette(shape, 0.3))
+    seen = camera_view(scenes.reshape(3, -1), (16, 16), calibration, shape)
+    np.testing.assert_allclose(seen.reshape(cells.shape), cells, atol=tolerance)
+    assert cells.std() > 0.1
