@@ -19,8 +19,9 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
+from deepfsi.optics.feature_noise import FeatureNoise
 from deepfsi.optics.masks import Learned
-from deepfsi.training.draws import FeatureNoise, SeedStream
+from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import AdaptiveFeatures
 from deepfsi.training.job import Job, training_for
 from deepfsi.training.learning import learn, train
@@ -190,10 +191,10 @@ def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
     masks = Learned(start[..., scenes.varying], "equal-dwell", "single").double()
     network = Mlp(7, 3, (5,), generator=torch.Generator().manual_seed(0)).double()
     choose, weight = Replicas([network], stacked=False), torch.randn(6).double()
-    x = scenes.centred("free-dwell", torch.float32)
+    x, gain = scenes.centred("free-dwell", torch.float32), 1e4 / scenes.summed_reflectance
 
     def loss():
-        noise = FeatureNoise.of([job], scenes.summed_reflectance, scenes.device)
+        noise = FeatureNoise.of(job.noise, [gain], [1.0], [0], scenes.device)
         stream = SeedStream(0, slice(0, 1), noise, scenes.labels, 200)
         stream.shuffle()
         features = AdaptiveFeatures([stream], masks, x, choose, 2, noise.gain, RECIPE["scale"])

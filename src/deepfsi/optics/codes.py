@@ -109,6 +109,18 @@ def check_count(name: str, masks: int, data: Dataset) -> int:
     return int(masks)
 
 
+def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
+    """Raise `InputError` unless a user's matrix has a shape, finite real numbers and any light."""
+    if matrix.shape != shape:
+        raise InputError(
+            f"a matrix of shape {matrix.shape} does not fit: give ({shape[0]}, {shape[1]})"
+        )
+    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
+        raise InputError("the matrix holds something else than finite real numbers")
+    if not matrix.any():
+        raise InputError("the matrix is zero everywhere: give at least one lit entry")
+
+
 def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
     """Sensing matrix of a fixed design.
 

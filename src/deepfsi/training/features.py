@@ -14,18 +14,19 @@ from deepfsi.design.classifiers import Replicas
 from deepfsi.design.conditioning import Conditioning, chances, first
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.feature_noise import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned, pair
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import lit, measure, project, project_pair
-from deepfsi.training.draws import FeatureNoise, SeedStream, side_by_side
-from deepfsi.training.job import Job, product_dtype
-from deepfsi.training.standardisation import (
+from deepfsi.optics.standardisation import (
     CHUNK,
     Scale,
     deviation,
     feature_statistics,
     standardise,
 )
+from deepfsi.training.draws import SeedStream, side_by_side
+from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.training_set import TrainingSet
 
 Streams = list[SeedStream]
@@ -180,7 +181,7 @@ class ConditionedFeatures(Features):
         self.span, self.scale = job.training.span, job.training.scale
         self.conditioning = Conditioning(job.photons, self.span, job.masks)
         self.chances = chances(job.masks, job.training.nested).to(x.device)
-        # masks that learn are brightened at their end, see `job_masks.brighten`
+        # masks that learn are brightened at their end, see `job_masks.final_masks`
         self.brightened = job.training.nested > 0 and isinstance(masks, Learned)
 
     def at(self, step: int) -> Tensor:

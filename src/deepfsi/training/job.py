@@ -144,8 +144,8 @@ class Job(BaseModel):
 
     @property
     def code(self) -> codes.Code:
-        """What is known of the named design."""
-        return codes.DESIGNS[self.design]
+        """What is known of the named design; `InputError` if it does not exist."""
+        return codes.DESIGNS[codes.check_design(self.design)]
 
     @property
     def drawn_from(self) -> str:
@@ -199,8 +199,6 @@ def product_dtype(job: Job, device: torch.device) -> torch.dtype:
 
 def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
     """Raise `InputError` for whatever a job asks that cannot be had on this data."""
-    codes.check_design(job.design)
-    constraints.check_light(*job.optics)
     if job.training.looks > 1:
         _check_looks(job)
     if job.training.conditioned and job.noise != "ml_gauss":
@@ -220,10 +218,11 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
             "a matrix goes with the design `custom`, and only with it: compare and design take "
             "--matrix"
         )
-    if matrix is not None:
-        _check_matrix(np.asarray(matrix), (job.masks, data.pixels))
-    else:
+    constraints.check_light(*job.optics)
+    if matrix is None:
         codes.check_count(job.design, job.masks, data)
+    else:
+        codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
 
 
 def check_jobs(
@@ -246,10 +245,10 @@ def check_jobs(
     ValueError
         If the jobs differ in more than `Job.companions` allows.
     """
-    for job in jobs:
-        check_job(job, data, matrix)
     if len({job.companions(device) for job in jobs}) > 1:
         raise ValueError("jobs that train together may differ in photons, sigma and seed only")
+    for job in jobs:
+        check_job(job, data, matrix)
     return jobs[0]
 
 
@@ -270,14 +269,3 @@ def _check_looks(job: Job) -> None:
             "several looks are for one budget under photon noise: leave a range of budgets, "
             "--nested and gaussian noise out"
         )
-
-
-def _check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
-    if matrix.shape != shape:
-        raise InputError(
-            f"a matrix of shape {matrix.shape} does not fit: give ({shape[0]}, {shape[1]})"
-        )
-    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
-        raise InputError("the matrix holds something else than finite real numbers")
-    if not matrix.any():
-        raise InputError("the matrix is zero everywhere: give at least one lit entry")

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
-from deepfsi.optics.constraints import Light
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
@@ -28,32 +27,39 @@ def initial_masks(
     """
     job = jobs[0]
     light, rails = job.optics
+    steps, several = job.training.steps, job.training.looks > 1
     if matrix is not None:
-        own = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
-        given = constraints.check(constraints.expand(own, light, rails), light)
-        return _fixed(given.unsqueeze(0), job)
-    seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
-    signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
+        signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32)).unsqueeze(0)
+    else:
+        seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
+        signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
     if job.code.learned:
         start = signed[..., training_set.pixels(light).cpu()].expand(len(jobs), -1, -1).clone()
-        shape: Light = "equal-dwell" if job.training.looks > 1 else light
-        return Learned(start, shape, rails, job.training.steps)
-    if job.design == "raster":  # its scale is what defines it
-        return _fixed(signed.unsqueeze(1), job)
-    return _fixed(torch.stack([constraints.fit(each, light, rails) for each in signed]), job)
+        return Learned(start, "equal-dwell" if several else light, rails, steps)
+    if matrix is not None:
+        fitted = constraints.check(constraints.expand(signed[0], light, rails), light).unsqueeze(0)
+    elif job.design == "raster":  # its scale is what defines it
+        fitted = signed.unsqueeze(1)
+    else:
+        fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
+    fitted = constraints.equalise(fitted) if several else fitted
+    return Fixed(constraints.quantise(fitted, light, steps) if steps else fitted)
 
 
-def final_masks(masks: Learned, pixels: Tensor, job: Job) -> Fixed:
+def final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
     """Masks after training, of all pixels: dark where they were not learned.
+
+    Nested ones take the whole of their constraint, by one common factor: so they are trained,
+    however many of them are shown.
 
     Parameters
     ----------
     masks : Learned
-    pixels : tensor, shape (N,)
-        On which they were learned.
+    training_set : TrainingSet
     job : Job
         One of the jobs.
     """
+    light, pixels = job.optics[0], training_set.pixels(job.optics[0])
     with torch.no_grad():
         learned = constraints.separate(*masks())
     rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
@@ -61,23 +67,9 @@ def final_masks(masks: Learned, pixels: Tensor, job: Job) -> Fixed:
     if job.training.looks > 1:
         # at the end only: its gradient would take from lit mirrors what they share
         rails = constraints.equalise(rails)
-    return Fixed(brighten(rails, job.optics[0]) if job.training.nested else rails)
-
-
-def brighten(rails: Tensor, light: Light) -> Tensor:
-    """Rails with one common factor that takes the whole of their constraint.
-
-    So nested masks are trained, however many of them are shown.
-    """
-    return rails / constraints.used(rails, light)[..., -1:][..., None, None]
-
-
-def _fixed(rails: Tensor, job: Job) -> Fixed:
-    """Rails (R or 1, 2 or 1, m, N) with the grey levels of a job."""
-    if job.training.looks > 1:
-        rails = constraints.equalise(rails)
-    steps = job.training.steps
-    return Fixed(constraints.quantise(rails, job.optics[0], steps) if steps else rails)
+    if job.training.nested:
+        rails = rails / constraints.used(rails, light)[..., -1:][..., None, None]
+    return Fixed(rails)
 
 
 def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:

@@ -15,17 +15,17 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.conditioning import Conditioning, chances
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import constraints
+from deepfsi.optics.feature_noise import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned
-from deepfsi.progress import SILENT, Report
-from deepfsi.training.draws import FeatureNoise
-from deepfsi.training.job import Job, TrainingSettings, check_jobs, training_for
-from deepfsi.training.job_masks import final_masks, initial_masks
-from deepfsi.training.loop import optimise
-from deepfsi.training.standardisation import (
+from deepfsi.optics.standardisation import (
     CHUNK,
     feature_statistics,
     mean_over_exposures,
 )
+from deepfsi.progress import SILENT, Report
+from deepfsi.training.job import Job, TrainingSettings, check_jobs, training_for
+from deepfsi.training.job_masks import final_masks, initial_masks
+from deepfsi.training.loop import optimise
 from deepfsi.training.training_set import TrainingSet
 
 
@@ -104,7 +104,13 @@ def train(
     began = time.perf_counter()
     device = training_set.device
     first = check_jobs(jobs, training_set.data, device, matrix)
-    noise = FeatureNoise.of(jobs, training_set.summed_reflectance, device)
+    noise = FeatureNoise.of(
+        first.noise,
+        [job.photons / training_set.summed_reflectance for job in jobs],
+        [job.sigma for job in jobs],
+        [job.seed for job in jobs],
+        device,
+    )
     masks: Fixed | Learned
     if first.design == "control":
         sources = [job.masks_from() for job in jobs]
@@ -114,7 +120,7 @@ def train(
         masks = initial_masks(training_set, jobs, matrix).to(device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report)
     if isinstance(masks, Learned):
-        masks = final_masks(masks, training_set.pixels(first.light), first)
+        masks = final_masks(masks, training_set, first)
     networks = [*classifiers, *schedules]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):

@@ -19,9 +19,10 @@ from torch.nn import functional
 
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.classifiers import Mlp, Replicas
+from deepfsi.optics.feature_noise import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
-from deepfsi.training.draws import FeatureNoise, seed_streams, side_by_side
+from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.training_set import TrainingSet

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.optics.feature_noise import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.scanner import lit, project
-from deepfsi.training.draws import FeatureNoise
 
 Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
