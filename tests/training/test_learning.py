@@ -475,7 +475,7 @@ def test_a_two_level_design_shows_dark_and_peak_alone(digits, light, rails, nois
     settings = {"light": light, "rails": rails, "noise": noise, "precision": precision}
     one = quick(digits, levels=2, **settings)
     assert two_valued(one)
-    assert torch.allclose(one.quantised(1).rails, one.rails, rtol=FLOAT32, atol=0)
+    assert torch.allclose(one.quantised(2).rails, one.rails, rtol=FLOAT32, atol=0)
     assert not two_valued(quick(digits, **settings))
     constraints.check(one.rails, light)
 
@@ -547,7 +547,7 @@ def test_learning_two_levels_beats_rounding_to_them(digits, light, rails, seed):
     )
     trained, rounded = (
         evaluate(design, digits, PHOTONS, draws=draws)[0].accuracy
-        for design in (learned, continuous.quantised(1))
+        for design in (learned, continuous.quantised(2))
     )
     trials = draws * len(digits.x_test)
     spread = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
