@@ -110,19 +110,19 @@ def test_what_is_simulated_says_so_wherever_it_shows(simulated):
         assert all(SIMULATED in row["data"] for row in rows)
     assert SIMULATED in experiments.page(folder).read_text()
     assert "224" in section.found + section.paper
-    assert {point["split"] for point in results["points"]} == {"random", "blocks"}
+    assert {point.split for point in results.points} == {"random", "blocks"}
 
 
 def test_both_splits_are_trained_and_tested_apart(simulated):
     _, (results, section), _ = simulated
     keys = {
-        split: {key for point in experiment.points(results, split=split) for key in point["keys"]}
+        split: {key for point in experiment.points(results, split=split) for key in point.keys}
         for split in ("random", "blocks")
     }
     assert len(keys["random"]) == len(keys["blocks"]) > 0
     assert not keys["random"] & keys["blocks"]
     scene = load_spectra(SIMULATED)
-    for split, part in results["extra"]["parts"].items():
+    for split, part in results.extra["parts"].items():
         train, test = scene.parts(split)
         uses = Packed(**part["uses"]).values
         assert np.array_equal(uses == 1, train)
@@ -134,7 +134,7 @@ def test_both_splits_are_trained_and_tested_apart(simulated):
 
 def test_maps_show_what_the_design_says_of_each_pixel(simulated):
     _, (results, _), _ = simulated
-    extra = results["extra"]
+    extra = results.extra
     scene = load_spectra(SIMULATED)
     for row in extra["maps"]:
         seen = Packed(**row["map"]).values

@@ -14,8 +14,8 @@ from deepfsi.errors import InputError
 from deepfsi.experiments.ovit import claims as ovit
 from deepfsi.experiments.ovit.claims import EXPERIMENT, OvitRecipe, plan
 from deepfsi.report.figures import accuracy_figure
-from deepfsi.statistics.differences import of_trials
 from deepfsi.training.patches import PatchDesign
+from shared.results import a_point, some_results
 
 TINY = OvitRecipe(
     data="synthetic",
@@ -47,7 +47,7 @@ def table(path):
 
 def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
     results = EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
-    assert len(results["points"]) == 10
+    assert len(results.points) == 10
     page = experiments.page(tmp_path).read_text()
     section = EXPERIMENT.section(tmp_path)
     assert section.title in page
@@ -64,16 +64,16 @@ def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
 def test_points_are_means_over_seeds_of_what_the_trials_hold(images, tmp_path):
     results = EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
     rows = table(tmp_path / "ovit-trials.csv")
-    for point in results["points"]:
+    for point in results.points:
         own = [
             float(row["accuracy"])
             for row in rows
-            if (row["design"], float(row["photons"])) == (point["design"], point["photons"])
+            if (row["design"], float(row["photons"])) == (point.design, point.photons)
         ]
-        assert point["accuracies"] == pytest.approx(own)
-        assert point["accuracy"] == pytest.approx(np.mean(own))
-        assert point["trials"] == 2
-    learned = [point["label"] for point in results["points"] if point["design"] == "deepfsi"]
+        assert point.accuracies == pytest.approx(own)
+        assert point.accuracy == pytest.approx(np.mean(own))
+        assert point.trials == 2
+    learned = [point.label for point in results.points if point.design == "deepfsi"]
     assert set(learned) == {"OViT"}
 
 
@@ -108,7 +108,7 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
 def test_several_processes_train_what_one_does(images, tmp_path):
     one = EXPERIMENT.run(tmp_path / "one", command="", trials=1, device="cpu", workers=1)
     two = EXPERIMENT.run(tmp_path / "two", command="", trials=1, device="cpu", workers=2)
-    assert [p["accuracies"] for p in one["points"]] == [p["accuracies"] for p in two["points"]]
+    assert [p.accuracies for p in one["points"]] == [p.accuracies for p in two["points"]]
 
 
 def test_a_record_names_a_design_that_can_be_read(images, tmp_path):
@@ -174,24 +174,21 @@ def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg,
 def results_of(gap: float):
     """Results in which the learned design is ahead of the others by `gap`, with little spread."""
     points = [
-        {
-            "design": design,
-            "label": "OViT" if design == "deepfsi" else design,
-            "photons": photons,
-            "accuracies": [base + step + seed for seed in (0.0, 0.002, 0.004)],
-            "accuracy": base + step + 0.002,
-            "low": base,
-            "high": base + 0.1,
-        }
+        a_point(
+            base + step + 0.002,
+            photons=photons,
+            design=design,
+            accuracies=tuple(base + step + seed for seed in (0.0, 0.002, 0.004)),
+        )
         for photons, base in ((1e2, 0.2), (1e6, 0.4))
         for design, step in (("deepfsi", gap), ("raster", 0), ("hadamard", 0), ("pca", 0))
     ]
-    return {(point["design"], point["photons"]): point for point in points}
+    return {(point.design, point.photons): point for point in points}
 
 
 @pytest.mark.parametrize(("gap", "holds"), [(0.05, True), (-0.05, False)])
 def test_the_claim_follows_from_the_differences(gap, holds):
-    claim = ovit._ahead(results_of(gap), "pca", [1e2, 1e6])
+    claim = ovit.ahead(results_of(gap), "pca", [1e2, 1e6])
     assert claim.holds is holds
     assert "100" in claim.measured
     assert ("not clearly above" in claim.why) is not holds
@@ -206,33 +203,18 @@ def test_the_claim_follows_from_the_differences(gap, holds):
     ],
 )
 def test_light_is_spared_only_where_the_difference_can_be_noticed(dim, bright, holds):
-    rows = [{"photons": photons, "light": each} for photons, each in ((1e2, dim), (1e6, bright))]
-    each = of_trials(np.subtract(bright, dim).tolist())
-    claim = ovit._grows("frugal", "light", *rows, each, ovit.NOTICED, "why not")
+    claim = ovit.grows("frugal", [(1e2, dim), (1e6, bright)], ovit.NOTICED, "why not")
     assert claim.holds is holds
     assert (claim.why == "why not") is (holds is False)
 
 
 def test_names_keep_their_distance_on_a_short_axis():
     points = [
-        {
-            "design": design,
-            "label": design,
-            "specific": False,
-            "noise": "poisson",
-            "light": "column",
-            "rails": "dual",
-            "photons": photons,
-            "masks": 64,
-            "accuracy": 0.48,
-            "low": 0.47,
-            "high": 0.489,
-            "best": True,
-        }
+        a_point(0.48, low=0.47, high=0.489, design=design, specific=False, photons=photons)
         for design in TINY.designs
         for photons in (1e4, 1e6)
     ]
-    results = {"points": points, "data": {"classes": ["a", "b"]}, "chosen_on": "validation"}
+    results = some_results(points, data={"classes": ("a", "b")})
     (ax,) = accuracy_figure(results, top=0.5).axes
     assert ax.get_ylim() == (0, 0.5)
     heights = sorted(text.get_position()[1] for text in ax.texts if text.get_text())

@@ -89,7 +89,7 @@ class Comparison:
 
 def show(results: Results) -> Finding:
     """Figures, claims and tables of the laboratory."""
-    measures = TypeAdapter(Measures).validate_python(results["extra"])
+    measures = TypeAdapter(Measures).validate_python(results.extra)
     tests = [test for test in measures.tests if test.effect == "none" and test.assumed == ASSUMED]
     compared = Comparison(
         {(test.design, test.exposure_s): test for test in tests},

@@ -40,9 +40,8 @@ from deepfsi.hardware.virtual.camera import (
     rates,
     record,
 )
-from deepfsi.statistics.differences import Point
 from deepfsi.sweeps.queue import Report
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
 
 FLUX = 1e7
@@ -272,17 +271,17 @@ def measure(
         Processes; one for each core by default.
     report : Report
     """
-    raw = load_dataset(results["recipe"]["data"])
+    raw = load_dataset(results.recipe["data"])
     places = draw_digits(raw.y_test, DRAWS, seed=0)
     laboratory = Laboratory(
         designs, raw.x_test[places.ravel()].reshape(-1, *raw.image_shape), raw.y_test[places]
     )
     groups: dict[str, list[Point]] = {}
-    for point in results["points"]:
-        if point["best"]:
-            name = point["design"] if point["light"] == "equal-dwell" else FREE
+    for point in results.points:
+        if point.best:
+            name = point.design if point.light == "equal-dwell" else FREE
             groups.setdefault(name, []).append(point)
-    costly_first = sorted(groups.items(), key=lambda group: -group[1][0]["masks"])
+    costly_first = sorted(groups.items(), key=lambda group: -group[1][0].masks)
     report(0.0, "laboratory")
     done = {}
     at_once = min(workers or cores(), len(groups))
@@ -309,17 +308,17 @@ def measure(
 def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
     """Tests of one design, trained for several budgets."""
     name, points = group
-    label = "DeepFSI, free dwell" if name == FREE else points[0]["label"]
+    label = "DeepFSI, free dwell" if name == FREE else points[0].label
     tests: list[DigitTest] = []
     mounted_by_masks: dict[bytes, MountedDesign] = {}  # fixed masks are the same at every budget
     for point in points:
-        design = Design.load(laboratory.designs / f"{point['keys'][0]}.safetensors")
+        design = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
         masks = design.rails.numpy().tobytes()
         if masks not in mounted_by_masks:
             mounted_by_masks[masks] = mount(design, laboratory.images)
         mounted = mounted_by_masks[masks]
         mounted = replace(mounted, design=design.as_shown(*mounted.patterns.realised))
-        for effect, value, camera, exposure in _conditions(point["photons"]):
+        for effect, value, camera, exposure in _conditions(point.photons):
             rng = np.random.default_rng([0, len(tests)])
             classes = classify(mounted, camera, exposure, rng)
             right = classes.reshape(*laboratory.truth.shape, REPEATS) == laboratory.truth[..., None]
@@ -327,16 +326,16 @@ def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
                 DigitTest(
                     design=name,
                     label=label,
-                    specific=point["specific"],
-                    masks=point["masks"],
-                    assumed=point["photons"],
+                    specific=point.specific,
+                    masks=point.masks,
+                    assumed=point.photons,
                     effect=effect,
                     value=value,
                     exposure_s=exposure,
                     rates=right.mean(axis=-1).tolist(),
                 )
             )
-        if point["photons"] == ASSUMED:
+        if point.photons == ASSUMED:
             time = RunTime(name, label, *run_time(design, laboratory.images[:1]))
             frame = base64.b64encode(_first_frame(mounted.patterns).tobytes()).decode()
     return DesignResult(tests, time, frame)

@@ -6,7 +6,6 @@ since neighbours resemble each other, the same is done with a test part in block
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -24,7 +23,7 @@ from deepfsi.report.figures import INK, accuracy_figure, photons_text
 from deepfsi.report.study_page import Claim, Picture, Table
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point, Results
 
 SCENES = ("indian-pines", "indian-pines-corrected", SURROGATE)
 """What may stand for the scene, best first."""
@@ -50,7 +49,7 @@ PAPER = (
 Compared = dict[float, Difference]
 """Differences by budget."""
 
-Chosen = Mapping[tuple[str, float], Mapping[str, Any]]
+Chosen = Mapping[tuple[str, float], Point]
 """Points by design and budget."""
 
 
@@ -73,9 +72,9 @@ def adapt(recipe: Recipe) -> Recipe:
 
 def show(results: Results) -> Finding:
     """Figures, claims and tables, all with the name of the scene."""
-    name = results["recipe"]["data"]
+    name = results.recipe["data"]
     of = f"{name} (simulated)" if name == SURROGATE else name
-    measures = TypeAdapter(Measures).validate_python(results["extra"])
+    measures = TypeAdapter(Measures).validate_python(results.extra)
     splits = list(measures.parts)
     compared = {
         (noise, split): _advantage(best(results, noise=noise, split=split), RIVALS[noise])
@@ -121,9 +120,9 @@ def _advantage(chosen: Chosen, rivals: Sequence[str]) -> Compared:
     return found
 
 
-def _rival(chosen: Chosen, rivals: Sequence[str], budget: float) -> Mapping[str, Any]:
+def _rival(chosen: Chosen, rivals: Sequence[str], budget: float) -> Point:
     others = [chosen[(rival, budget)] for rival in rivals if (rival, budget) in chosen]
-    return max(others, key=lambda point: point["validation"])
+    return max(others, key=lambda point: point.validation or 0.0)
 
 
 def _no_advantage(of: str, split: str, compared: Compared) -> Claim:
@@ -142,7 +141,7 @@ def _no_advantage(of: str, split: str, compared: Compared) -> Claim:
 def _advantageous(of: str, split: str, compared: Compared, chosen: Chosen) -> Claim:
     least, most = (f(compared, key=lambda budget: compared[budget].mean) for f in (min, max))
     unclear = [
-        f"{_rival(chosen, RIVALS['poisson'], budget)['label']} at {photons_text(budget)}"
+        f"{_rival(chosen, RIVALS['poisson'], budget).label} at {photons_text(budget)}"
         for budget, each in compared.items()
         if each.low <= 0
     ]
@@ -201,8 +200,8 @@ def _same_claim(of: str, results: Results, splits: Sequence[str]) -> Claim:
         gains.append(
             {
                 b: np.subtract(
-                    chosen[("deepfsi", b)]["accuracies"],
-                    _rival(chosen, RIVALS["poisson"], b)["accuracies"],
+                    chosen[("deepfsi", b)].accuracies,
+                    _rival(chosen, RIVALS["poisson"], b).accuracies,
                 )
                 for b in budgets
             }
@@ -231,7 +230,7 @@ def _found(
             f"{SHORT[noise]}, {split} split: {own[most]} at most, at {photons_text(most)} photons"
         )
     text = ""
-    if results["recipe"]["data"] == SURROGATE:
+    if results.recipe["data"] == SURROGATE:
         text = (
             "These are not numbers of the real scene, whose cube was not at hand: "
             f"{SURROGATE} has simulated spectra on the real label map and bands. "
@@ -250,7 +249,7 @@ def _found(
         )
     return text + (
         f"The scene has {measures.scene.bands} bands (the paper counts 224), padded with darkness "
-        f"to {results['data']['image_shape'][0]}. Pixels to choose the number of masks on are a "
+        f"to {results.data.image_shape[0]}. Pixels to choose the number of masks on are a "
         "random part of the training pixels under either split. Intervals cover training seeds for "
         "one draw of each split."
     )
@@ -314,7 +313,7 @@ def _tables(
 ) -> list[Table]:
     heads = ("split", "noise", "design", "photons", "masks", "accuracy", "low", "high")
     fields = ("split", "noise", "label", "photons", "masks", "accuracy", "low", "high")
-    rows = [tuple(p[field] for field in fields) for p in results["points"] if p["best"]]
+    rows = [tuple(getattr(p, field) for field in fields) for p in results.points if p.best]
     tables = [
         Table(
             f"{of}: accuracy at the chosen number of masks, with 95 % intervals", heads, tuple(rows)

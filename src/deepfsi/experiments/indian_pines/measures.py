@@ -22,7 +22,7 @@ from deepfsi.optics.scanner import subtract
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.figures import brightest
 from deepfsi.sweeps.queue import Report
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point, Results
 
 MAPPED = (1e2, 1e4, 1e6)
 """Budgets of the class maps, photons."""
@@ -161,8 +161,8 @@ def measure(
         Not used.
     report : Report
     """
-    scene = load_spectra(results["recipe"]["data"])
-    splits = list(dict.fromkeys(point["split"] for point in results["points"]))
+    scene = load_spectra(results.recipe["data"])
+    splits = list(dict.fromkeys(point.split for point in results.points))
     parts: dict[str, Parts] = {}
     maps: list[ClassMap] = []
     for number, split in enumerate(splits):
@@ -182,8 +182,8 @@ def measure(
     return asdict(Measures(_overview(scene), parts, maps, masks, recalls))
 
 
-def _load(designs: Path, point: Any, trial: int = 0) -> Design:
-    return Design.load(designs / f"{point['keys'][trial]}.safetensors")
+def _load(designs: Path, point: Point, trial: int = 0) -> Design:
+    return Design.load(designs / f"{point.keys[trial]}.safetensors")
 
 
 def ranks(scene: SpectralImage) -> np.ndarray:
@@ -262,19 +262,19 @@ def _spectral_masks(
             row: list[Any] = []
             for own in chosen.values():
                 point = own[("deepfsi", photons)]
-                rails = read_masks(designs / f"{point['keys'][0]}.safetensors")[0]
+                rails = read_masks(designs / f"{point.keys[0]}.safetensors")[0]
                 masks = (rails[0] - rails[1])[brightest(rails, CURVES), :bands]
-                row += [masks.round(6).tolist(), point["masks"]]
+                row += [masks.round(6).tolist(), point.masks]
             yield SpectralMasks(photons, *row)
 
 
 def _recalls(results: Results, scene: SpectralImage, split: str, designs: Path) -> Iterator[Recall]:
     """Accuracy of DeepFSI on the test pixels of each class, under photon noise."""
-    data = scene.dataset(split, bands=results["data"]["image_shape"][0])
+    data = scene.dataset(split, bands=results.data.image_shape[0])
     for (design, photons), point in best(results, noise="poisson", split=split).items():
         if design == "deepfsi":
             trials = [
                 evaluate(_load(designs, point, seed), data, photons, seed=seed)
-                for seed in range(len(point["keys"]))
+                for seed in range(len(point.keys))
             ]
             yield Recall(split, photons, [trial[0].rates for trial in trials])

@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -20,15 +20,15 @@ from typing import Any
 
 import numpy as np
 import polars
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, field_validator
 
 from deepfsi.datasets import Dataset, list_datasets, load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.experiments.experiment import Experiment, Finding
+from deepfsi.experiments.ovit.measures import LEARNED, LearnedMasks, Measures, measure_masks
 from deepfsi.optics.budget import BUDGETS
-from deepfsi.optics.measures import effective_directions
-from deepfsi.report.comparison_page import listed, read_masks
+from deepfsi.report.comparison_page import listed
 from deepfsi.report.figures import accuracy_figure, photons_text
 from deepfsi.report.maps import patch_masks_figure
 from deepfsi.report.study_page import Claim, Picture, Table
@@ -49,7 +49,7 @@ from deepfsi.training.patches import (
 from deepfsi.training.training_set import find_device
 
 SCHEMA = 1
-LEARNED, LABEL = "deepfsi", "OViT"
+LABEL = "OViT"
 RIVALS = ("raster", "hadamard", "pca")
 SHOWN = (1e2, 1e4, 1e6)
 NOTICED = 0.01
@@ -283,7 +283,7 @@ class PatchExperiment(Experiment):
             provenance=provenance_of(records, time.perf_counter() - began),
             chosen_on="validation",
             points=tuple(summarise(records)),
-            extra={"masks": learned_masks(records, folder / "designs")},
+            extra=asdict(measure_masks(records, folder / "designs")),
         )
         self.keep(folder, results, polars.DataFrame([_row(record) for record in records]))
         return results
@@ -316,30 +316,6 @@ def summarise(records: Sequence[Mapping[str, Any]]) -> list[Point]:
     return found
 
 
-def learned_masks(records: Sequence[Mapping[str, Any]], designs: Path) -> list[dict[str, Any]]:
-    """Light and directions of the learned masks of every trial, and the first trial's masks."""
-    rows: dict[float, dict[str, Any]] = {}
-    for record in records:
-        job = record["trial"]["job"]
-        if job["design"] != LEARNED:
-            continue
-        rails, _ = read_masks(designs / f"{record['design']}.safetensors")
-        matrix = rails[0] - rails[1]
-        row = rows.setdefault(
-            job["photons"],
-            {
-                "photons": job["photons"],
-                "side": job["patch"],
-                "light": [],
-                "directions": [],
-                "matrix": np.round(matrix, 6).tolist(),
-            },
-        )
-        row["light"].append(record["test"][0]["throughput"])
-        row["directions"].append(effective_directions(matrix))
-    return [rows[photons] for photons in sorted(rows)]
-
-
 def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     job, test = record["trial"]["job"], record["test"][0]
     return {
@@ -355,53 +331,60 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
 
 def show(results: Results) -> Finding:
     """Figures, claims and tables."""
-    at = {(each["design"], each["photons"]): each for each in results["points"]}
-    budgets = sorted({photons for _, photons in at})
-    masks = results["extra"]["masks"]
-    claims = [_ahead(at, rival, budgets) for rival in RIVALS if (rival, budgets[0]) in at]
-    dim, bright = masks[0], masks[-1]
-    light, span = (
-        of_trials(np.subtract(bright[name], dim[name]).tolist()) for name in ("light", "directions")
+    measures = TypeAdapter(Measures).validate_python(results.extra)
+    return Finding(
+        _found(results),
+        _pictures(results, measures.masks),
+        (*_accuracy_claims(results), *_mask_claims(measures.masks)),
+        _tables(results, measures.masks),
     )
-    ends = f"{photons_text(dim['photons'])} and {photons_text(bright['photons'])} photons"
-    claims += [
-        _grows(
+
+
+def _found(results: Results) -> str:
+    patch, size = results.recipe["patch"], results.data.image_shape
+    budgets = {each.photons for each in results.points}
+    middle = min(sorted(budgets), key=lambda budget: abs(np.log10(budget) - 4))
+    ranks = sorted(
+        (each for each in results.points if each.photons == middle),
+        key=lambda each: -each.accuracy,
+    )
+    return (
+        f"{results.data.name} in grey, {size[0]} x {size[1]} pixels, in {patch} x {patch} "
+        f"patches. The same {patch * patch} masks are shown on every patch in sequence, with one "
+        "detector for each patch; a budget is of the whole image, and is shared by the patches as "
+        "their light is. "
+        f"Trained on {results.data.train} images, tested on {results.data.test} under "
+        f"exact photon noise. At {photons_text(middle)} photons: "
+        + ", ".join(f"{each.label} {each.accuracy:.3f}" for each in ranks)
+        + "."
+    )
+
+
+def _accuracy_claims(results: Results) -> list[Claim]:
+    at = {(each.design, each.photons): each for each in results.points}
+    budgets = sorted({photons for _, photons in at})
+    return [ahead(at, rival, budgets) for rival in RIVALS if (rival, budgets[0]) in at]
+
+
+def _mask_claims(masks: Sequence[LearnedMasks]) -> list[Claim]:
+    return [
+        grows(
             f"{LABEL} counts less light where photons are few, by {NOTICED} or more",
-            "light",
-            dim,
-            bright,
-            light,
+            [(row.photons, row.light) for row in (masks[0], masks[-1])],
             NOTICED,
             "With light split freely among readouts, what is not wanted may go to readouts that "
             "the classifier disregards: leaving it out gains nothing.",
         ),
-        _grows(
+        grows(
             f"{LABEL}'s masks repeat where photons are few, spanning fewer directions",
-            "directions",
-            dim,
-            bright,
-            span,
-            0.0,
+            [(row.photons, row.directions) for row in (masks[0], masks[-1])],
         ),
     ]
-    highest = max(each["high"] for each in at.values())
-    patch, size = results["recipe"]["patch"], results["data"]["image_shape"]
-    middle = min(budgets, key=lambda budget: abs(np.log10(budget) - 4))
-    ranks = sorted(
-        (each for (_, photons), each in at.items() if photons == middle),
-        key=lambda each: -each["accuracy"],
-    )
-    found = (
-        f"{results['data']['name']} in grey, {size[0]} x {size[1]} pixels, in {patch} x {patch} "
-        f"patches. The same {patch * patch} masks are shown on every patch in sequence, with one "
-        "detector for each patch; a budget is of the whole image, and is shared by the patches as "
-        "their light is. "
-        f"Trained on {results['data']['train']} images, tested on {results['data']['test']} under "
-        f"exact photon noise. At {photons_text(middle)} photons: "
-        + ", ".join(f"{each['label']} {each['accuracy']:.3f}" for each in ranks)
-        + "."
-    )
-    pictures = (
+
+
+def _pictures(results: Results, masks: Sequence[LearnedMasks]) -> tuple[Picture, Picture]:
+    highest = max(each.high for each in results.points)
+    return (
         Picture(
             accuracy_figure(results, top=0.5 if highest < 0.49 else 1.0),
             "Accuracy against the photons of a whole image, photon noise. Bars: 95 % intervals "
@@ -411,61 +394,62 @@ def show(results: Results) -> Finding:
         Picture(
             patch_masks_figure(
                 [
-                    {**row, "matrix": np.asarray(row["matrix"])}
+                    {"photons": row.photons, "side": row.side, "matrix": np.asarray(row.matrix)}
                     for row in masks
-                    if row["photons"] in SHOWN or len(masks) <= len(SHOWN)
+                    if row.photons in SHOWN or len(masks) <= len(SHOWN)
                 ]
             ),
-            f"The {patch * patch} masks of {LABEL}, the brightest first, row by row. Black is "
+            f"The {masks[0].side ** 2} masks of {LABEL}, the brightest first, row by row. Black is "
             "−peak, mid-grey 0, white peak, for each budget its own.",
             f"Masks learned by {LABEL} at several budgets.",
         ),
     )
+
+
+def _tables(results: Results, masks: Sequence[LearnedMasks]) -> tuple[Table, Table]:
     heads = (
         "design", "photons", "accuracy", "low", "high", "validation", "light counted", "trials",
         "interval over",
     )  # fmt: skip
-    rows = tuple(
-        (
-            each["label"],
-            each["photons"],
-            each["accuracy"],
-            each["low"],
-            each["high"],
-            each["validation"],
-            each["throughput"],
-            each["trials"],
-            each["covers"],
-        )
-        for each in results["points"]
-    )
-    lights = tuple(
-        (
-            row["photons"],
-            float(np.mean(row["light"])),
-            float(np.mean(row["directions"])),
-        )
-        for row in masks
-    )
-    tables = (
-        Table("Accuracy and light", heads, rows),
+    fields = (
+        "label", "photons", "accuracy", "low", "high", "validation", "throughput", "trials",
+        "covers",
+    )  # fmt: skip
+    ends = f"{photons_text(masks[0].photons)} and {photons_text(masks[-1].photons)} photons"
+    return (
+        Table(
+            "Accuracy and light",
+            heads,
+            tuple(tuple(getattr(each, field) for field in fields) for each in results.points),
+        ),
         Table(
             f"{LABEL}'s masks, at {ends} and between",
             ("photons", "share of the light counted", "independent directions"),
-            lights,
+            tuple(
+                (row.photons, float(np.mean(row.light)), float(np.mean(row.directions)))
+                for row in masks
+            ),
         ),
     )
-    return Finding(found, pictures, tuple(claims), tables)
 
 
-def _ahead(at: Mapping[tuple[str, float], Any], rival: str, budgets: Sequence[float]) -> Claim:
-    """Claim that the learned design is above another at every budget."""
+def ahead(at: Mapping[tuple[str, float], Point], rival: str, budgets: Sequence[float]) -> Claim:
+    """Claim that the learned design is above another at every budget.
+
+    Parameters
+    ----------
+    at : mapping of (str, float) to point
+        Points by design and budget.
+    rival : str
+    budgets : sequence of float
+        Rising.
+    """
     compared: dict[float, Difference] = {
         budget: difference(at[(LEARNED, budget)], at[(rival, budget)])
         for budget in budgets
         if (LEARNED, budget) in at and (rival, budget) in at
     }
-    label = at[(rival, budgets[0])]["label"]
+    label = at[(rival, budgets[0])].label
     said = "; ".join(f"{each} at {photons_text(budget)}" for budget, each in compared.items())
     unclear = [photons_text(budget) for budget, each in compared.items() if each.low <= 0]
     return Claim(
@@ -476,20 +460,29 @@ def _ahead(at: Mapping[tuple[str, float], Any], rival: str, budgets: Sequence[fl
     )
 
 
-def _grows(
+def grows(
     text: str,
-    name: str,
-    dim: Mapping[str, Any],
-    bright: Mapping[str, Any],
-    each: Difference,
-    limit: float,
+    ends: Sequence[tuple[float, Sequence[float]]],
+    limit: float = 0.0,
     otherwise: str = "",
 ) -> Claim:
-    """Claim that a measure of the masks grows with the light, by more than a limit."""
+    """Claim that a measure of the masks grows with the light, by more than a limit.
+
+    Parameters
+    ----------
+    text : str
+        The claim.
+    ends : pair of (float, sequence of float)
+        Smallest and largest budget, and the measure of each trial's masks.
+    limit : float
+    otherwise : str
+        Why the claim does not hold, if it does not.
+    """
     said = " and ".join(
-        f"{float(np.mean(row[name])):#.3g} at {photons_text(row['photons'])}"
-        for row in (dim, bright)
+        f"{float(np.mean(values)):#.3g} at {photons_text(photons)}" for photons, values in ends
     )
+    (_, dim), (_, bright) = ends
+    each = of_trials(np.subtract(bright, dim).tolist())
     holds = above([each], limit)
     return Claim(text, holds, f"{said} photons: {each}", otherwise if holds is False else "")
 
