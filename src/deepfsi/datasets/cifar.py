@@ -78,7 +78,7 @@ def load(
         check_total(6 * BATCH, shape)
     if name == "cifar10-jpeg":
         return _load_jpeg(shape, seed, rescale, images)
-    pixels, labels = _read(download(name))
+    pixels, labels = read_batches(download(name))
     n = len(labels) - BATCH
     train = np.arange(n) if images is None else draw_stratified(labels[:n], images, seed, name)
     return split_arrays(
@@ -143,9 +143,12 @@ def _check_size(folder: Path, file: str) -> FileCheck:
     return FileCheck(f"{folder.name}/{file}", found == expected, detail)
 
 
-def _read(path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Pixels, (n, 3072) with red, green and blue in turn, and labels, (n,), test batch last."""
-    batches = [_read_batch(content, where) for content, where in _contents(path)]
+def read_batches(path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """Pixels (n, 3072) and labels (n,) of an archive or folder, the test batch last.
+
+    The pixels of an image are its reds, then its greens, then its blues.
+    """
+    batches = [decode_batch(content, where) for content, where in _contents(path)]
     pixels = np.concatenate([pixels for pixels, _ in batches])
     labels = np.concatenate([labels for _, labels in batches])
     if labels.max() >= len(CLASSES):
@@ -153,7 +156,8 @@ def _read(path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
     return pixels, labels
 
 
-def _read_batch(content: bytes, where: str) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+def decode_batch(content: bytes, where: str) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """Pixels and labels of one batch, binary where its name ends in ``.bin``, else pickled."""
     if where.endswith(".bin"):
         if len(content) != BATCH * RECORD:
             raise InputError(

@@ -81,7 +81,7 @@ def load(name: str, rescale: Range) -> Dataset:
     """Load the original in its own split and order, framed to 32x32."""
     folder = download(name)
     images, labels, images_test, labels_test = (
-        _read_idx(folder / file, dimensions)
+        read_idx(folder / file, dimensions)
         for file, dimensions in zip(IDX_FILES, (3, 1, 3, 1), strict=True)
     )
     frame = ((0, 0), (2, 2), (2, 2))
@@ -95,8 +95,8 @@ def load(name: str, rescale: Range) -> Dataset:
     )
 
 
-def _read_idx(path: Path, dimensions: int) -> npt.NDArray[np.uint8]:
-    """Read a gzipped idx file of unsigned bytes: magic, big-endian lengths, then the bytes."""
+def read_idx(path: Path, dimensions: int) -> npt.NDArray[np.uint8]:
+    """Array of a gzipped idx file of unsigned bytes: magic, big-endian lengths, then the bytes."""
     try:
         content = gzip.decompress(path.read_bytes())
     except (EOFError, OSError, zlib.error) as error:

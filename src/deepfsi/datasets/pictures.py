@@ -232,7 +232,9 @@ def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> 
             f"{where} unpacks to {info.file_size / 1e6:.0f} MB; an image has {MAX_FILE / 1e6:.0f} "
             "MB or less, remove it"
         )
-    return io.BytesIO(archive.read(info))
+    with archive.open(info) as entry:
+        # asked for no more than is declared, zipfile unpacks no more
+        return io.BytesIO(entry.read(info.file_size + 1))
 
 
 def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:

@@ -64,7 +64,7 @@ def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) ->
     pooch.get_logger().setLevel("WARNING")
     failures = []
     for mirror in mirrors:
-        progress = _Progress(file)
+        progress = DownloadBar(file)
         try:
             pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=progress)
             return
@@ -79,8 +79,8 @@ def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) ->
     )
 
 
-class _Progress:
-    """The progress bar that pooch asks for: a line on stderr, from the third second on."""
+class DownloadBar:
+    """Progress bar of pooch: a line on stderr, from the third second on."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -89,6 +89,7 @@ class _Progress:
         self.shown = False
 
     def update(self, size: int) -> None:
+        """Count that many bytes more."""
         self.done += size
         if time.monotonic() >= self.due:
             print(
@@ -101,9 +102,11 @@ class _Progress:
             self.shown = True
 
     def reset(self) -> None:
+        """Count from 0 again."""
         self.done = 0
 
     def close(self) -> None:
+        """End the line, if there is one."""
         if self.shown:
             print(file=sys.stderr)
             self.shown = False

@@ -1,0 +1,63 @@
+"""Names, paths and tuples are told apart; digits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dataset_samples import X, Y, refused
+
+from deepfsi.datasets import load_dataset
+from deepfsi.errors import closest
+
+DIGITS_HASH = "a24eb6e0dbf2acc4009205dbb06c1c3e5d3f8a6db4843471cb6da068e8b9c8a2"
+
+
+@pytest.mark.parametrize("arrays", [(X,), (X, Y, X)])
+def test_a_tuple_of_the_wrong_length(arrays):
+    with refused(f"tuple of {len(arrays)}", "(x, y, x_test, y_test)"):
+        load_dataset(arrays)
+
+
+@pytest.mark.parametrize(
+    ("source", "parts"),
+    [
+        ("MNITS", ("unknown data set 'MNITS'", "did you mean 'mnist'?", "digits, mnist")),
+        ("zzzz", ("unknown data set 'zzzz'", "Known: digits, mnist, fashion-mnist")),
+        ("", ("unknown data set ''",)),
+        ("no/such/folder", ("no folder and no file at 'no/such/folder'",)),
+        ("scenes.npz", ("no folder and no file at 'scenes.npz'",)),
+    ],
+)
+def test_unknown_source(source, parts, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with refused(*parts):
+        load_dataset(source)
+
+
+def test_closest():
+    assert closest("Hadamrad", ["raster", "hadamard"]).startswith("did you mean 'hadamard'? ")
+    assert closest("xyz", ["raster", "hadamard"]) == "Known: raster, hadamard"
+
+
+def test_size_is_for_folders_only(tmp_path):
+    np.savez(tmp_path / "a.npz", x=X, y=Y)
+    for source in ("digits", "mnist", tmp_path / "a.npz", (X, Y)):
+        with refused("only images of a folder, a zip file or CIFAR-10"):
+            load_dataset(source, size=8)
+
+
+def test_digits():
+    data = load_dataset("digits")
+    assert data.x_train.shape == (1437, 64)
+    assert data.x_test.shape == (360, 64)
+    assert data.image_shape == (8, 8)
+    assert data.classes == tuple("0123456789")
+    assert data.x_train.min() == np.float32(0.3)
+    assert data.x_train.max() == 1
+    assert data.preprocessing == "Divided by 16, then mapped from [0, 1] to [0.3, 1]."
+    assert np.bincount(data.y_test).min() >= 34, "stratified"
+    plain = load_dataset("digits", rescale=(0, 1))
+    assert set(np.unique(plain.x_train * 16)) == set(range(17))
+    assert np.allclose(0.3 + 0.7 * plain.x_train, data.x_train)
+    assert load_dataset("digits", seed=1).hash != data.hash == load_dataset("digits").hash
+    assert data.hash == DIGITS_HASH, "records name the data by it"

@@ -1,0 +1,372 @@
+"""Folders and zip files of images become scenes; every bad one gives one clear line."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataset_samples import refused
+from PIL import Image
+
+from deepfsi.datasets import load_dataset, pictures
+
+
+def save_images(folder, images, suffix=".png"):
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, image in enumerate(images):
+        Image.fromarray(image).save(folder / f"{i:03}{suffix}")
+
+
+@pytest.fixture
+def images(tmp_path):
+    """A folder with two classes of ten 6x8 grey images: dark cats, bright dogs."""
+    rng = np.random.default_rng(2)
+    save_images(tmp_path / "pets" / "cat", rng.integers(0, 100, (10, 6, 8), dtype=np.uint8))
+    save_images(tmp_path / "pets" / "dog", rng.integers(150, 256, (10, 6, 8), dtype=np.uint8))
+    return tmp_path / "pets"
+
+
+@pytest.fixture
+def split(images, tmp_path):
+    """A folder with its own split: 10 cats and 10 dogs to train on, one and three to test."""
+    split = tmp_path / "split"
+    split.mkdir()
+    images.rename(split / "train")
+    save_images(split / "test" / "dog", np.full((3, 6, 8), 200, np.uint8))
+    save_images(split / "test" / "cat", np.full((1, 6, 8), 20, np.uint8))
+    return split
+
+
+def test_image_folder(images):
+    data = load_dataset(images)
+    assert data.name == "pets"
+    assert data.classes == ("cat", "dog")
+    assert data.x_train.shape == (16, 48)
+    assert data.x_test.shape == (4, 48)
+    assert data.image_shape == (6, 8)
+    assert data.preprocessing == "Grey levels divided by 255."
+    for x, y in ((data.x_train, data.y_train), (data.x_test, data.y_test)):
+        assert np.array_equal(x.mean(axis=1) > 0.5, y == 1)
+    first = np.asarray(Image.open(images / "cat" / "000.png"), dtype=np.float32).ravel() / 255
+    assert (np.r_[data.x_train, data.x_test] == first).all(axis=1).sum() == 1
+    assert data.y_train.tolist() != sorted(data.y_train), "shuffled"
+    assert load_dataset(str(images), seed=1).hash != data.hash == load_dataset(str(images)).hash
+
+
+def test_image_folder_with_its_own_split(split):
+    data = load_dataset(split)
+    assert data.x_train.shape == (20, 48)
+    assert data.y_test.tolist() == [0, 1, 1, 1]
+    assert data.x_test[:, 0] == pytest.approx([20 / 255] + [200 / 255] * 3)
+    assert data.y_train.tolist() != sorted(data.y_train), "shuffled"
+
+    save_images(split / "test" / "eel", np.full((1, 6, 8), 20, np.uint8))
+    with refused("label 'eel'", "'cat', 'dog'"):
+        load_dataset(split)
+
+
+def test_classes_may_be_called_train_and_test(images):
+    (images / "cat").rename(images / "train")
+    (images / "dog").rename(images / "test")
+    assert load_dataset(images).classes == ("test", "train")
+
+
+def test_size_averages_over_areas(images):
+    save_images(images / "cat", np.full((1, 3, 3), 40, np.uint8))
+    with refused("000.png is 3x3", "001.png is 6x8", "size"):
+        load_dataset(images)
+    data = load_dataset(images, size=(3, 2))
+    assert data.image_shape == (3, 2)
+    assert data.preprocessing == "Grey levels, averaged to 3x2 pixels, divided by 255."
+    full = np.asarray(Image.open(images / "cat" / "001.png"), dtype=float)
+    blocks = full.reshape(3, 2, 2, 4).mean(axis=(1, 3)).ravel() / 255
+    distance = np.abs(np.r_[data.x_train, data.x_test] - blocks).max(axis=1)
+    assert distance.min() < 1 / 255
+    assert load_dataset(images, size=4).image_shape == (4, 4)
+
+
+@pytest.mark.parametrize("size", [0, -3, (4, 0), (4,), (4, 4, 4)])
+def test_bad_size(images, size):
+    with refused(f"size {size}", "at least 1"):
+        load_dataset(images, size=size)
+
+
+def test_colours_turn_grey(images):
+    green = np.zeros((1, 6, 8, 3), np.uint8)
+    green[..., 1] = 255
+    save_images(images / "cat", green)
+    data = load_dataset(images)
+    flat = np.ptp(np.r_[data.x_train, data.x_test], axis=1) == 0
+    assert np.r_[data.x_train, data.x_test][flat][:, 0] == pytest.approx([150 / 255])
+
+
+def test_other_files_are_left_alone(images):
+    before = load_dataset(images).hash
+    (images / "cat" / "notes.txt").write_text("not an image")
+    (images / "cat" / "._000.png").write_text("what a Mac leaves on a stick")
+    (images / "README.md").write_text("pets")
+    (images / ".cache").mkdir()
+    assert load_dataset(images).hash == before
+    (images / "cat" / "000.png").rename(images / "cat" / "000.PNG")
+    assert load_dataset(images).hash == before
+
+
+def test_empty_folder(tmp_path):
+    with refused(str(tmp_path), "no sub-folders"):
+        load_dataset(tmp_path)
+
+
+def test_class_folder_without_images(images):
+    (images / "eel").mkdir()
+    (images / "eel" / "notes.txt").write_text("none yet")
+    with refused(str(images / "eel"), "no images"):
+        load_dataset(images)
+
+
+def test_folder_with_one_class(images):
+    for path in (images / "dog").iterdir():
+        path.unlink()
+    (images / "dog").rmdir()
+    with refused("only one class, cat"):
+        load_dataset(images)
+
+
+def test_class_with_few_images(images):
+    save_images(images / "eel", np.full((2, 6, 8), 20, np.uint8))
+    with refused("class 'eel' has 2 scenes"):
+        load_dataset(images)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".gif", ".tif", ".bmp", ".webp", ".pgm"])
+def test_damaged_images(images, suffix):
+    noise = np.random.default_rng(3).integers(0, 256, (1, 64, 64), dtype=np.uint8)
+    save_images(images / "dog", noise, suffix)
+    path = images / "dog" / f"000{suffix}"
+    whole = path.read_bytes()
+    for content in (whole[: len(whole) // 2], whole[:9], b"", b"not an image at all"):
+        path.write_bytes(content)
+        with refused(str(path), "cannot read"):
+            load_dataset(images, size=8)
+
+
+@pytest.mark.parametrize(("dtype", "suffix"), [("u2", ".png"), ("u2", ".tif"), ("f4", ".tif")])
+def test_images_of_more_than_8_bits(images, dtype, suffix):
+    save_images(images / "cat", np.full((1, 6, 8), 1, dtype), suffix)
+    with refused(f"000{suffix} has more than 8 bits"):
+        load_dataset(images)
+
+
+def test_a_bomb_among_images(images, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    for side, part in ((11, "decompression bomb"), (30, "decompression bomb")):
+        save_images(images / "dog", np.full((1, side, side), 9, np.uint8))
+        with refused("dog/000.png", "cannot read", part):
+            load_dataset(images, size=2)
+
+
+def test_images_that_need_too_much_memory(images, monkeypatch):
+    monkeypatch.setattr(pictures, "MAX_PIXELS", 20 * 48 - 1)
+    with refused("20 images of 6x8 pixels need", "smaller size"):
+        load_dataset(images)
+    monkeypatch.setattr(pictures, "MAX_PIXELS", 20 * 48)
+    load_dataset(images)
+    with refused("20 images of 1000000000x1000000000"):
+        load_dataset(images, size=10**9)
+
+
+def test_only_formats_that_are_listed_are_decoded(images):
+    Image.new("L", (8, 6)).save(images / "cat" / "000.png", format="ICO")
+    with refused("cat/000.png", "no image"):
+        load_dataset(images)
+
+
+def test_some_training_images(split):
+    whole = load_dataset(split)
+    data = load_dataset(split, images=6)
+    assert np.bincount(data.y_train).tolist() == [3, 3]
+    assert np.array_equal(data.x_test, whole.x_test)
+    assert set(map(bytes, data.x_train)) <= set(map(bytes, whole.x_train))
+    assert data.preprocessing == ("6 training images drawn by class; grey levels divided by 255.")
+    assert data.hash == load_dataset(split, images=6).hash
+    assert data.hash != load_dataset(split, images=6, seed=1).hash
+    assert load_dataset(split, images=20).hash == whole.hash
+
+
+@pytest.mark.parametrize("count", [0, 1, 21, -4])
+def test_a_bad_number_of_images(split, count):
+    with refused(f"{count} of 20 training images", "2 (one of each class) to 20"):
+        load_dataset(split, images=count)
+
+
+def test_options_that_other_sources_lack(images):
+    for options, parts in (
+        ({"images": 10}, ("10 training images", "own train and test folders")),
+        ({"split": "blocks"}, ("a split was given", "hyperspectral")),
+    ):
+        with refused("pets", *parts):
+            load_dataset(images, **options)
+    with refused("digits: a number of images was given", "CIFAR-10"):
+        load_dataset("digits", images=10)
+
+
+def pack(folder, archive, root="", **options):
+    with zipfile.ZipFile(archive, "w", **options) as file:
+        for path in sorted(folder.rglob("*")):
+            file.write(path, root + str(path.relative_to(folder)))
+    return archive
+
+
+@pytest.mark.parametrize("root", ["", "pets/", "a/b/"])
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_zip_file_is_like_its_folder(images, tmp_path, root, method):
+    (images / "cat" / "notes.txt").write_text("not an image")
+    (images / "README.md").write_text("pets")
+    path = pack(images, tmp_path / "zipped.zip", root, compression=method)
+    with zipfile.ZipFile(path, "a") as file:
+        file.writestr("__MACOSX/cat/._000.png", b"what a Mac adds")
+        file.writestr(".DS_Store", b"and this")
+    data = load_dataset(path)
+    assert data.hash == load_dataset(images).hash
+    assert data.name == "zipped"
+    assert load_dataset(path, size=(3, 2)).hash == load_dataset(images, size=(3, 2)).hash
+    assert sorted(tmp_path.iterdir()) == sorted([images, path]), "never unpacked"
+
+
+@pytest.mark.parametrize("root", ["", "split/"])
+def test_a_zip_file_with_its_own_split(split, tmp_path, root):
+    path = pack(split, tmp_path / "split.zip", root)
+    for options in ({}, {"images": 6}):
+        assert load_dataset(path, **options).hash == load_dataset(split, **options).hash
+
+
+def test_a_zip_file_of_windows(images, tmp_path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as file:
+        for image in images.rglob("*.png"):
+            info = zipfile.ZipInfo("x")
+            info.filename = "\\".join(image.relative_to(images).parts)
+            file.writestr(info, image.read_bytes())
+    assert load_dataset(path).hash == load_dataset(images).hash
+
+
+@pytest.mark.parametrize(
+    "name", ["/cat/0.png", "../cat/0.png", "cat/../../0.png", "C:/cat/0.png", "cat/a\nb.png", "/"]
+)
+def test_a_zip_file_with_a_trick_in_a_name(images, tmp_path, name):
+    path = pack(images, tmp_path / "a.zip")
+    with zipfile.ZipFile(path, "a") as file:
+        info = zipfile.ZipInfo("x")
+        info.filename = name
+        file.writestr(info, (images / "cat" / "000.png").read_bytes())
+    with refused(str(path), "no honest zip file", ascii(name)):
+        load_dataset(path)
+
+
+def test_a_zip_file_with_a_name_twice(images, tmp_path):
+    path = pack(images, tmp_path / "a.zip")
+    with zipfile.ZipFile(path, "a") as file, pytest.warns(UserWarning, match="Duplicate"):
+        file.write(images / "cat" / "000.png", "cat/000.png")
+    with refused("cat/000.png twice"):
+        load_dataset(path)
+
+
+ATTEMPTS = """
+import sys
+import deepfsi
+
+def peak():
+    return int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) / 1e3
+
+honest, *bombs = sys.argv[1:]
+deepfsi.load_dataset(honest, size=8)
+plain = peak()
+for path, part in zip(bombs[::2], bombs[1::2]):
+    try:
+        deepfsi.load_dataset(path, size=8)
+    except deepfsi.InputError as error:
+        assert part in str(error), error
+    else:
+        raise AssertionError(path)
+    assert peak() < plain + 40, (path, peak(), plain)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads Linux's /proc")
+def test_bombs_in_a_zip_file_cost_no_memory(images, tmp_path):
+    honest = pack(images, tmp_path / "honest.zip")
+    declared = pack(images, tmp_path / "declared.zip")
+    with zipfile.ZipFile(declared, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+        file.writestr("cat/zeros.png", bytes(300 * 2**20))
+    lying = tmp_path / "lying.zip"
+    size = (300 * 2**20).to_bytes(4, "little")
+    assert declared.read_bytes().count(size) >= 1
+    lying.write_bytes(declared.read_bytes().replace(size, (1000).to_bytes(4, "little")))
+    huge = pack(images, tmp_path / "huge.zip")
+    with zipfile.ZipFile(huge, "a") as file:
+        file.writestr("cat/huge.png", HUGE_PNG)
+    bombs = (declared, "unpacks to 315 MB", lying, "cannot read", huge, "bomb")
+    words = [sys.executable, "-c", ATTEMPTS, *map(str, (honest, *bombs))]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def png_of(height, width):
+    """The head of a PNG file that declares a size, and a little of its data."""
+
+    def chunk(kind, content):
+        length = len(content).to_bytes(4, "big")
+        return length + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
+
+    sides = width.to_bytes(4, "big") + height.to_bytes(4, "big")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", sides + bytes([8, 0, 0, 0, 0]))
+        + chunk(b"IDAT", zlib.compress(bytes(10_000)))
+        + chunk(b"IEND", b"")
+    )
+
+
+HUGE_PNG = png_of(60_000, 60_000)
+
+
+def test_zip_files_that_cannot_be_read(images, tmp_path):
+    path = tmp_path / "a.zip"
+    whole = pack(images, path).read_bytes()
+    entry = whole.index(b"\x89PNG")
+    for content, part in (
+        (b"", "as a zip file"),
+        (b"no zip file", "as a zip file"),
+        (whole[: len(whole) // 2], "as a zip file"),
+        (whole[: entry + 30] + b"\0\0\0" + whole[entry + 33 :], "000.png (Bad CRC-32"),
+    ):
+        path.write_bytes(content)
+        with refused(str(path), part):
+            load_dataset(path)
+    for method in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
+        pack(images, path, compression=method)
+        with refused("cat/000.png", "unusual way"):
+            load_dataset(path)
+    encrypted = bytearray(whole)
+    at = whole.index(b"PK\x01\x02", whole.index(b"cat/000.png", entry + 50) - 60)
+    encrypted[at + 8] |= 1
+    path.write_bytes(encrypted)
+    with refused("cat/000.png", "encrypted"):
+        load_dataset(path)
+
+
+def test_zip_files_without_classes(images, tmp_path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("a.png", HUGE_PNG)
+    with refused(str(path), "no sub-folders"):
+        load_dataset(path)
+    pack(images, path)
+    with zipfile.ZipFile(path, "a") as file:
+        file.writestr("eel/notes.txt", "none yet")
+    with refused(f"{path}/eel", "no images"):
+        load_dataset(path)

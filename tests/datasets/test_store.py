@@ -1,0 +1,201 @@
+"""Files come from `$DEEPFSI_DATA`, the cache or a mirror, whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import http.server
+import threading
+
+import numpy as np
+import pooch
+import pytest
+from dataset_samples import TINY, TINY_IMAGES, TINY_LABELS, idx_file, refused
+
+from deepfsi.datasets import check, download, idx, list_datasets, load_dataset, store
+from deepfsi.errors import InputError
+
+
+class Mirrors:
+    """Two folders served on this machine as the mirrors of a tiny MNIST; counts the requests."""
+
+    def __init__(self, folder):
+        self.first, self.second = folder / "first", folder / "second"
+        self.first.mkdir()
+        self.second.mkdir()
+        self.requests: list[str] = []
+        requests = self.requests
+
+        class Handler(http.server.SimpleHTTPRequestHandler):
+            def __init__(self, *args):
+                super().__init__(*args, directory=str(folder))
+
+            def log_request(self, *_):
+                requests.append(self.path)
+
+            def log_message(self, *_): ...
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.urls = tuple(
+            f"http://127.0.0.1:{self.server.server_port}/{mirror}/"
+            for mirror in ("first", "second")
+        )
+        threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
+
+
+def fill(folder, **spoilt):
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, content in (TINY | spoilt).items():
+        (folder / file).write_bytes(content)
+
+
+@pytest.fixture
+def mirrors(tmp_path, monkeypatch):
+    """A tiny MNIST with empty mirrors and an empty cache, `tmp_path / "cache"`."""
+    (tmp_path / "served").mkdir()
+    served = Mirrors(tmp_path / "served")
+    hashes = tuple(f"sha256:{hashlib.sha256(content).hexdigest()}" for content in TINY.values())
+    tiny = idx.ORIGINALS["mnist"]._replace(mirrors=served.urls, hashes=hashes)
+    monkeypatch.setitem(idx.ORIGINALS, "mnist", tiny)
+    monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
+    monkeypatch.delenv("DEEPFSI_DATA", raising=False)
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    yield served
+    served.server.shutdown()
+    served.server.server_close()
+
+
+def assert_tiny(data):
+    assert data.image_shape == (32, 32)
+    assert data.classes == tuple("0123456789")
+    framed = np.zeros((24, 32, 32))
+    framed[:, 2:-2, 2:-2] = TINY_IMAGES / 255
+    expected = (0.3 + 0.7 * framed).reshape(24, 1024)
+    assert np.allclose(data.x_train, expected[:20], atol=1e-6), "in the order of the files"
+    assert np.allclose(data.x_test, expected[20:], atol=1e-6)
+    assert data.x_train.dtype == np.float32
+    assert data.y_train.dtype == np.int64
+    assert np.array_equal(np.r_[data.y_train, data.y_test], TINY_LABELS)
+    assert data.x_train.max() <= 1
+    assert data.x_train.min() == np.float32(0.3)
+
+
+def test_files_are_downloaded_once(mirrors, tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(pooch.get_logger(), "handlers", [caplog.handler])
+    fill(mirrors.first)
+    assert_tiny(load_dataset("mnist"))
+    assert mirrors.requests == [f"/first/{file}" for file in TINY]
+    assert_tiny(load_dataset("mnist"))
+    assert len(mirrors.requests) == 4
+    assert download("mnist") == tmp_path / "cache" / "mnist"
+    assert not caplog.records
+
+
+def test_the_next_mirror_is_tried(mirrors):
+    fill(mirrors.second)
+    fill(mirrors.first, **{idx.IDX_FILES[0]: b"damaged on the way"})
+    (mirrors.first / idx.IDX_FILES[1]).unlink()
+    assert_tiny(load_dataset("mnist"))
+    assert [path.split("/")[1] for path in mirrors.requests] == [
+        *("first", "second"),
+        *("first", "second"),
+        *("first", "first"),
+    ]
+
+
+def test_no_mirror_gives_a_file(mirrors, tmp_path):
+    fill(mirrors.first, **{idx.IDX_FILES[2]: b"damaged"})
+    host = f"127.0.0.1:{mirrors.server.server_port}"
+    with refused(
+        f"mnist: cannot download {idx.IDX_FILES[2]}",
+        f"{host} (wrong hash) or {host} (HTTPError)",
+        "set DEEPFSI_DATA",
+    ):
+        load_dataset("mnist")
+    kept = sorted(path.name for path in (tmp_path / "cache" / "mnist").iterdir())
+    assert kept == sorted(idx.IDX_FILES[:2]), "nothing half-written"
+
+
+def test_no_connection(mirrors):
+    mirrors.server.shutdown()
+    mirrors.server.server_close()
+    with refused("mnist", "127.0.0.1", "(ConnectionError)", "set DEEPFSI_DATA"):
+        download("mnist")
+
+
+def test_a_damaged_file_in_the_cache_is_downloaded_again(mirrors, tmp_path):
+    fill(mirrors.first)
+    fill(tmp_path / "cache" / "mnist", **{idx.IDX_FILES[3]: b"damaged"})
+    assert_tiny(load_dataset("mnist"))
+    assert mirrors.requests == [f"/first/{idx.IDX_FILES[3]}"]
+
+
+def test_deepfsi_data_comes_first_and_needs_the_folder(mirrors, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path / "mine"))
+    fill(tmp_path / "mine")
+    with pytest.raises(InputError):
+        load_dataset("mnist")
+    assert mirrors.requests, "files directly in DEEPFSI_DATA are not used"
+    mirrors.requests.clear()
+    fill(tmp_path / "mine" / "mnist")
+    assert_tiny(load_dataset("mnist"))
+    assert download("mnist") == tmp_path / "mine" / "mnist"
+    assert not mirrors.requests
+
+
+def test_a_damaged_file_in_deepfsi_data(mirrors, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    fill(tmp_path / "mnist", **{idx.IDX_FILES[1]: idx_file(TINY_LABELS[1:21])})
+    with refused(str(tmp_path / "mnist" / idx.IDX_FILES[1]), "sha256", "original"):
+        load_dataset("mnist")
+    assert [result.ok for result in check("mnist")] == [True, False, True, True]
+
+
+def test_deepfsi_data_that_is_no_folder(mirrors, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path / "mistyped"))
+    with refused("DEEPFSI_DATA", "mistyped", "no folder"):
+        load_dataset("mnist")
+
+
+def test_check_and_list(mirrors, tmp_path, monkeypatch):
+    where = {info.name: info.where for info in list_datasets()}
+    assert where.pop("digits") == "embedded"
+    assert len(where) == 7
+    assert set(where.values()) == {"not here"}
+    assert [(result.file, result.ok) for result in check("mnist")] == [
+        (file, False) for file in idx.IDX_FILES
+    ]
+    assert "No such file" in check("mnist")[0].detail
+    assert check("digits")[0].ok
+
+    fill(tmp_path / "cache" / "mnist")
+    assert list_datasets()[1].where == str(tmp_path / "cache" / "mnist")
+    assert all(result.ok for result in check("mnist"))
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    fill(tmp_path / "mnist")
+    assert list_datasets()[1].where == str(tmp_path / "mnist")
+    assert not mirrors.requests
+
+
+def test_a_slow_download_shows_its_progress(capsys):
+    progress = store.DownloadBar("images.gz")
+    progress.total = 4_000_000
+    progress.update(1_000_000)
+    progress.close()
+    assert capsys.readouterr().err == ""
+    progress.due -= 3
+    progress.update(1_000_000)
+    progress.close()
+    progress.close()
+    assert capsys.readouterr().err == "\rimages.gz: 2.0 of 4.0 MB\n"
+
+
+def test_progress_that_breaks_off_ends_its_line(monkeypatch, capsys):
+    def break_off(*_, progressbar):
+        progressbar.due -= 3
+        progressbar.update(10)
+        raise ConnectionError
+
+    monkeypatch.setattr(pooch, "retrieve", break_off)
+    with pytest.raises(InputError):
+        store.retrieve("mnist", "images.gz", "sha256:0", ("http://here/",))
+    assert capsys.readouterr().err.endswith("MB\n")
