@@ -21,7 +21,7 @@ from deepfsi.hardware.patterns.folder import (
 from deepfsi.hardware.patterns.sequence import Device, FrameSettings
 from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
+from deepfsi.hardware.virtual.camera import Camera, arrival_rates, write_photons
 from deepfsi.hardware.virtual.devices import VirtualCounter, VirtualProjector
 from deepfsi.progress import Report
 
@@ -356,7 +356,7 @@ def virtual_run(folder, scenes, path):
         counter: PhotonCounter = VirtualCounter(projector, camera, flux, seed=0)
         with counter:
             scan(projector, counter, scenes, display.show, path)
-    return rates(folder, np.stack(scenes), camera, flux)
+    return arrival_rates(folder, np.stack(scenes), camera, flux)
 
 
 def test_a_scan_records_each_scene_as_the_camera_would(tmp_path):

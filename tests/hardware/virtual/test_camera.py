@@ -23,9 +23,9 @@ from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     Camera,
     RecordingSettings,
+    arrival_rates,
     draw_counts,
     irradiance,
-    rates,
     record,
 )
 from deepfsi.optics import constraints
@@ -185,7 +185,7 @@ def test_vignetting_dims_the_corners():
 def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, light, rails):
     shown, x, flux = patterns(tmp_path / "p", light, rails), scenes(), 1e6
     manifest = shown.manifest
-    flow = rates(tmp_path / "p", x, IDEAL, flux)
+    flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
     assert flow.shape == (3, len(manifest.frames), 2 if light == "two-arm" else 1)
     part = flux / SUMMED_REFLECTANCE * x.reshape(3, -1) @ shown.fractions.T
     whole = flux / SUMMED_REFLECTANCE * x.sum(axis=(1, 2))
@@ -200,11 +200,13 @@ def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, lig
 def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monkeypatch):
     patterns(tmp_path / "p", "two-arm")
     camera, x = Camera(vignetting=0.5, ambient=1e5), scenes(5)
-    at_once = rates(tmp_path / "p", x, camera, 1e6)
+    at_once = arrival_rates(tmp_path / "p", x, camera, 1e6)
     monkeypatch.setattr(module, "SCENES_AT_ONCE", 2)
     monkeypatch.setattr(module, "FRAMES_AT_ONCE", 3)
     done = []
-    assert rates(tmp_path / "p", x, camera, 1e6, into(done)) == pytest.approx(at_once, rel=1e-5)
+    assert arrival_rates(tmp_path / "p", x, camera, 1e6, into(done)) == pytest.approx(
+        at_once, rel=1e-5
+    )
     assert done == sorted(done)
     assert done[-1] == 1
 
@@ -213,15 +215,15 @@ def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monk
 def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
     shown, x = patterns(tmp_path / "p", light), scenes()
     camera = Camera(ambient=4e5, dark=123.0, efficiency=0.4)
-    signal = rates(tmp_path / "p", x, IDEAL, 1e6)
-    stray = rates(tmp_path / "p", x, camera, 1e6) - 0.4 * signal
+    signal = arrival_rates(tmp_path / "p", x, IDEAL, 1e6)
+    stray = arrival_rates(tmp_path / "p", x, camera, 1e6) - 0.4 * signal
     part = shown.fractions.mean(axis=1) * 24 * 36 / (26 * 36)  # of the whole device
     places = shown.manifest.shown
     assert stray[0, places, 0] == pytest.approx(123 + 0.4 * 4e5 * part, rel=1e-4)
     if light == "two-arm":
         rest = 24 * 36 / (26 * 36) - part
         assert stray[0, places, 1] == pytest.approx(123 + 0.4 * 4e5 * rest, rel=1e-4)
-    assert rates(tmp_path / "p", x, camera, 0.0)[:, 1, 0] == pytest.approx(123)
+    assert arrival_rates(tmp_path / "p", x, camera, 0.0)[:, 1, 0] == pytest.approx(123)
 
 
 def test_spectra_are_shown_too(tmp_path):
@@ -229,7 +231,7 @@ def test_spectra_are_shown_too(tmp_path):
     design = DesignRails(masks, "equal-dwell", (6,), summed_reflectance=2.0)
     shown = export_patterns(design, FrameSettings(DEVICE, 1e-3), tmp_path / "p")
     x = np.random.default_rng(1).random((4, 6))
-    flow = rates(tmp_path / "p", x, IDEAL, 1e5)[:, shown.manifest.shown, 0]
+    flow = arrival_rates(tmp_path / "p", x, IDEAL, 1e5)[:, shown.manifest.shown, 0]
     assert flow == pytest.approx(1e5 / 2 * x @ shown.fractions.T, rel=1e-5)
 
 
@@ -246,14 +248,14 @@ def test_spectra_are_shown_too(tmp_path):
 def test_scenes_that_are_none_are_refused(tmp_path, given, message):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match=message):
-        rates(tmp_path / "p", given, IDEAL, 1e6)
+        arrival_rates(tmp_path / "p", given, IDEAL, 1e6)
 
 
 @pytest.mark.parametrize("flux", [-1.0, 1e13, np.inf, np.nan])
 def test_a_flux_that_is_none_is_refused(tmp_path, flux):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match="flux"):
-        rates(tmp_path / "p", scenes(), IDEAL, flux)
+        arrival_rates(tmp_path / "p", scenes(), IDEAL, flux)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +289,7 @@ def test_cameras_survive_json(name):
 def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
     shown, x, flux, exposure = patterns(tmp_path / "p", light, rails), scenes(), 2e6, 1e-3
     gates = Gates(0.0, shown.manifest.shares * exposure, 20_000)
-    flow = rates(tmp_path / "p", x, IDEAL, flux)
+    flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
     counts = draw_counts(flow, shown.manifest, gates, IDEAL, np.random.default_rng(0))
     mean = scanner_rates(shown, x, flux * exposure)
     assert counts.shape == (3, 20_000, *mean.shape[1:])
@@ -297,7 +299,7 @@ def test_law_ideal_counts_are_poisson_with_the_scanners_mean(tmp_path, light, ra
 
 def test_counts_of_an_imperfect_detector_have_its_mean(tmp_path):
     shown = patterns(tmp_path / "p", "two-arm")
-    flow = rates(tmp_path / "p", scenes(), CAMERAS["spad"], 1e7)
+    flow = arrival_rates(tmp_path / "p", scenes(), CAMERAS["spad"], 1e7)
     gates = Gates(0.0, shown.manifest.shares * 1e-3, 5_000)
     counts = draw_counts(flow, shown.manifest, gates, CAMERAS["spad"], np.random.default_rng(0))
     n = flow[:, shown.manifest.shown].transpose(0, 2, 1)
@@ -339,7 +341,7 @@ def test_counts_from_a_file_are_as_in_memory(tmp_path, name):
     flux, exposure = 2e7, 2e-4
     acquisition = shoot(tmp_path, camera=camera, flux=flux, exposure_s=exposure)
     counted = count(tmp_path / "run").counts
-    flow = rates(tmp_path / "p", scenes(), camera, flux)
+    flow = arrival_rates(tmp_path / "p", scenes(), camera, flux)
     gates = Gates(0.0, shown.manifest.shares * exposure, 4000)
     drawn = draw_counts(flow, shown.manifest, gates, camera, np.random.default_rng(0))
     lit = drawn.any(axis=1)
@@ -463,11 +465,11 @@ def test_a_gate_that_does_not_fit_is_refused_before_any_work(tmp_path):
 
 
 def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):
-    monkeypatch.setattr(detector, "CHUNK", 2**12)
+    monkeypatch.setattr(detector, "EVENTS_AT_ONCE", 2**12)
     peaks = []
     for name, dwell in (("short", 2e-3), ("long", 4e-2)):
         shown = patterns(tmp_path / name, dwell=dwell)
-        flow = rates(tmp_path / name, scenes(), CAMERAS["spad"], 1e7)
+        flow = arrival_rates(tmp_path / name, scenes(), CAMERAS["spad"], 1e7)
         tracemalloc.start()
         path, rng = tmp_path / f"{name}.ptu", np.random.default_rng(0)
         module.write_photons(path, shown.manifest, flow, CAMERAS["spad"], rng)
@@ -479,10 +481,10 @@ def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):
 
 def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeypatch):
     """The writer refuses times that run back."""
-    monkeypatch.setattr(detector, "CHUNK", 10)
+    monkeypatch.setattr(detector, "EVENTS_AT_ONCE", 10)
     shown = patterns(tmp_path / "p", "two-arm", dwell=1e-4)
     camera = Camera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
-    flow = rates(tmp_path / "p", scenes(), camera, 1e6)
+    flow = arrival_rates(tmp_path / "p", scenes(), camera, 1e6)
     module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
     contents = ptu.inspect(tmp_path / "a.ptu")
     expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3

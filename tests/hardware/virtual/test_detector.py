@@ -131,7 +131,7 @@ def test_few_paralysable_counts_have_their_exact_distribution(load, length):
 def test_many_paralysable_counts_are_close_to_their_exact_distribution(load):
     """The smallest variance at which they are drawn from cumulants, the worst."""
     rate = load * np.exp(-load)
-    length = (module.FEW * 1.01 - rate**2) / (rate - 2 * rate**2)
+    length = (module.LEAST_DRAWN_VARIANCE * 1.01 - rate**2) / (rate - 2 * rate**2)
     chances = paralysable_chances(load, length)
     counts = draw(PARALYSABLE, load / TAU, np.full(4_000_000, length * TAU), rng())
     seen = np.bincount(counts, minlength=len(chances)) / len(counts)
@@ -226,7 +226,7 @@ def test_thinning_keeps_what_a_loop_keeps(seed):
 
 @pytest.mark.parametrize("detector", [PARALYSABLE, NON_PARALYSABLE], ids=["pmt", "spad"])
 def test_dead_time_is_carried_from_chunk_to_chunk(monkeypatch, detector):
-    monkeypatch.setattr(module, "CHUNK", 3)
+    monkeypatch.setattr(module, "EVENTS_AT_ONCE", 3)
     rate, pieces = 1 / TAU, 4000
     durations = np.full(pieces, 4 * DEAD)
     events = record(detector, durations, np.full(pieces, rate))
@@ -236,7 +236,7 @@ def test_dead_time_is_carried_from_chunk_to_chunk(monkeypatch, detector):
 
 
 def test_chunks_are_the_course_in_pieces(monkeypatch):
-    monkeypatch.setattr(module, "CHUNK", 1000)
+    monkeypatch.setattr(module, "EVENTS_AT_ONCE", 1000)
     durations = np.array([10**9, 3 * 10**12, 1, 7 * 10**10])
     flow = np.array([[1e4, 5.0], [2e4, 0.0], [1e3, 1e3], [0.0, 3e5]])
     chunks = list(divide(durations, flow))

@@ -36,8 +36,8 @@ from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     Camera,
     RecordingSettings,
+    arrival_rates,
     draw_counts,
-    rates,
     record,
 )
 from deepfsi.sweeps.queue import Report
@@ -103,7 +103,7 @@ def calibrate() -> Calibration:
             FrameSettings(DEVICE, 1.1 * exposure / rails.shape[1]),
             Path(folder) / "raster",
         )
-        arrivals = rates(Path(folder) / "raster", scenes, LAB, FLUX)
+        arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)
     rng = np.random.default_rng(1)
     gates = find_gates(patterns.manifest, exposure, repeats=1)
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
@@ -169,9 +169,9 @@ def mount(design: Design, scenes: np.ndarray) -> MountedDesign:
     with tempfile.TemporaryDirectory() as folder:
         there = Path(folder) / "patterns"
         patterns = export(design, REPEATS, there)
-        scene_rates = rates(there, scenes, optics, FLUX)
+        scene_rates = arrival_rates(there, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
-        ambient_rates = rates(there, np.zeros_like(scenes[:1]), one, 0.0)
+        ambient_rates = arrival_rates(there, np.zeros_like(scenes[:1]), one, 0.0)
     return MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
 
 

@@ -1,8 +1,8 @@
-"""What shows patterns and what counts photons, so that a laboratory can bring its own.
+"""Protocols of pattern projectors and photon counters, so that a laboratory can bring its own.
 
 Both are context managers that let go of their device on every way out, Ctrl-C included. A lab
 whose counter has its own software needs a `PatternProjector` only: its PTU file and the pattern
-folder are all that `hardware.acquisition` reads. `scan` records scene after scene with both.
+folder are all that `hardware.recording` reads. `scan` records scene after scene with both.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,7 +18,7 @@ __all__ = ["PatternProjector", "PhotonCounter", "scan"]
 
 
 class PatternProjector(Protocol):
-    """A micromirror device that shows a folder of patterns, and marks the start of each frame."""
+    """Micromirror device that shows a folder of patterns and marks the start of each frame."""
 
     def __enter__(self) -> Self:
         """Take hold of the device."""

@@ -28,11 +28,14 @@ from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.progress import SILENT, Report
 
-__all__ = ["VialuxProjector"]
+FRAMES_AT_ONCE = 64
+"""Frames sent at a time, 6 MB on a DLP7000."""
 
-BLOCK = 64  # frames sent at a time, 6 MB on a DLP7000
 POLL_S = 0.002
-GRACE_S = 5.0  # how much later than planned a pass may end
+"""Time between two questions to the device, seconds."""
+
+GRACE_S = 5.0
+"""Time by which a pass may end later than planned, seconds."""
 
 # Constants of Vialux's alp.h
 AVAIL_MEMORY = 2003  # binary pictures that still fit the controller
@@ -46,7 +49,7 @@ PROJ_STATE, PROJ_ACTIVE = 2400, 1200
 
 
 class VialuxProjector:
-    """Shows a pattern folder on a Vialux device. Untested on hardware: see the module.
+    """Projector of pattern folders on a Vialux device. Untested on hardware: see the module.
 
     Parameters
     ----------
@@ -184,8 +187,8 @@ class VialuxProjector:
         for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
             count = len(list(run))
             sequence = self._new_sequence(count, picture_us)
-            for first in range(0, count, BLOCK):
-                block = np.stack(list(itertools.islice(frames, min(BLOCK, count - first))))
+            for first in range(0, count, FRAMES_AT_ONCE):
+                block = np.stack(list(itertools.islice(frames, min(FRAMES_AT_ONCE, count - first))))
                 self._alp.SeqPut(block.ravel(), sequence, first, len(block))
                 sent += len(block)
                 report(sent / len(manifest.frames))

@@ -1,1 +1,1 @@
-"""Patterns for a micromirror device: what is shown when, and the files that hold it."""
+"""Patterns for a micromirror device: frames, their times and gates, and their files."""

@@ -1,4 +1,4 @@
-"""What a micromirror device shows, in what order and for how long, and when its light is counted.
+"""Sequence of frames that a micromirror device shows: which mirrors, in what order, for how long.
 
 A *frame* is one binary pattern. A mask is shown as one frame for each of its rails that is not
 dark; on two arms one frame serves both rails. A frame is brought to its own peak: cell j has
@@ -25,8 +25,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, closest
 
-SCHEMA: Literal[1] = 1
-
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
 
@@ -43,13 +41,29 @@ Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Light constraint of a design; `optics.constraints` has their laws."""
 
 Role = Literal["mask", "on", "off"]
+"""Content of a frame: a mask, or a sentinel of all mirrors ON or OFF."""
+
 Rail = Literal["plus", "minus", "both"]
+"""Rail of a mask that a frame shows; both on two arms."""
+
 Selection = Literal["ordered", "random"]
+"""Choice of the mirrors of a grey cell."""
+
 Format = Literal["npy", "raw", "png"]
+"""Files of the frames."""
 
 
 def check_known(what: str, name: str, known: object) -> None:
-    """Raise `InputError` with the closest known name unless a `Literal` type has this one."""
+    """Raise `InputError` with the closest known name unless a name is known.
+
+    Parameters
+    ----------
+    what : str
+        What it names.
+    name : str
+    known : Literal type
+        Of the known names.
+    """
     if name not in get_args(known):
         raise InputError(f"unknown {what} {name!r}: {closest(name, get_args(known))}")
 
@@ -88,6 +102,7 @@ class Device(BaseModel):
 
 
 DEVICES = {"dlp7000": Device(name="dlp7000", columns=1024, rows=768)}
+"""Devices by name."""
 
 
 def find_device(name: str) -> Device:
@@ -106,7 +121,7 @@ def find_device(name: str) -> Device:
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the cells of a mask lie on a device: as large as fit, centred; mirrors beyond are OFF.
+    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF.
 
     Attributes
     ----------
@@ -170,7 +185,7 @@ class FrameSettings:
     dwell_s : float
         Mean picture time of the masks' frames in seconds, at least the device's shortest.
     selection : {"ordered", "random"}
-        How the mirrors of a grey cell are chosen.
+        Choice of the mirrors of a grey cell.
     seed : int
         Of the random selection.
     format : {"npy", "raw", "png"}
@@ -252,7 +267,7 @@ class Frame(BaseModel):
     ----------
     role : {"mask", "on", "off"}
     mask : int or None
-        Which row of the sensing matrix.
+        Row of the sensing matrix.
     rail : {"plus", "minus", "both"} or None
         "both" on two arms: the other arm sees the mirrors that are OFF.
     share : float
@@ -305,10 +320,10 @@ class Manifest(BaseModel):
     summed_reflectance : float
         s, the training scenes' mean summed reflectance.
     selection : {"ordered", "random"}
-        How the mirrors of a cell are chosen.
+        Choice of the mirrors of a cell.
     seed : int
         Of the random selection.
-    format : {"npy", "png", "raw"}
+    format : {"npy", "raw", "png"}
     design_sha256 : str or None
         Of the design file.
     frames : tuple of Frame
@@ -319,7 +334,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: Literal[1] = SCHEMA
+    schema_version: Literal[1] = 1
     deepfsi: str
     device: Device
     image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
@@ -354,7 +369,7 @@ class Manifest(BaseModel):
 
     @cached_property
     def grid(self) -> Grid:
-        """Where the cells lie."""
+        """Cells of the masks."""
         return find_grid(self.device, self.image_shape)
 
     @cached_property
@@ -374,7 +389,7 @@ class Manifest(BaseModel):
 
     @cached_property
     def starts_s(self) -> np.ndarray:
-        """When each frame starts after the first of its pass, seconds, shape (F,)."""
+        """Start of each frame after that of its pass, seconds, shape (F,)."""
         return np.concatenate([[0.0], np.cumsum(self.picture_s)[:-1]])
 
     @property
@@ -384,13 +399,13 @@ class Manifest(BaseModel):
 
     @property
     def two_arm(self) -> bool:
-        """Whether a second detector sees the mirrors that are OFF."""
+        """True where a second detector sees the mirrors that are OFF."""
         return any(frame.rail == "both" for frame in self.frames)
 
 
 @dataclass(frozen=True)
 class Patterns:
-    """What a folder of patterns shows.
+    """Manifest and mirror counts of a folder of patterns.
 
     Attributes
     ----------
@@ -409,7 +424,7 @@ class Patterns:
 
     @property
     def rails(self) -> np.ndarray:
-        """The realised rails, float64 (rails, m, N): share of each pixel's photons."""
+        """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
         manifest = self.manifest
         out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
         for place, share, part in zip(manifest.shown, manifest.shares, self.fractions, strict=True):

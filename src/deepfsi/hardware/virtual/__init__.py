@@ -1,1 +1,1 @@
-"""The virtual camera: detector, optics and devices simulated."""
+"""Virtual camera: detector, optics and devices simulated."""

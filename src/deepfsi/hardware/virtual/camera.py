@@ -1,6 +1,6 @@
-"""The virtual camera: scenes on a monitor to a photon file, as the laboratory would write it.
+"""Virtual camera: scenes on a monitor to a photon file, as the laboratory would write it.
 
-    scene -> perspective -> blur -> vignetting -> mirrors -> detectors (`hardware.detector`) -> file
+    scene -> perspective -> blur -> vignetting -> mirrors -> detectors (`detector`) -> file
 
 Places are (across, down) in a unit square each: the displayed image, and the area of the device
 that the cells of a mask fill. A display is an area of given brightness, so what moves or enlarges
@@ -8,7 +8,7 @@ its image on the device does not change the light on a mirror that still sees it
 mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
 others.
 
-It shares nothing with `deepfsi.noise` and the scanner, so that each checks the other: with the
+It shares nothing with `optics.noise` and the scanner, so that each checks the other: with the
 ideal camera a gate's counts are Poisson, with the scanner's mean.
 """
 
@@ -18,10 +18,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
@@ -46,8 +45,8 @@ SCENES_AT_ONCE = 64
 FRAMES_AT_ONCE = 16
 """Frames that are unpacked in memory."""
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Row = tuple[Number, Number, Number]
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+"""Row of a homography."""
 
 
 class Camera(Detector):
@@ -141,7 +140,7 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     edge = math.ceil(4 * camera.blur)
     down = (np.arange(-edge, height + edge) + 0.5) / height
     across = (np.arange(-edge, width + edge) + 0.5) / width
-    place, inside = _look(camera, down, across, scenes.shape[1:])
+    place, inside = _find_pixels(camera, down, across, scenes.shape[1:])
     kept = slice(edge, edge + height), slice(edge, edge + width)
     x, y = across[kept[1]] - 0.5, down[kept[0]] - 0.5
     corner = 2 * (x**2 + y[:, None] ** 2)  # 1 in the corners
@@ -156,10 +155,10 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     return out
 
 
-def _look(
+def _find_pixels(
     camera: Camera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which pixel of a scene each place sees (down, across), and whether it sees the scene."""
+    """Pixel of a scene that each place (down, across) sees, and where it sees the scene."""
     back = np.linalg.inv(np.array(camera.view))
     x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
     ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
@@ -169,7 +168,7 @@ def _look(
     return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
-def rates(
+def arrival_rates(
     patterns_folder: str | os.PathLike[str],
     scenes: np.ndarray,
     camera: Camera,
@@ -259,7 +258,7 @@ def draw_counts(
     Parameters
     ----------
     rates : array, shape (S, F, arms)
-        Of the function of that name.
+        Of `arrival_rates`.
     manifest : Manifest
     gates : Gates
         Any number of repeats: they are drawn independently.
@@ -355,7 +354,7 @@ def record(
     wanted = _describe(tuple(shown), manifest, settings)
     with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
-        flow = rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
+        flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
         rng = np.random.default_rng(settings.seed)
         write_photons(draft / "photons.ptu", manifest, flow, camera, rng, report.part(0.5, 1))
     return acquisition
@@ -396,7 +395,7 @@ def write_photons(
     path : path
     manifest : Manifest
     rates : array, shape (S, F, arms)
-        Of the function of that name.
+        Of `arrival_rates`.
     camera : Camera
     rng : numpy.random.Generator
     report : Report

@@ -1,4 +1,4 @@
-"""A photon counter: what it registers of the light that reaches it, event by event or in sum.
+"""Photon counter: counts registered from the light that reaches it, event by event or in sum.
 
     light -> efficiency, dark counts -> arrivals -> dead time -> counts -> afterpulses, jitter
 
@@ -21,16 +21,17 @@ from pydantic import BaseModel, ConfigDict, Field
 TICK_S = 1e-12
 """Unit of event times, seconds."""
 
-CHUNK = 2**19
+EVENTS_AT_ONCE = 2**19
 """Events that are drawn at once, on average."""
 
-_FAR = 8.0
-"""Jitter beyond this many standard deviations is brought to it, so that events can be sorted."""
+GATES_AT_ONCE = 2**18
+"""Gates whose counts are drawn at once."""
 
-FEW = 20.0
+LARGEST_JITTER = 8.0
+"""Most standard deviations of jitter, so that events can be sorted; more are brought to it."""
+
+LEAST_DRAWN_VARIANCE = 20.0
 """Variance of paralysable counts below which they are simulated one by one."""
-
-_BLOCK = 2**18
 
 
 class Detector(BaseModel):
@@ -107,8 +108,8 @@ def draw(
     rates = np.broadcast_to(np.asarray(rate, dtype=np.float64), shape).ravel()
     lengths = np.broadcast_to(np.asarray(length_s, dtype=np.float64), shape).ravel()
     counts = np.empty(len(rates), dtype=np.int64)
-    for first in range(0, len(rates), _BLOCK):
-        block = slice(first, first + _BLOCK)
+    for first in range(0, len(rates), GATES_AT_ONCE):
+        block = slice(first, first + GATES_AT_ONCE)
         counts[block] = _draw(detector, rates[block], lengths[block], rng)
     return counts.reshape(shape)
 
@@ -144,7 +145,7 @@ def _draw_paralysable(
     )
     variance = second - first**2 + first
     skew = third - 3 * second * first + 2 * first**3 + 3 * (second - first**2) + first
-    many = variance >= FEW
+    many = variance >= LEAST_DRAWN_VARIANCE
     counts = np.empty(len(rate), dtype=np.int64)
     width = np.sqrt(variance[many] - 1 / 12)
     bend = skew[many] / width**3 / 6
@@ -192,8 +193,8 @@ def _draw_non_paralysable(
         return np.where(counts > 0, gammainc(np.maximum(counts, 1), rate[which] * live), 1.0)
 
     mean = registered * left
-    spread = np.sqrt(np.maximum(mean, 0)) / (1 + rate * tau)
-    guess = mean - spread * ndtri(np.maximum(level, 1e-300))
+    std = np.sqrt(np.maximum(mean, 0)) / (1 + rate * tau)
+    guess = mean - std * ndtri(np.maximum(level, 1e-300))
     counts = np.maximum(np.rint(guess), 0).astype(np.int64)
     which = np.arange(len(rate))
     while which.size:
@@ -214,7 +215,7 @@ def _share_inside(detector: Detector, length: np.ndarray) -> np.ndarray:
 
 
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Cut a course of steady rates into chunks of about `CHUNK` events.
+    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events.
 
     Parameters
     ----------
@@ -229,19 +230,19 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
         A chunk's pieces; what takes long is cut into several.
     """
     expected = rates.sum(axis=1) * (durations * TICK_S)
-    parts = np.maximum(np.ceil(expected / CHUNK), 1).astype(np.int64)
+    parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
     source = np.repeat(np.arange(len(parts)), parts)
     part = np.arange(len(source)) - np.repeat(np.cumsum(parts) - parts, parts)
     short, rest = np.divmod(durations, parts)
     pieces = short[source] + (part < rest[source])
-    load = np.cumsum((expected / parts)[source]) // CHUNK
+    load = np.cumsum((expected / parts)[source]) // EVENTS_AT_ONCE
     edges = np.flatnonzero(np.diff(load)) + 1
     for first, last in zip(np.r_[0, edges], np.r_[edges, len(source)], strict=True):
         yield pieces[first:last], rates[source[first:last]]
 
 
 class Stream:
-    """The events of one detector in order of time, from one chunk to the next.
+    """Events of one detector in order of time, from one chunk to the next.
 
     Parameters
     ----------
@@ -256,8 +257,8 @@ class Stream:
 
     @property
     def reach(self) -> int:
-        """How far an event may lie before the chunk that gives it, ticks."""
-        return int(np.ceil(_FAR * self.detector.jitter_s / TICK_S))
+        """Most ticks by which an event may lie before the chunk that gives it."""
+        return int(np.ceil(LARGEST_JITTER * self.detector.jitter_s / TICK_S))
 
     def events(self, start: int, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Events that follow from the arrivals of a chunk.
@@ -282,7 +283,7 @@ class Stream:
             delay = rng.exponential(detector.afterpulse_s / TICK_S, len(parents))
             times = np.concatenate([times, parents + self._dead + delay.astype(np.int64)])
         if detector.jitter_s:
-            shift = np.clip(rng.standard_normal(len(times)), -_FAR, _FAR)
+            shift = np.clip(rng.standard_normal(len(times)), -LARGEST_JITTER, LARGEST_JITTER)
             times = times + np.rint(shift * (detector.jitter_s / TICK_S)).astype(np.int64)
         return times
 
@@ -322,7 +323,7 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
 
 
 def thin(times: np.ndarray, dead: int) -> np.ndarray:
-    """What a non-paralysable counter registers, exactly, if it is not blind at the first arrival.
+    """Arrivals that a non-paralysable counter registers if it is not blind at the first one.
 
     Parameters
     ----------

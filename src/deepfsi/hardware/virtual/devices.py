@@ -1,4 +1,4 @@
-"""A projector and a counter that share one light: the virtual camera behind the two protocols.
+"""Virtual projector and photon counter: the virtual camera behind the two protocols of drivers.
 
 The projector notes what the display shows whenever a pass starts; the counter writes, when it is
 stopped, the photon file of these passes, as `camera.record` would.
@@ -13,14 +13,12 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
-from deepfsi.hardware.virtual.camera import Camera, rates, write_photons
+from deepfsi.hardware.virtual.camera import Camera, arrival_rates, write_photons
 from deepfsi.progress import SILENT, Report
-
-__all__ = ["VirtualCounter", "VirtualProjector"]
 
 
 class VirtualProjector:
-    """Shows pattern folders to nobody but a `VirtualCounter`.
+    """Projector whose passes a `VirtualCounter` sees.
 
     Parameters
     ----------
@@ -57,14 +55,14 @@ class VirtualProjector:
         self.passes.append(np.array(self.display()))
 
     def wait(self) -> None:
-        """The pass has ended."""
+        """Return: a virtual pass has ended."""
 
     def halt(self) -> None:
-        """The pass has ended."""
+        """Do nothing: a virtual pass has ended."""
 
 
 class VirtualCounter:
-    """Counts the photons of a virtual projector's passes.
+    """Counter of the photons of a virtual projector's passes.
 
     Parameters
     ----------
@@ -114,5 +112,5 @@ class VirtualCounter:
         if path is None or self.projector.folder is None or not scenes:
             raise InputError("nothing is recorded: start the counter, then run a pass")
         manifest = read_patterns(self.projector.folder).manifest
-        flow = rates(self.projector.folder, np.stack(scenes), self.camera, self.flux)
+        flow = arrival_rates(self.projector.folder, np.stack(scenes), self.camera, self.flux)
         write_photons(path, manifest, flow, self.camera, self._rng)
