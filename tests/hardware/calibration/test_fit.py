@@ -25,8 +25,8 @@ from deepfsi.hardware.calibration.fit import (
     spot_scenes,
 )
 from deepfsi.hardware.calibration.view import camera_view, view_matrix
-from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import Device, find_grid
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings, find_grid
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera
 
@@ -197,22 +197,15 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     )
     raster = np.eye(256)[None] / 256
     export_patterns(
-        raster, "equal-dwell", shape, device, 4e-3, tmp_path / "patterns", summed_reflectance=150.0
+        DesignRails(raster, "equal-dwell", shape, summed_reflectance=150.0),
+        FrameSettings(device, 4e-3),
+        tmp_path / "patterns",
     )
     spots = spot_scenes((32, 32), (3, 3), 4)
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     names = [f"scene {k}" for k in range(len(scenes))]
-    camera.record(
-        tmp_path / "patterns",
-        scenes,
-        names,
-        None,
-        tmp_path / "run",
-        camera=eyes,
-        flux=2e7,
-        exposure_s=1.0,
-        seed=0,
-    )
+    settings = camera.RecordingSettings(eyes, flux=2e7, exposure_s=1.0)
+    camera.record(tmp_path / "patterns", scenes, names, None, tmp_path / "run", settings)
     counts = count(tmp_path / "run")
     pictures = counts.counts[:, 0, 0].reshape(-1, *shape)  # of a raster
     dark, ambient = black_rates(counts.on_rate[-1:], counts.off_rate[-1:])
