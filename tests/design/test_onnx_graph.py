@@ -16,6 +16,7 @@ from torch import nn
 from conftest import PHOTONS, every_design, every_optics, quick
 from deepfsi import cli
 from deepfsi.design.artifact import Design
+from deepfsi.design.conditioning import Conditioning
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns
@@ -51,8 +52,8 @@ def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
     features = counts[:, 0] - counts[:, 1] if counts.ndim == 3 else counts
     mean, std = design.mean.numpy(), design.std.numpy()
     size = (np.abs(features / photons[:, None]) + np.abs(mean)) / std
-    if design.told:
-        size = np.pad(size, ((0, 0), (0, design.told.masks - design.masks)))
+    if isinstance(design.exposure, Conditioning):
+        size = np.pad(size, ((0, 0), (0, design.exposure.masks - design.masks)))
         size = np.pad(size, ((0, 0), (0, 2)), constant_values=30.0)  # |log Φ|, at most
     terms = 4.0
     for layer in design.classifier.layers:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from conftest import generator, quick
-from deepfsi.design import stopping
+from deepfsi.design import answers
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
@@ -137,9 +137,9 @@ def test_a_difference_is_that_of_its_means(stopped):
 
 
 def test_calibration_error_is_that_of_groups_written_out():
-    sure = np.repeat([0.5, 0.7, 1.0], 20 * stopping.BINS)
-    right = np.concatenate([np.tile([1, 0], 10 * stopping.BINS), np.ones(40 * stopping.BINS)])
-    error = stopping._calibration_error(stopping._groups(sure, right))
+    confidence = np.repeat([0.5, 0.7, 1.0], 20 * answers.BINS)
+    right = np.concatenate([np.tile([1, 0], 10 * answers.BINS), np.ones(40 * answers.BINS)])
+    error = answers.calibration_error(answers.confidence_groups(confidence, right))
     assert error == pytest.approx((0 + 0.3 + 0) / 3)
 
 
@@ -205,13 +205,13 @@ def test_counts_of_too_few_masks_are_refused(nested, stopped):
 
 def test_features_are_those_of_evaluate(nested, digits):
     """Over more scenes than are exposed at once."""
-    seen = stopping._Exposures(
-        nested, np.tile(digits.x_test, (4, 1)), np.tile(digits.y_test, 4), 1e3, (10,), 2, 3
-    )
+    x = np.tile(digits.x_test, (4, 1))
+    logits = answers.logits_at_stops(nested, x, 1e3, (10,), 2, 3)
     draw, scanner = generator(3), nested.scanner()
-    scenes = torch.from_numpy(np.tile(digits.x_test, (4, 1))) / nested.summed_reflectance
-    head = scanner.rates(scenes[:1024]) * 1e3
-    first, second = (subtract(scanner.read(head, draw)) for _ in range(2))
-    assert torch.equal(seen.drawn[0:2048:2], first)
-    assert torch.equal(seen.drawn[1:2048:2], second)
-    assert len(seen.drawn) == 8 * len(digits.x_test)
+    head = scanner.rates(torch.from_numpy(x)[:1024] / nested.summed_reflectance) * 1e3
+    with torch.no_grad():
+        drawn = (subtract(scanner.read(head, draw)) for _ in range(2))
+        first, second = (nested.logits(features, 1e3).numpy() for features in drawn)
+    assert np.array_equal(logits[0, 0:2048:2], first)
+    assert np.array_equal(logits[0, 1:2048:2], second)
+    assert logits.shape == (1, 8 * len(digits.x_test), 10)

@@ -10,11 +10,11 @@ import pytest
 
 from conftest import synthetic
 from deepfsi import experiments
+from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.experiments.ovit import claims as ovit
 from deepfsi.experiments.ovit.claims import EXPERIMENT, OvitRecipe, plan
 from deepfsi.report.figures import accuracy_figure
-from deepfsi.training.patches import PatchDesign
 from shared.results import a_point, some_results
 
 TINY = OvitRecipe(
@@ -115,7 +115,7 @@ def test_a_record_names_a_design_that_can_be_read(images, tmp_path):
     EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
     for path in (tmp_path / "trials").glob("*.json"):
         record = json.loads(path.read_text())
-        design = PatchDesign.load(tmp_path / "designs" / f"{record['design']}.safetensors")
+        design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
         assert design.name == record["trial"]["job"]["design"]
         assert design.info["data"]["name"] == "synthetic"
         assert record["test"][0]["photons"] == record["trial"]["job"]["photons"]

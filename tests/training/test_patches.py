@@ -9,15 +9,18 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from conftest import FLOAT32, assert_moments, generator, quick, synthetic
+from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.onnx_graph import to_onnx
+from deepfsi.design.patchwise import cut
+from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.scanner import Scanner
-from deepfsi.training.patches import PatchDesign, Patches, PatchJob, PatchTraining, cut, train
+from deepfsi.training.patches import Patches, PatchJob, PatchTraining, train
 
 DESIGNS = ("impulse", "raster", "hadamard", "pca", "deepfsi")
 BUDGET = 1e4
@@ -166,8 +169,10 @@ def test_it_learns_in_bright_light(data, patches):
 
 def test_the_throughput_is_what_is_counted(data, patches, learned):
     rates = learned.scanner().rates(
-        learned.as_patches(
-            photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance)
+        cut(
+            photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance),
+            data.image_shape,
+            4,
         )
     )
     counted = rates.sum(dim=(1, 2, 3)).mean()
@@ -175,18 +180,28 @@ def test_the_throughput_is_what_is_counted(data, patches, learned):
 
 
 def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
-    again = PatchDesign.load(learned.save(tmp_path / "made.safetensors"))
-    x = learned.as_patches(torch.from_numpy(data.x_test))
+    again = Design.load(learned.save(tmp_path / "made.safetensors"))
+    x = cut(torch.from_numpy(data.x_test), data.image_shape, 4)
     assert torch.equal(learned.logits(x, BUDGET), again.logits(x, BUDGET))
-    for name in ("name", "light", "summed_reflectance", "image_shape", "classes", "patch", "info"):
+    for name in (
+        "name",
+        "light",
+        "summed_reflectance",
+        "image_shape",
+        "classes",
+        "exposure",
+        "info",
+    ):
         assert getattr(again, name) == getattr(learned, name)
     assert torch.equal(again.rails, learned.rails)
 
 
 def test_probabilities_of_one_exposure(data, learned):
     counts = learned.scanner().counts(
-        learned.as_patches(
-            photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.summed_reflectance)
+        cut(
+            photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.summed_reflectance),
+            data.image_shape,
+            4,
         ),
         generator(),
     )
@@ -198,7 +213,7 @@ def test_probabilities_of_one_exposure(data, learned):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda header: header.pop("patch"),
+        lambda header: header.pop("exposure"),
         lambda header: header["classifier"].update(width=32),
         lambda header: header["classifier"].update(heads=5),
         lambda header: header.update(light="sunlight"),
@@ -213,16 +228,20 @@ def test_a_damaged_file_is_one_clear_line(learned, tmp_path, change):
     change(header)
     path.write_bytes(save(load(path.read_bytes()), metadata={"deepfsi": json.dumps(header)}))
     with pytest.raises(InputError, match=r"made\.safetensors"):
-        PatchDesign.load(path)
+        Design.load(path)
 
 
-def test_the_two_kinds_of_design_are_told_apart(digits, learned, tmp_path):
-    patched = learned.save(tmp_path / "patched.safetensors")
-    with pytest.raises(InputError, match=r"PatchDesign\.load"):
-        Design.load(patched)
-    whole = quick(digits).save(tmp_path / "whole.safetensors")
-    with pytest.raises(InputError, match=r"Design\.load"):
-        PatchDesign.load(whole)
+def test_what_patches_cannot_do_is_refused(data, learned):
+    refused = [
+        (lambda: learned.as_shown(learned.rails.numpy(), learned.image_shape, 1.0), "patches"),
+        (lambda: learned.classify_live(lambda dwell: dwell, BUDGET), "--looks"),
+        (lambda: learned.first(3), "--nested"),
+        (lambda: stop(learned, data, BUDGET), "--nested"),
+        (lambda: to_onnx(learned), "Vit classifier"),
+    ]
+    for attempt, words in refused:
+        with pytest.raises(InputError, match=words):
+            attempt()
 
 
 def test_fixed_masks_stay_as_they_are(patches):

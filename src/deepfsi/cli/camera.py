@@ -80,7 +80,7 @@ def dmd_export(
     made = Design.load(file)
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
-    made.check_fixed()
+    made.exposure.check_fixed()
     check_writable(out.parent)
     with progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(

@@ -121,7 +121,7 @@ def evaluate(
             sigma=sigma,
             draws=draws,
             seed=seed,
-            progress=report,
+            report=report,
         )
     if as_json:
         print_json({"design": str(file), "results": [result.as_dict() for result in results]})
@@ -182,7 +182,7 @@ def stop(
 
 
 def _size(made: "Design") -> str:
-    looks = f" and {made.schedule.looks} looks" if made.schedule is not None else ""
+    looks = f" and {made.exposure.looks} looks" if made.exposure.looks > 1 else ""
     return f"{made.masks} masks{looks}"
 
 
@@ -225,7 +225,7 @@ def show(
     check_writable(out.parent)
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
-    figure = report.masks_figure(made.matrix, made.image_shape, title=title, count=count)
+    figure = report.masks_figure(made.matrix, made.mask_shape, title=title, count=count)
     draw(figure, out)
 
 

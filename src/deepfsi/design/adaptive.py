@@ -10,54 +10,32 @@ over the looks hold all that they say of the scene, and are what both networks a
 The classifier learns to answer after every look, so that an exposure may end when it is sure.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
 
+import numpy as np
 import torch
-from torch import Tensor, nn
+from pydantic import Field
+from pydantic.dataclasses import dataclass as validated
+from torch import Tensor
 
-from deepfsi.design.classifiers import Mlp
+from deepfsi.design.classifiers import STRICT, Mlp, MlpShape
+from deepfsi.design.exposure import Exposure, ExposureKind, Read, Show
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.constraints import Light
 
-REACH = 4.0
+LARGEST_SCORE = 4.0
 """Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
 
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
 
-Read = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""From dwells (..., m) to counts (..., m) over the budget, and the dwells really shown."""
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """What an exposure of several looks has seen so far.
-
-    Attributes
-    ----------
-    features : tensor, shape (..., m)
-        Counts over the budget, of all looks together.
-    dwell : tensor, shape (..., m)
-        Share of the whole exposure that each mask had; sums to 1 after the last look.
-    """
-
-    features: Tensor
-    dwell: Tensor
-
-    def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
-        """Inputs (..., 2 m) of the classifier: features and dwells, standardised.
-
-        Parameters
-        ----------
-        mean, std : tensor, shape (..., m)
-            Mean and standard deviation of features whose masks all have the same dwell, 1 / m.
-        """
-        relative = self.dwell * self.dwell.shape[-1]
-        return torch.cat([(self.features - relative * mean) / std, relative / 3], dim=-1)
-
 
 def expose(
     choose: Callable[[Tensor], Tensor],
-    read: Read,
+    show: Show,
     looks: int,
     mean: Tensor,
     std: Tensor,
@@ -69,7 +47,7 @@ def expose(
     choose : callable
         Network from (..., 2 m + 1), the inputs of the classifier so far and the share of the
         exposure that is left, to scores (..., m): dwells of the next look are their softmax.
-    read : callable
+    show : callable
         Shows the masks for given shares of the exposure; returns counts over the budget, and the
         shares that it did show.
     looks : int
@@ -82,21 +60,25 @@ def expose(
     Exposure
         After each look.
     """
-    none = torch.zeros_like(mean)
-    seen = Exposure(none, none)
+    features = total = torch.zeros_like(mean)
+    seen = Exposure(features, total)
     for look in range(looks):
-        left = torch.full_like(none[..., :1], 1 - look / looks)
+        left = torch.full_like(total[..., :1], 1 - look / looks)
         scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
-        dwell = (REACH * torch.tanh(scores / REACH)).softmax(dim=-1) / looks
-        counts, shown = read(dwell)
-        seen = Exposure(seen.features + counts, seen.dwell + shown)
+        dwell = (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / looks
+        counts, shown = show(dwell)
+        features, total = features + counts, total + shown
+        seen = Exposure(features, total)
         yield seen
 
 
-class AdaptiveDwells(nn.Module):
-    """How many looks there are, and the network that chooses dwells.
+@dataclass(frozen=True)
+class AdaptiveDwells(ExposureKind):
+    """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
-    Parameters
+    The masks' rails, and the statistics of their features, are those of equal dwells, 1 / m.
+
+    Attributes
     ----------
     network : Mlp
         From 2 m + 1 inputs to m outputs.
@@ -104,10 +86,101 @@ class AdaptiveDwells(nn.Module):
         K.
     """
 
-    def __init__(self, network: Mlp, looks: int) -> None:
-        super().__init__()
-        self.network, self.looks = network, looks
+    network: Mlp
+    looks: int
+    kind = "adaptive"
 
-    def forward(self, read: Read, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
-        """Take exposures, look by look; as `expose`."""
-        return expose(self.network, read, self.looks, mean, std)
+    def header(self) -> "AdaptiveShape":
+        """Entry of the design file's header, of which `restored` makes the kind again."""
+        return AdaptiveShape(self.looks, self.network.hidden)
+
+    @property
+    def networks(self) -> Sequence[Mlp]:
+        """Networks besides the classifier."""
+        return (self.network,)
+
+    def to(self, device: str | torch.device) -> "AdaptiveDwells":
+        """The same on a device."""
+        return replace(self, network=self.network.to(device))
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails (1, m, N) have equal dwells on one device."""
+        super().check(rails, light, image_shape)
+        equal = constraints.excess(rails, "equal-dwell") < constraints.SLACK
+        if not (equal and light == "free-dwell" and len(rails) == 1):
+            raise ValueError("dwells are chosen for frames of one device that all have the same")
+
+    def input_count(self, masks: int) -> int:
+        """Number of the classifier's inputs: features and dwells."""
+        return 2 * masks
+
+    def expose(
+        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
+    ) -> Iterator[Exposure]:
+        """Exposures after each look; rates (..., 1, m) are those of equal dwells.
+
+        Parameters as for `ExposureKind.expose`.
+        """
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            shown = rates * (photons * rates.shape[-1] * dwell.unsqueeze(-2))
+            return read(shown) / photons, dwell
+
+        return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
+
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
+        """Exposures after each look at a camera, which shows what is asked for."""
+        return expose(self.network, show, self.looks, mean, std)
+
+    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of looks after which an exposure may stop, and the share taken then."""
+        after = range(1, self.looks + 1)
+        return tuple(after), np.array(after) / self.looks
+
+    def at_stops(self, looks: Sequence[Exposure], after: Sequence[int]) -> list[Exposure]:
+        """Exposures at each stop, from those after each look."""
+        return [looks[look - 1] for look in after]
+
+    def check_fixed(self) -> None:
+        """Raise `InputError`: dwells are not fixed."""
+        raise InputError(
+            "this design chooses dwells while the exposure runs, which a fixed sequence of "
+            "patterns or one graph cannot: use Design.classify_live in a program of yours"
+        )
+
+    def check_noise(self, noise: str) -> None:
+        """Raise `InputError` unless the noise is that of photons."""
+        if noise == "gaussian":
+            raise InputError(
+                "a design of several looks is for photon noise: use poisson, ml_gauss or none"
+            )
+
+    def check_dwell(self, given: bool) -> None:
+        """Raise `InputError` if dwells are not given."""
+        if not given:
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: give dwell, or use "
+                "`classify_live`"
+            )
+
+
+@validated(frozen=True, config=STRICT)
+class AdaptiveShape:
+    """Entry of a design file's header for `AdaptiveDwells`.
+
+    Attributes
+    ----------
+    looks : int
+        K.
+    hidden : tuple of int
+        Widths of the network's hidden layers.
+    """
+
+    looks: Annotated[int, Field(ge=2, le=64)]
+    hidden: tuple[Annotated[int, Field(ge=1)], ...]
+    kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
+
+    def restored(self, weights: dict[str, Tensor], masks: int) -> AdaptiveDwells:
+        """The exposure of m masks, with its network's weights from a design file."""
+        network = MlpShape(self.hidden).restored(weights, 2 * masks + 1, masks)
+        return AdaptiveDwells(network, self.looks)

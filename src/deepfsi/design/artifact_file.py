@@ -1,119 +1,143 @@
 """The design file: tensors and a JSON header in one safetensors file that holds no code."""
 
 import json
+import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any, Literal
 
-import numpy as np
 import torch
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_bytes
-from torch import Tensor
+from torch import Tensor, nn
 
-from deepfsi.design.adaptive import AdaptiveDwells
-from deepfsi.design.classifiers import Mlp
+from deepfsi.design.adaptive import AdaptiveShape
+from deepfsi.design.classifiers import MlpShape, VitShape
+from deepfsi.design.conditioning import Conditioning
+from deepfsi.design.exposure import FixedDwells
+from deepfsi.design.patchwise import PatchExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
+from deepfsi.optics.constraints import Light
 
-if TYPE_CHECKING:
-    from deepfsi.design.artifact import Design
-
-SCHEMA = 3
-"""Of the newest file that can be read; 2 has what a classifier is told, 3 has a schedule."""
+SCHEMA: Literal[1] = 1
+"""Number of the design file's schema."""
 
 
-def build_mlp(
-    tensors: Mapping[str, np.ndarray],
-    part: str,
-    inputs: int,
-    outputs: int,
-    hidden: Sequence[int],
-    dropout: float = 0.0,
-) -> Mlp:
-    """A network of a design file."""
-    network = Mlp(inputs, outputs, hidden, dropout, torch.Generator())
-    network.load_state_dict(weights_of(tensors, part))
-    network.generator = None
-    return network.eval()
+class Header(BaseModel):
+    """Header of a design file: all of a design but its tensors.
+
+    Attributes are those of `artifact.Design`, and
+
+    Attributes
+    ----------
+    schema_number : int
+        `SCHEMA`; "schema" in the file.
+    deepfsi : str
+        Version of the package that wrote it.
+    exposure, classifier
+        Kind and sizes: what rebuilds them, with the tensors.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+
+    schema_number: Literal[1] = Field(SCHEMA, alias="schema")
+    deepfsi: str = version("deepfsi")
+    name: str
+    light: Light
+    summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
+    image_shape: tuple[Annotated[int, Field(ge=1)], ...]
+    classes: tuple[str, ...]
+    exposure: Annotated[
+        FixedDwells | Conditioning | AdaptiveShape | PatchExposure, Field(discriminator="kind")
+    ]
+    classifier: Annotated[MlpShape | VitShape, Field(discriminator="kind")]
+    info: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Header":
+        if (self.classifier.kind == "vit") != (self.exposure.kind == "patches"):
+            raise ValueError("a transformer reads patches, and nothing else does")
+        if any(not isinstance(self.info.get(part, {}), dict) for part in ("job", "data")):
+            raise ValueError("the provenance is no table")
+        return self
 
 
-def sound_schedule(schedule: AdaptiveDwells, design: "Design") -> bool:
-    """Whether a schedule of a design file fits its design."""
-    whole = type(schedule.looks) is int and 2 <= schedule.looks <= 64
-    alone = design.light == "free-dwell" and design.told is None and len(design.rails) == 1
-    return whole and alone and constraints.excess(design.rails, "equal-dwell") < constraints.SLACK
-
-
-def pack(design: "Design", schema: int, classifier: dict[str, Any], **more: Any) -> bytes:
-    """Content of a design file: tensors, and a header with what rebuilds the classifier."""
-    tensors = {name: getattr(design, name) for name in ("rails", "mean", "std", "shares")}
-    for key, value in design.classifier.state_dict().items():
-        tensors[f"classifier.{key}"] = value
-    if design.schedule is not None:
-        for key, value in design.schedule.network.state_dict().items():
-            tensors[f"schedule.{key}"] = value
-    header = {
-        "schema": schema,
-        "deepfsi": version("deepfsi"),
-        "name": design.name,
-        "light": design.light,
-        "summed_reflectance": design.summed_reflectance,
-        "image_shape": list(design.image_shape),
-        "classes": list(design.classes),
-        "classifier": classifier,
-        "info": design.info,
-        **more,
-    }
+def pack(header: Header, tensors: Mapping[str, Tensor]) -> bytes:
+    """Content of a design file."""
     whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
-    return to_bytes(whole, metadata={"deepfsi": json.dumps(header)})
+    words = header.model_dump(mode="json", by_alias=True)
+    return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
 
 
-def weights_of(tensors: Mapping[str, np.ndarray], part: str) -> dict[str, Tensor]:
-    """State of a network among the tensors of a design file, those whose names begin so."""
-    return {
-        key.removeprefix(part): torch.from_numpy(value)
-        for key, value in tensors.items()
-        if key.startswith(part)
-    }
-
-
-def read_design(
-    path: str | os.PathLike[str],
-) -> tuple[dict[str, Any], Mapping[str, np.ndarray]]:
-    """Header and numpy tensors of a design file, without building a network.
+def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Fields of `artifact.Design` that a design file holds.
 
     Raises
     ------
     InputError
-        As `Design.load`.
+        If the file is missing, of a newer schema, or no whole design file.
     """
     if not Path(path).is_file():
         raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
     try:
         with safe_open(path, framework="numpy") as file:
-            header = json.loads((file.metadata() or {})["deepfsi"])
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        schema = int(header["schema"])
+            text = (file.metadata() or {})["deepfsi"]
+            tensors = {k: torch.from_numpy(file.get_tensor(k)) for k in file.keys()}  # noqa: SIM118
+        schema = int(json.loads(text)["schema"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         raise damaged(path) from error
     if schema > SCHEMA:
         raise InputError(
-            f"{path} has schema {schema}, and this version reads up to {SCHEMA}: upgrade deepfsi"
+            f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"
         )
-    return header, tensors
+    try:
+        return restore(Header.model_validate_json(text), tensors)
+    except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
+        raise damaged(path) from error
 
 
-def kind_of(header: Mapping[str, Any]) -> Any:
-    """Kind of the classifier that a header tells of, "mlp" or "vit"; None where it tells none."""
-    classifier = header.get("classifier")
-    return classifier.get("kind") if isinstance(classifier, dict) else None
+def restore(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
+    """Fields of `artifact.Design`, or an error where header and tensors do not fit together."""
+    rails = tensors["rails"]
+    if rails.ndim != 3 or not all(bool(torch.isfinite(part).all()) for part in tensors.values()):
+        raise ValueError("tensors are not finite")
+    masks = rails.shape[1]
+    statistics = {name: tensors[name] for name in ("mean", "std", "shares")}
+    if {part.shape for part in statistics.values()} != {(masks,)} or (tensors["std"] <= 0).any():
+        raise ValueError("statistics are not those of the masks")
+    constraints.check_light(header.light, {1: "single", 2: "dual"}[len(rails)])
+    constraints.check(rails, header.light)
+    exposure = header.exposure.restored(weights_of(tensors, "exposure."), masks)
+    exposure.check(rails, header.light, header.image_shape)
+    classifier = header.classifier.restored(
+        weights_of(tensors, "classifier."),
+        exposure.input_count(masks),
+        len(header.classes),
+        math.prod(header.image_shape) // rails.shape[2],
+    )
+    kept = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
+    fields = {name: getattr(header, name) for name in kept}
+    return {
+        **fields, **statistics, "rails": rails, "exposure": exposure, "classifier": classifier
+    }  # fmt: skip
+
+
+def state_of(part: str, network: nn.Module) -> dict[str, Tensor]:
+    """Tensors of a network in a design file, whose names begin with its part of the design."""
+    return {f"{part}{key}": value for key, value in network.state_dict().items()}
+
+
+def weights_of(tensors: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
+    """State of a network among the tensors of a design file; inverse of `state_of`."""
+    return {key.removeprefix(part): value for key, value in tensors.items() if key.startswith(part)}
 
 
 def damaged(path: str | os.PathLike[str]) -> InputError:
-    """Say that a file is no whole design."""
+    """Error for a file that is no whole design."""
     return InputError(
         f"{path} is not a whole deepfsi design file: give a .safetensors file that "
         "`deepfsi design` or Design.save wrote"

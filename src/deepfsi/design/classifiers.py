@@ -3,11 +3,20 @@
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import field
+from typing import Annotated, Literal
 
 import torch
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
+
+STRICT = ConfigDict(extra="forbid", strict=True)
+"""Configuration of what a design file's header holds: no further fields, no conversions."""
+
+Width = Annotated[int, Field(ge=1)]
 
 
 class Mlp(nn.Module):
@@ -26,6 +35,12 @@ class Mlp(nn.Module):
     generator : torch.Generator, optional
         For the initial weights (uniform in ±1/√inputs, as `nn.Linear`) and for dropout; torch's
         global one unless given.
+
+    Examples
+    --------
+    >>> classifier = Mlp(inputs=6, classes=10, hidden=(8,), generator=torch.Generator())
+    >>> classifier(torch.zeros(5, 6)).shape
+    torch.Size([5, 10])
     """
 
     def __init__(
@@ -46,6 +61,11 @@ class Mlp(nn.Module):
                 bound = 1 / math.sqrt(fan_in)
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)
             self.layers.append(layer)
+
+    @property
+    def shape(self) -> "MlpShape":
+        """Entry of the design file's header, of which `restored` makes such a network again."""
+        return MlpShape(self.hidden, self.dropout)
 
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., m)."""
@@ -116,7 +136,7 @@ class Vit(nn.Module):
         super().__init__()
         if width % heads:
             raise InputError(f"{heads} heads cannot share a width of {width}: give a multiple")
-        self.size = {"width": width, "depth": depth, "heads": heads, "hidden": hidden}
+        self.shape = VitShape(width, depth, heads, hidden)
         with torch.device("meta"):  # torch would draw weights from its global generator
             layer = nn.TransformerEncoderLayer(
                 width, heads, hidden, 0.0, "gelu", batch_first=True, norm_first=True
@@ -140,6 +160,60 @@ class Vit(nn.Module):
         """Logits (B, C) of standardised features (B, P, m)."""
         tokens = self.encoder(self.embedding(features) + self.position)
         return self.head(tokens.mean(dim=1))
+
+
+@validated(frozen=True, config=STRICT)
+class MlpShape:
+    """Entry of a design file's header for an `Mlp`, with its attributes."""
+
+    hidden: tuple[Width, ...]
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    kind: Literal["mlp"] = field(default="mlp", kw_only=True)
+
+    def restored(
+        self, weights: dict[str, Tensor], inputs: int, classes: int, patches: int = 1
+    ) -> Mlp:
+        """The network with weights from a design file.
+
+        Parameters
+        ----------
+        weights : dict of tensor
+            Its state.
+        inputs, classes : int
+            Number of its inputs and outputs.
+        patches : int
+            Not used.
+        """
+        network = Mlp(inputs, classes, self.hidden, self.dropout, torch.Generator())
+        network.load_state_dict(weights)
+        network.generator = None
+        return network.eval()
+
+
+@validated(frozen=True, config=STRICT)
+class VitShape:
+    """Entry of a design file's header for a `Vit`, with its parameters of the same names."""
+
+    width: Width
+    depth: Width
+    heads: Width
+    hidden: Width
+    kind: Literal["vit"] = field(default="vit", kw_only=True)
+
+    def restored(self, weights: dict[str, Tensor], inputs: int, classes: int, patches: int) -> Vit:
+        """The network with weights from a design file.
+
+        Parameters
+        ----------
+        weights : dict of tensor
+            Its state.
+        inputs, classes, patches : int
+            As for `Vit`.
+        """
+        size = (self.width, self.depth, self.heads, self.hidden)
+        network = Vit(inputs, patches, classes, *size, torch.Generator())
+        network.load_state_dict(weights)
+        return network.eval()
 
 
 class Replicas(nn.Module):

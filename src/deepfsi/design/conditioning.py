@@ -1,4 +1,4 @@
-"""What a classifier is told besides counts: the budget, and how many of the masks were shown.
+"""Conditioning inputs of the classifier: photon budget and number of masks shown.
 
 A design for a range of budgets, or one whose first masks do by themselves, must know which of these
 it has before it. So its classifier has two inputs more: the logarithm of the budget, mapped from
@@ -10,33 +10,101 @@ they do within the sequence at a budget that is larger by the inverse of their s
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import field, replace
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 from torch.nn import functional
 
-WHOLE = 0.25
+from deepfsi.design.classifiers import STRICT
+from deepfsi.design.exposure import BudgetLevel, ExposureKind
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.constraints import Light
+
+ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
 
 
-@dataclass(frozen=True)
-class Conditioning:
-    """What the classifier of a design has learned to be told.
+@validated(frozen=True, config=STRICT)
+class Conditioning(ExposureKind):
+    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
 
     Attributes
     ----------
     photons : float
-        Lowest budget of its training.
+        Lowest budget of the training.
     span : float
         Highest over lowest.
     masks : int
         m, of the whole sequence.
+    nested : int
+        Fewest first masks that do by themselves; 0 if only all do.
+    used : float
+        Share of the whole sequence's light that the masks would take within it, for its first ones.
     """
 
-    photons: float
-    span: float
-    masks: int
+    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
+    masks: Annotated[int, Field(ge=1)]
+    nested: Annotated[int, Field(ge=0)] = 0
+    used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails (2 or 1, m, N) can be exposed so."""
+        super().check(rails, light, image_shape)
+        if rails.shape[1] > self.masks:
+            raise ValueError("more masks than in the whole sequence")
+
+    def input_count(self, masks: int) -> int:
+        """Number of the classifier's inputs, whatever number of masks is shown."""
+        return self.masks + 2
+
+    @property
+    def level(self) -> BudgetLevel:
+        """Level of a budget, -1 to 1 over the range of the training."""
+        middle = math.log(self.span) / 2
+        return BudgetLevel(self.used * self.photons, middle, max(middle, 1.0))
+
+    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
+        ratio = torch.as_tensor(photons).to(inputs) / self.level.unit
+        return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1]))
+
+    def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
+        """First layer for features and a `BudgetLevel`.
+
+        Masks not shown read 0, and how many are is one number for a design: both fold away.
+        """
+        kept = np.hstack([weight[:, :masks], weight[:, -2:-1]])
+        return kept, bias + weight[:, -1] * np.float32(masks / self.masks), self.level
+
+    def fewest_masks(self, masks: int) -> int:
+        """Fewest first masks, of m, that do by themselves."""
+        return self.nested or masks
+
+    def using(self, used: float) -> "Conditioning":
+        """The same for masks that use another share of the sequence's light."""
+        return replace(self, used=used)
+
+    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of masks after which an exposure may stop, and the share taken then."""
+        masks = rails.shape[1]
+        fewest = self.fewest_masks(masks)
+        if fewest == masks:
+            return super().stops(rails, light)
+        if light == "column":
+            raise InputError(
+                "under the column constraint all masks see light at once, so that stopping saves "
+                "nothing: use a design for one device, --light free-dwell or equal-dwell"
+            )
+        used = constraints.used(rails, light)[fewest - 1 :]
+        return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
         """Inputs of the classifier.
@@ -57,15 +125,14 @@ class Conditioning:
         """
         seen = torch.where(first(scaled.shape[-1], shown), scaled, 0.0)
         seen = functional.pad(seen, (0, self.masks - scaled.shape[-1]))
-        half = max(math.log(self.span) / 2, 1.0)
-        level = (torch.log(ratio) - math.log(self.span) / 2) / half
+        level = (torch.log(ratio) - self.level.middle) / self.level.half
         column = seen[..., :1]
         share = shown / self.masks
         return torch.cat([seen, level.expand_as(column), share.expand_as(column)], dim=-1)
 
 
 def first(masks: int, shown: Tensor) -> Tensor:
-    """Which masks (..., m) are among the first `shown` (..., 1)."""
+    """Mask (..., m), true for the first `shown` (..., 1) of m masks."""
     return torch.arange(masks, device=shown.device) < shown
 
 
@@ -73,11 +140,11 @@ def chances(masks: int, fewest: int) -> Tensor:
     """Chance of each number of masks 1 .. m to be shown in training, shape (m,).
 
     Inverse to the number from the fewest on, so that few masks, which do worst, learn as much as
-    many, but for the share `WHOLE` of exposures that show all: else the last masks would hardly
-    learn. The whole sequence alone if `fewest` is 0.
+    many, but for the share `ALL_MASKS_SHARE` of exposures that show all: else the last masks would
+    hardly learn. The whole sequence alone if `fewest` is 0.
     """
     count = torch.arange(1, masks + 1, dtype=torch.float32)
     weight = torch.where(count >= (fewest or masks), 1 / count, 0.0)
-    chance = (1 - WHOLE) * weight / weight.sum()
-    chance[-1] += WHOLE
+    chance = (1 - ALL_MASKS_SHARE) * weight / weight.sum()
+    chance[-1] += ALL_MASKS_SHARE
     return chance

@@ -1,7 +1,7 @@
 """How well a design does: accuracy over budgets, with intervals that say what they cover."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.noise import check_noise
+from deepfsi.progress import SILENT, Report
 from deepfsi.statistics.intervals import wilson
 
 COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
@@ -72,7 +73,7 @@ def evaluate(
     sigma: float = 1.0,
     draws: int = 3,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    report: Report = SILENT,
 ) -> list[Result]:
     """Classify the test scenes of a data set under noise.
 
@@ -90,8 +91,7 @@ def evaluate(
         Noise draws of each scene (1 is enough without noise).
     seed : int
         Of the noise.
-    progress : callable, optional
-        Called with the share of the scenes that are done.
+    report : Report
 
     Returns
     -------
@@ -102,34 +102,38 @@ def evaluate(
     ------
     InputError
         If the data does not fit the design, or a budget is not finite and above 0.
+
+    Examples
+    --------
+    >>> from deepfsi import learn, load_dataset
+    >>> digits = load_dataset("digits")
+    >>> design = learn(digits, photons=1e4, masks=6, epochs=1, device="cpu")
+    >>> [result] = evaluate(design, digits, 1e4, draws=1)
+    >>> result.low < result.accuracy < result.high
+    True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
     check_data(design, data)
     if not (math.isfinite(sigma) and sigma >= 0):
         raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
     check_draws(draws, seed)
-    if design.schedule is not None and noise == "gaussian":
-        raise InputError(
-            "a design of several looks is for photon noise: use poisson, ml_gauss or none"
-        )
-    device = design.rails.device
+    design.exposure.check_noise(noise)
     scanner = design.scanner(check_noise(noise), sigma)
-    share = design.shares.tolist()
-    generators = [torch.Generator(device).manual_seed(seed) for _ in budgets]
+    generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             scenes, truth = torch.from_numpy(data.x_test[rows]), data.y_test[rows]
-            shares = scanner.rates(design.as_patches(scenes.to(device)) / design.summed_reflectance)
+            rates = design.rates(scanner, scenes)
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
                 for _ in range(draws):
-                    guess = design.answer(scanner, shares, generator, budget).argmax(dim=-1)
+                    *_, seen = design.expose(scanner, rates, generator, budget)
+                    guess = design.logits_of(seen, budget).argmax(dim=-1)
                     np.add.at(confusion, (truth, guess.cpu().numpy()), 1)
-            if progress:
-                progress(done / len(chunks))
+            report(done / len(chunks))
     return [
-        _result(budget, noise, confusion, draws, share)
+        _result(budget, noise, confusion, draws, design.shares.tolist())
         for budget, confusion in zip(budgets, confusions, strict=True)
     ]
 

@@ -1,7 +1,7 @@
 """A design as an ONNX graph: counts and budget in, class probabilities out, no torch needed."""
 
 import json
-import math
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -12,10 +12,12 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.errors import InputError
 
 SCHEMA = 1
-"""Of what the graph takes and gives, and of its metadata."""
+"""Number of the schema of the graph's inputs, output and metadata."""
 
 OPSET, IR = 13, 7
 """Old enough for every runtime since 2020, and all that the graph needs."""
+
+Shape = tuple[int, ...]
 
 
 def to_onnx(design: Design) -> bytes:
@@ -39,85 +41,118 @@ def to_onnx(design: Design) -> bytes:
     InputError
         If the package onnx is not there, the classifier is not an `Mlp`, or dwells are not fixed.
     """
-    try:
-        from onnx import TensorProto, checker, helper, numpy_helper
-    except ImportError:
-        raise InputError(
-            "an ONNX graph is written with the package onnx: pip install 'deepfsi[onnx]'"
-        ) from None
+    graph = Graph()
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp can"
         )
-    design.check_fixed()
-    dual, masks, classes = len(design.rails) == 2, design.masks, len(design.classes)
-    nodes, constants = [], []
-
-    def constant(name: str, value: Any, kind: type = np.float32) -> str:
-        constants.append(numpy_helper.from_array(np.asarray(value, dtype=kind), name))
-        return name
-
-    def add(operation: str, *inputs: str, to: str, **settings: Any) -> str:
-        nodes.append(helper.make_node(operation, inputs, [to], **settings))
-        return to
-
+    design.exposure.check_fixed()
     features = "counts"
-    if dual:
+    if len(design.rails) == 2:
         for place, rail in enumerate(("plus", "minus")):
-            add("Gather", "counts", constant(f"{rail}_at", place, np.int64), to=rail, axis=1)
-        features = add("Sub", "plus", "minus", to="features")
-    budget = add("Unsqueeze", "photons", constant("columns", [1], np.int64), to="budget")
-    shares = add("Div", features, budget, to="shares")
-    centred = add("Sub", shares, constant("mean", design.mean.cpu()), to="centred")
-    hidden = add("Div", centred, constant("std", design.std.cpu()), to="scaled")
+            graph.add("Gather", "counts", graph.index(f"{rail}_at", place), to=rail, axis=1)
+        features = graph.add("Sub", "plus", "minus", to="features")
+    budget = graph.add("Unsqueeze", "photons", graph.index("columns", [1]), to="budget")
+    shares = graph.add("Div", features, budget, to="shares")
+    centred = graph.add("Sub", shares, graph.constant("mean", design.mean.cpu()), to="centred")
+    hidden = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
     layers = [
         [parameter.detach().cpu().numpy() for parameter in layer.parameters()]
         for layer in design.classifier.layers
     ]
-    if told := design.told:
-        middle = math.log(told.span) / 2
-        ratio = add("Div", budget, constant("unit", design.used * told.photons), to="ratio")
-        log = add("Log", ratio, to="log")
-        above = add("Sub", log, constant("middle", middle), to="above")
-        level = add("Div", above, constant("half", max(middle, 1.0)), to="level")
-        hidden = add("Concat", hidden, level, to="told", axis=1)
-        # masks not shown read 0, and how many are is one number for a design: both fold away
-        weight, bias = layers[0]
-        layers[0] = [
-            np.hstack([weight[:, :masks], weight[:, -2:-1]]),
-            bias + weight[:, -1] * np.float32(masks / told.masks),
-        ]
+    *layers[0], level = design.exposure.fold(design.masks, *layers[0])
+    if level is not None:
+        ratio = graph.add("Div", budget, graph.constant("unit", level.unit), to="ratio")
+        log = graph.add("Log", ratio, to="log")
+        above = graph.add("Sub", log, graph.constant("middle", level.middle), to="above")
+        column = graph.add("Div", above, graph.constant("half", level.half), to="level")
+        hidden = graph.add("Concat", hidden, column, to="conditioned", axis=1)
     for place, (weight, bias) in enumerate(layers):
-        pair = constant(f"weight_{place}", weight.T), constant(f"bias_{place}", bias)
-        hidden = add("Gemm", hidden, *pair, to=f"linear_{place}")
+        pair = graph.constant(f"weight_{place}", weight.T), graph.constant(f"bias_{place}", bias)
+        hidden = graph.add("Gemm", hidden, *pair, to=f"linear_{place}")
         if place < len(layers) - 1:
-            hidden = add("Relu", hidden, to=f"hidden_{place}")
-    add("Softmax", hidden, to="probabilities", axis=1)
-
-    def value(name: str, *shape: int) -> Any:
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])
-
-    graph = helper.make_graph(
-        nodes,
-        "deepfsi",
-        [value("counts", *((2, masks) if dual else (masks,))), value("photons")],
-        [value("probabilities", classes)],
-        constants,
+            hidden = graph.add("Relu", hidden, to=f"hidden_{place}")
+    graph.add("Softmax", hidden, to="probabilities", axis=1)
+    return graph.finish(
+        {"counts": (2, design.masks)[2 - len(design.rails) :], "photons": ()},
+        {"probabilities": (len(design.classes),)},
+        metadata(design),
     )
-    model = helper.make_model(
-        graph,
-        ir_version=IR,
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        producer_name="deepfsi",
-        producer_version=version("deepfsi"),
-    )
-    helper.set_model_props(model, {k: json.dumps(v) for k, v in metadata(design).items()})
-    checker.check_model(model, full_check=True)
-    return model.SerializeToString(deterministic=True)
+
+
+class Graph:
+    """ONNX graph in the making, of nodes and constants with names.
+
+    Raises
+    ------
+    InputError
+        If the package onnx is not there.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import onnx
+        except ImportError:
+            raise InputError(
+                "an ONNX graph is written with the package onnx: pip install 'deepfsi[onnx]'"
+            ) from None
+        self.onnx = onnx
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def constant(self, name: str, value: Any, dtype: type = np.float32) -> str:
+        """Add numbers; returns their name."""
+        array: Any = np.asarray(value, dtype=dtype)
+        self.constants.append(self.onnx.numpy_helper.from_array(array, name))
+        return name
+
+    def index(self, name: str, value: Any) -> str:
+        """Add whole numbers; returns their name."""
+        return self.constant(name, value, np.int64)
+
+    def add(self, operation: str, *inputs: str, to: str, **settings: Any) -> str:
+        """Add a node; returns the name of its output, `to`."""
+        self.nodes.append(self.onnx.helper.make_node(operation, inputs, [to], **settings))
+        return to
+
+    def finish(
+        self, inputs: Mapping[str, Shape], outputs: Mapping[str, Shape], about: Mapping[str, Any]
+    ) -> bytes:
+        """Content of the ``.onnx`` file.
+
+        Parameters
+        ----------
+        inputs, outputs : mapping of tuple of int
+            Names and shapes, after the axis of the batch.
+        about : mapping
+            Metadata, JSON types only.
+        """
+        helper = self.onnx.helper
+
+        def values(shapes: Mapping[str, Shape]) -> list[Any]:
+            kind = self.onnx.TensorProto.FLOAT
+            return [
+                helper.make_tensor_value_info(name, kind, ["batch", *shape])
+                for name, shape in shapes.items()
+            ]
+
+        graph = helper.make_graph(
+            self.nodes, "deepfsi", values(inputs), values(outputs), self.constants
+        )
+        model = helper.make_model(
+            graph,
+            ir_version=IR,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            producer_name="deepfsi",
+            producer_version=version("deepfsi"),
+        )
+        helper.set_model_props(model, {key: json.dumps(value) for key, value in about.items()})
+        self.onnx.checker.check_model(model, full_check=True)
+        return model.SerializeToString(deterministic=True)
 
 
 def metadata(design: Design) -> dict[str, Any]:
-    """What a graph says of its design, JSON types only."""
+    """Metadata of a design's graph, JSON types only."""
     return {
         "schema": SCHEMA,
         "name": design.name,

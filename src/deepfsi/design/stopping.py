@@ -12,32 +12,31 @@ chosen on the same scenes, of which each half has the temperatures of the other;
 read once.
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax, logsumexp
-from torch import Tensor
+from scipy.special import log_softmax
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.answers import (
+    THRESHOLDS,
+    Answers,
+    Estimate,
+    accuracy_of_surest,
+    at,
+    calibration_error,
+    confidence_groups,
+    fit_temperature,
+    logits_at_stops,
+)
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.scanner import Scanner, subtract
-from deepfsi.statistics.intervals import wilson
 
-THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
-"""Confidences that are tried, and 1, which none is above."""
-
-BINS = 15
-"""Groups of answers of like confidence, all of one size, in which calibration is measured."""
-
-SHARES = tuple(k / 20 for k in range(10, 21))
+ACCEPTED_SHARES = tuple(k / 20 for k in range(10, 21))
 """Shares of accepted answers at which rejection is shown."""
 
 COVERS = "test images and noise draws, for this one trained design (images as the trials)"
@@ -117,15 +116,6 @@ class StoppingRule:
 
 
 @dataclass(frozen=True)
-class Rate:
-    """A mean over images and noise draws with its 95 % interval."""
-
-    mean: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class Stopped:
     """One design at one budget, its exposures stopped early.
 
@@ -134,9 +124,9 @@ class Stopped:
     photons : float
         Budget Φ of the whole exposure.
     rule : StoppingRule
-    used : Rate
+    used : Estimate
         Share of the budget that exposures take: of looks, share of their time.
-    whole, stopped, difference : Rate
+    whole, stopped, difference : Estimate
         Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
     stops : list of float
         Share of exposures that end after each of `rule.after`.
@@ -164,10 +154,10 @@ class Stopped:
 
     photons: float
     rule: StoppingRule
-    used: Rate
-    whole: Rate
-    stopped: Rate
-    difference: Rate
+    used: Estimate
+    whole: Estimate
+    stopped: Estimate
+    difference: Estimate
     stops: list[float]
     confidence: float
     calibration_error: float
@@ -230,238 +220,91 @@ def stop(
     budget = check_budget(photons)
     check_draws(draws, seed)
     check_data(design, data)
-    after, share = _places(design)
+    after, used = design.exposure.stops(design.rails, design.light)
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
-    kept = data.hold_out(held_out)
+    kept = _held_out(design, data, held_out)
+    logits = logits_at_stops(design, kept.x_test, budget, after, draws, seed ^ 2**31)
+    halves, half = _temperatures(logits, kept.y_test, seed)
+    choice = Answers(logits, kept.y_test, [np.where(half, b, a)[:, None] for a, b in halves])
+    if threshold is None:
+        threshold = choice.least_threshold(used)
+    rule = StoppingRule(after, tuple(np.sqrt(halves.prod(axis=1)).tolist()), float(threshold))
+    tested = logits_at_stops(design, data.x_test, budget, after, draws, seed)
+    return _stopped(rule, Answers(tested, data.y_test, rule.temperatures), choice, used, budget)
+
+
+def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
+    """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
+    kept = data.hold_out(count)
     if kept.hash != design.info.get("data", {}).get("hash"):
         raise InputError(
             f"this design was not trained on {data.name} without its last {len(kept.y_test)} "
             "training scenes, which calibrate its confidence: learn it with "
             f"--hold-out {len(kept.y_test)}"
         )
-    seen = _Exposures(design, kept.x_test, kept.y_test, budget, after, draws, seed ^ 2**31)
+    return kept
+
+
+def _temperatures(
+    logits: np.ndarray, labels: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Temperatures (K, 2) of two halves of the scenes, and the exposures (E,) of the first."""
+    draws = logits.shape[1] // len(labels)
     # at random: the images of MNIST come from two sources by turns
-    half = np.random.default_rng(seed).permutation(len(kept.x_test))[seen.images] % 2 == 0
-    halves = np.array(
-        [
-            [_temperature(logits[part], seen.labels[part]) for part in (half, ~half)]
-            for logits in seen.answers()
-        ]
-    )
-    choice = _Answers(seen, [np.where(half, b, a)[:, None] for a, b in halves])
-    if threshold is None:
-        threshold = choice.least_threshold(share)
-    temperatures = np.sqrt(halves.prod(axis=1)).tolist()
-    rule = StoppingRule(after, tuple(temperatures), float(threshold))
-    test = _Exposures(design, data.x_test, data.y_test, budget, after, draws, seed)
-    return _result(rule, _Answers(test, temperatures), choice, share, budget, draws)
+    half = np.random.default_rng(seed).permutation(len(labels)).repeat(draws) % 2 == 0
+    labels = labels.repeat(draws)
+    pairs = [
+        [fit_temperature(each[part].astype(float), labels[part]) for part in (half, ~half)]
+        for each in logits
+    ]
+    return np.array(pairs), half
 
 
-def _places(design: Design) -> tuple[tuple[int, ...], np.ndarray]:
-    """Numbers of masks or looks after which a design may stop, and the photons used, of all."""
-    if design.schedule is not None:
-        looks = design.schedule.looks
-        return tuple(range(1, looks + 1)), np.arange(1, looks + 1) / looks
-    after = tuple(range(fewest_masks(design), design.masks + 1))
-    return after, np.array([design.first(k).used for k in after]) / design.used
-
-
-def fewest_masks(design: Design) -> int:
-    """Fewest masks of a design that do by themselves, shown in sequence, or `InputError`."""
-    fewest = int(design.info.get("job", {}).get("training", {}).get("nested", 0))
-    if not 0 < fewest < design.masks:
-        raise InputError(
-            "this design needs all its masks for an answer: learn nested ones with --nested, or "
-            "several looks with --looks"
-        )
-    if design.light == "column":
-        raise InputError(
-            "under the column constraint all masks see light at once, so that stopping saves "
-            "nothing: use a design for one device, --light free-dwell or equal-dwell"
-        )
-    return fewest
-
-
-class _Exposures:
-    """Whole exposures of scenes, and what a design says after each number of masks or looks."""
-
-    def __init__(
-        self,
-        design: Design,
-        x: np.ndarray,
-        labels: np.ndarray,
-        photons: float,
-        after: Sequence[int],
-        draws: int,
-        seed: int,
-    ) -> None:
-        self.design, self.photons, self.after = design, photons, after
-        self.images = np.repeat(np.arange(len(x)), draws)
-        self.labels = labels[self.images]
-        device = design.rails.device
-        scanner, generator = design.scanner(), torch.Generator(device).manual_seed(seed)
-        drawn = []
-        with torch.no_grad():
-            for rows in torch.arange(len(x)).split(1024):
-                rates = scanner.rates(
-                    torch.from_numpy(x[rows]).to(device) / design.summed_reflectance
-                )
-                several = [self._draw(scanner, rates, generator) for _ in range(draws)]
-                drawn.append(torch.stack(several, dim=-2).flatten(-3, -2))
-        self.drawn = torch.cat(drawn, dim=-2)
-
-    def _draw(self, scanner: Scanner, rates: Tensor, generator: torch.Generator) -> Tensor:
-        """Features (B, m) of one draw, or logits (K, B, C) after each of K looks."""
-        if self.design.schedule is None:
-            return subtract(scanner.read(rates * self.photons, generator))
-        looks = self.design.expose(scanner, rates, generator, self.photons)
-        return torch.stack([self.design.adaptive_logits(seen) for seen in looks])
-
-    def answers(self) -> Iterator[np.ndarray]:
-        """Logits (E, C) after each number of masks or looks."""
-        for place, shown in enumerate(self.after):
-            if self.design.schedule is not None:
-                logits = self.drawn[place]
-            else:
-                part = self.design.first(shown)
-                so_far = self.photons * part.used / self.design.used
-                with torch.no_grad():
-                    logits = part.logits(self.drawn[:, :shown], so_far)
-            yield logits.double().cpu().numpy()
-
-
-class _Answers:
-    """Guesses and their confidences, (E, K) for E exposures and K numbers of masks."""
-
-    def __init__(self, seen: _Exposures, temperatures: Sequence[Any]) -> None:
-        labels, self.images = seen.labels, seen.images
-        sure, raw, right, self.log_loss, self.raw_log_loss = [], [], [], 0.0, 0.0
-        for logits, temperature in zip(seen.answers(), temperatures, strict=True):
-            calibrated, plain = (
-                log_softmax(each, axis=1) for each in (logits / temperature, logits)
-            )
-            sure.append(np.exp(calibrated.max(axis=1)))
-            raw.append(np.exp(plain.max(axis=1)))
-            right.append(plain.argmax(axis=1) == labels)
-            true = np.arange(len(labels)), labels
-            self.log_loss -= float(calibrated[true].mean()) / len(temperatures)
-            self.raw_log_loss -= float(plain[true].mean()) / len(temperatures)
-        self.sure, self.raw, self.right = (np.stack(part, axis=1) for part in (sure, raw, right))
-
-    def ends(self, threshold: float) -> np.ndarray:
-        """Place (E,) of the number of masks after which each exposure ends."""
-        enough = self.sure > threshold
-        enough[:, -1] = True
-        return enough.argmax(axis=1)
-
-    def at(self, values: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Entries (E,) of values (E, K) at the ends."""
-        return values[np.arange(len(ends)), ends]
-
-    def least_threshold(self, share: np.ndarray) -> float:
-        """The threshold of fewest photons whose accuracy is not below that of whole exposures."""
-        whole = self.right[:, -1].mean()
-        costs = [(share[-1], 1.0)]
-        for threshold in THRESHOLDS:
-            ends = self.ends(threshold)
-            if self.at(self.right, ends).mean() >= whole:
-                costs.append((share[ends].mean(), float(threshold)))
-        return min(costs)[1]
-
-    def rate(self, values: np.ndarray, spread: bool = True) -> Rate:
-        """Mean of values (E,) over draws and images, the images as the trials."""
-        each = np.bincount(self.images, values) / np.bincount(self.images)
-        mean, count = float(each.mean()), len(each)
-        if not spread:
-            return Rate(mean, *wilson(mean, count))
-        half = 1.96 * float(each.std(ddof=1)) / count**0.5
-        return Rate(mean, mean - half, mean + half)
-
-
-def _result(
-    rule: StoppingRule,
-    test: _Answers,
-    choice: _Answers,
-    share: np.ndarray,
-    photons: float,
-    draws: int,
+def _stopped(
+    rule: StoppingRule, test: Answers, choice: Answers, used: np.ndarray, photons: float
 ) -> Stopped:
     ends, chosen = test.ends(rule.threshold), choice.ends(rule.threshold)
-    sure, right = test.at(test.sure, ends), test.at(test.right, ends)
+    confidence, right = at(test.confidence, ends), at(test.right, ends)
+    whole, whole_confidence = test.right[:, -1], test.confidence[:, -1]
     curve = []
     for threshold in (*THRESHOLDS.tolist(), 1.0):
         stops = test.ends(threshold)
-        accuracy = float(test.at(test.right, stops).mean())
+        accuracy = float(at(test.right, stops).mean())
         curve.append(
-            {"threshold": threshold, "used": float(share[stops].mean()), "accuracy": accuracy}
+            {"threshold": threshold, "used": float(used[stops].mean()), "accuracy": accuracy}
         )
-    groups = _groups(sure, right)
-    last = np.full_like(ends, len(share) - 1)
+    groups = confidence_groups(confidence, right)
+    raw_groups = confidence_groups(at(test.raw_confidence, ends), right)
+    images = int(test.images.max()) + 1
     return Stopped(
         photons=photons,
         rule=rule,
-        used=test.rate(share[ends]),
-        whole=test.rate(test.right[:, -1], spread=False),
-        stopped=test.rate(right, spread=False),
-        difference=test.rate(right.astype(float) - test.right[:, -1]),
-        stops=(np.bincount(ends, minlength=len(share)) / len(ends)).tolist(),
-        confidence=float(sure.mean()),
-        calibration_error=_calibration_error(groups),
-        uncalibrated_error=_calibration_error(_groups(test.at(test.raw, ends), right)),
+        used=test.estimate(used[ends]),
+        whole=test.estimate(whole),
+        stopped=test.estimate(right),
+        difference=test.estimate(right.astype(float) - whole),
+        stops=(np.bincount(ends, minlength=len(used)) / len(ends)).tolist(),
+        confidence=float(confidence.mean()),
+        calibration_error=calibration_error(groups),
+        uncalibrated_error=calibration_error(raw_groups),
         log_loss=test.log_loss,
         uncalibrated_log_loss=test.raw_log_loss,
         reliability=[{"confidence": one, "accuracy": other} for one, other, _ in groups],
         rejection=[
             {
                 "accepted": accepted,
-                "stopped": _accepted(sure, right, accepted),
-                "whole": _accepted(test.at(test.sure, last), test.right[:, -1], accepted),
+                "stopped": accuracy_of_surest(confidence, right, accepted),
+                "whole": accuracy_of_surest(whole_confidence, whole, accepted),
             }
-            for accepted in SHARES
+            for accepted in ACCEPTED_SHARES
         ],
         curve=curve,
         validation={
-            "used": float(share[chosen].mean()),
+            "used": float(used[chosen].mean()),
             "whole": float(choice.right[:, -1].mean()),
-            "stopped": float(choice.at(choice.right, chosen).mean()),
+            "stopped": float(at(choice.right, chosen).mean()),
         },
-        images=int(test.images.max()) + 1,
-        draws=draws,
+        images=images,
+        draws=len(test.images) // images,
     )
-
-
-def _log_loss(logits: np.ndarray, labels: np.ndarray) -> float:
-    """Mean −ln of the probability of the true class."""
-    true = logits[np.arange(len(labels)), labels]
-    return float((logsumexp(logits, axis=1) - true).mean())
-
-
-def _temperature(logits: np.ndarray, labels: np.ndarray) -> float:
-    """Temperature from 1/20 to 20 that gives these scenes the least log loss."""
-    found = minimize_scalar(
-        lambda log: _log_loss(logits / np.exp(log), labels),
-        bounds=(-np.log(20), np.log(20)),
-        method="bounded",
-        options={"xatol": 1e-3},
-    )
-    return float(np.exp(found.x))
-
-
-def _groups(sure: np.ndarray, right: np.ndarray) -> list[tuple[float, float, float]]:
-    """Confidence, accuracy and weight of answers in `BINS` groups, the least sure first."""
-    order = np.argsort(sure, kind="stable")
-    return [
-        (float(sure[part].mean()), float(right[part].mean()), len(part) / len(sure))
-        for part in np.array_split(order, min(BINS, len(order)))
-    ]
-
-
-def _calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
-    return sum(weight * abs(sure - right) for sure, right, weight in groups)
-
-
-def _accepted(sure: np.ndarray, right: np.ndarray, share: float) -> float:
-    """Accuracy of that share of answers, the surest."""
-    kept = np.argsort(-sure, kind="stable")[: max(1, round(share * len(sure)))]
-    return float(right[kept].mean())

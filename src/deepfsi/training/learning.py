@@ -13,6 +13,7 @@ from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design, provenance
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.conditioning import Conditioning, chances
+from deepfsi.design.exposure import ExposureKind, FixedDwells
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import constraints
 from deepfsi.optics.feature_noise import FeatureNoise
@@ -121,7 +122,7 @@ def train(
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report)
     if isinstance(masks, Learned):
         masks = final_masks(masks, training_set, first)
-    networks = [*classifiers, *schedules]
+    networks = [*classifiers, *(part for each in schedules for part in each.networks)]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
         raise Diverged(f"training of {first.design} diverged: lower lr and mask_lr")
@@ -166,17 +167,22 @@ def _designs(
             light=light,
             image_shape=training_set.data.image_shape,
             classes=training_set.data.classes,
-            told=Conditioning(job.photons, job.training.span, job.masks)
-            if job.training.conditioned
-            else None,
-            schedule=schedules[r] if schedules else None,
+            exposure=schedules[r] if schedules else _exposure(job),
         )
         for r, job in enumerate(jobs)
     ]
     for job, design in zip(jobs, designs, strict=True):
-        if design.schedule is not None:
+        if job.training.looks > 1:
             design.shares = _shares(design, training_set, job)
     return designs
+
+
+def _exposure(job: Job) -> ExposureKind:
+    """Exposure of a design of one look."""
+    settings = job.training
+    if not settings.conditioned:
+        return FixedDwells()
+    return Conditioning(job.photons, settings.span, job.masks, settings.nested)
 
 
 def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
@@ -186,7 +192,8 @@ def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
     shares = torch.zeros_like(design.mean)
     with torch.no_grad():
         for x in training_set.full.split(CHUNK):
-            rates = scanner.rates(x / training_set.summed_reflectance)
+            rates = design.rates(scanner, x)
             *_, seen = design.expose(scanner, rates, generator, job.photons)
+            assert seen.dwell is not None
             shares += (design.masks * seen.dwell * rates[..., 0, :]).sum(dim=0)
     return shares / len(training_set.full)

@@ -8,12 +8,10 @@ A budget Φ is of the whole image, and the patches share it as they share its li
 the training set's mean summed reflectance of whole images.
 """
 
-import math
-import os
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -25,8 +23,8 @@ from torch.nn import functional
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design, provenance
-from deepfsi.design.artifact_file import damaged, kind_of, pack, read_design, weights_of
 from deepfsi.design.classifiers import Vit
+from deepfsi.design.patchwise import PatchExposure, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS, summed_reflectance
@@ -43,29 +41,6 @@ CHUNK = 1024
 """Images whose patches are multiplied at once outside the steps."""
 
 PatchedDesign = Literal["impulse", "raster", "hadamard", "pca", "deepfsi"]
-
-
-def cut(scenes: Tensor, image_shape: tuple[int, int], side: int) -> Tensor:
-    """Patches (..., P, side²) of images (..., H · W), row by row.
-
-    Raises
-    ------
-    InputError
-        If the sides of the image are no multiples of the patch's.
-    """
-    height, width = image_shape
-    if height % side or width % side:
-        raise InputError(
-            f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
-            "side that divides both"
-        )
-    blocks = scenes.unflatten(-1, (height // side, side, width // side, side))
-    return (
-        blocks.transpose(-3, -2)
-        .flatten(-2)
-        .flatten(-3, -2)
-        .reshape(*scenes.shape[:-1], -1, side * side)
-    )
 
 
 class PatchTraining(BaseModel):
@@ -98,79 +73,6 @@ class PatchJob(BaseModel):
     training: PatchTraining = PatchTraining()
 
 
-@dataclass
-class PatchDesign(Design):
-    """Masks of a patch and the transformer that reads all patches of an image.
-
-    As `Design`, with features of shape (..., P, m), and `image_shape` that of the whole image.
-
-    Attributes
-    ----------
-    patch : int
-        Side of a patch in pixels.
-    """
-
-    patch: int = 8
-
-    @property
-    def pixels(self) -> int:
-        """Number of pixels of an image."""
-        return math.prod(self.image_shape)
-
-    def as_patches(self, scenes: Tensor) -> Tensor:
-        """Patches (..., P, N) of images (..., H · W), as the masks see them."""
-        return cut(scenes, (self.image_shape[0], self.image_shape[1]), self.patch)
-
-    def to_bytes(self) -> bytes:
-        """Content of the design file."""
-        assert isinstance(self.classifier, Vit)
-        return pack(self, 1, {"kind": "vit", **self.classifier.size}, patch=self.patch)
-
-    @classmethod
-    def load(
-        cls, path: str | os.PathLike[str], device: str | torch.device = "cpu"
-    ) -> "PatchDesign":
-        """Read a design file.
-
-        Raises
-        ------
-        InputError
-            If the file is missing, damaged, or not a design of patches.
-        """
-        header, arrays = read_design(path)
-        parts = {key: torch.from_numpy(value) for key, value in arrays.items()}
-        if kind_of(header) == "mlp":
-            raise InputError(f"{path} is no design of image patches: load it with Design.load")
-        try:
-            size = {key: header["classifier"][key] for key in ("width", "depth", "heads", "hidden")}
-            weights = weights_of(arrays, "classifier.")
-            vit = Vit(
-                parts["rails"].shape[1],
-                len(weights["position"]),
-                len(header["classes"]),
-                **size,
-                generator=torch.Generator(),
-            )
-            vit.load_state_dict(weights)
-            design = cls(
-                name=header["name"],
-                rails=constraints.check(parts["rails"], header["light"]),
-                classifier=vit.eval(),
-                mean=parts["mean"],
-                std=parts["std"],
-                shares=parts["shares"],
-                summed_reflectance=header["summed_reflectance"],
-                light=header["light"],
-                image_shape=tuple(header["image_shape"]),
-                classes=tuple(header["classes"]),
-                info=header["info"],
-                patch=header["patch"],
-            )
-        except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-            raise damaged(path) from error
-        return design.to(device)
-
-
 class Patches:
     """Training images cut in patches, on a device, with what the trainings on them share.
 
@@ -197,7 +99,7 @@ class Patches:
         self.light = summed_reflectance(data.x_train)
         self.labels = torch.from_numpy(data.y_train).to(self.device)
         images = torch.from_numpy(data.x_train)
-        self.x = cut(images, (data.image_shape[0], data.image_shape[1]), side).to(self.device)
+        self.x = cut(images, data.image_shape, side).to(self.device)
         self.mean = self.x.mean(dim=(0, 1))
         self._matrices: dict[str, np.ndarray] = {}
 
@@ -253,7 +155,7 @@ def precision(job: PatchJob, patches: Patches) -> torch.dtype:
 
 def train(
     patches: Patches, job: PatchJob, progress: Callable[[float], None] | None = None
-) -> PatchDesign:
+) -> Design:
     """Train the transformer of one design, and its masks where they learn.
 
     Training noise is MLGauss. A seed fixes the order of images, the initial weights and the noise,
@@ -319,7 +221,7 @@ def train(
         centre, spread, shares = statistics(patches, masks, photons, how.scale)
     if not all(bool(torch.isfinite(part).all()) for part in [rails, *vit.parameters()]):
         raise InputError(f"training of {job.design} on patches diverged: lower lr and mask_lr")
-    return PatchDesign(
+    return Design(
         name=job.design,
         rails=constraints.check(rails, "column"),
         classifier=vit.eval(),
@@ -330,7 +232,7 @@ def train(
         light="column",
         image_shape=patches.data.image_shape,
         classes=patches.data.classes,
-        patch=patches.side,
+        exposure=PatchExposure(patches.side),
         info=provenance(job, patches.data, device, time.perf_counter() - began),
     )
 

@@ -59,7 +59,7 @@ def measure(
         made = _load(designs, members[0])
         lights = budgets(members)
         for masks in counts:
-            if not made[0].info["job"]["training"]["nested"] <= masks <= made[0].masks:
+            if not made[0].fewest_masks <= masks <= made[0].masks:
                 continue
             tests = [
                 evaluate(design.first(masks), data, lights, draws=1, seed=seed)

@@ -1,0 +1,221 @@
+"""Exposures: what a design asks of its masks' dwells, and what an exposure has seen so far.
+
+There are four kinds, and nobody but these classes asks which one a design has: `FixedDwells` here,
+`conditioning.Conditioning`, `adaptive.AdaptiveDwells` and `patchwise.PatchExposure`.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from pydantic.dataclasses import dataclass as validated
+from torch import Tensor
+
+from deepfsi.design.classifiers import STRICT, Mlp
+from deepfsi.errors import InputError
+from deepfsi.optics.constraints import Light
+
+Read = Callable[[Tensor], Tensor]
+"""From expected counts (..., rails, m) to features y⁺ − y⁻ (..., m) in counts."""
+
+Show = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""From dwells (..., m) to counts (..., m) over the budget, and the dwells really shown."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Counts and dwells of an exposure so far.
+
+    Attributes
+    ----------
+    features : tensor, shape (..., k)
+        y⁺ − y⁻ of the first k masks over the budget, of all looks together.
+    dwell : tensor, shape (..., k), optional
+        Share of the whole exposure that each mask had, where dwells are chosen; sums to 1 after the
+        last look.
+    """
+
+    features: Tensor
+    dwell: Tensor | None = None
+
+    def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
+        """Standardised features (..., k), followed by the dwells (..., 2 k) where they are chosen.
+
+        Parameters
+        ----------
+        mean, std : tensor, shape (..., m)
+            Mean and standard deviation of the features: where dwells are chosen, of those whose
+            masks all have the same dwell, 1 / m.
+        """
+        masks = self.features.shape[-1]
+        mean, std = mean[..., :masks], std[..., :masks]
+        if self.dwell is None:
+            return (self.features - mean) / std
+        relative = self.dwell * masks
+        return torch.cat([(self.features - relative * mean) / std, relative / 3], dim=-1)
+
+
+class BudgetLevel(NamedTuple):
+    """Level of a budget Φ as a classifier reads it, (ln(Φ / unit) − middle) / half."""
+
+    unit: float
+    middle: float
+    half: float
+
+
+class ExposureKind:
+    """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own.
+
+    Attributes
+    ----------
+    kind : str
+        Name in the design file.
+    looks : int
+        K, number of looks.
+    used : float
+        Share of the whole sequence's light that the masks would take within it, for its first ones.
+    """
+
+    kind: str
+    looks: int = 1
+    used: float = 1.0
+
+    def header(self) -> Any:
+        """Entry of the design file's header, of which `restored` makes the kind again."""
+        return self
+
+    @property
+    def networks(self) -> Sequence[Mlp]:
+        """Networks besides the classifier."""
+        return ()
+
+    def restored(self, weights: dict[str, Tensor], masks: int) -> "ExposureKind":
+        """The kind with its networks' weights from a design file."""
+        return self
+
+    def to(self, device: str | torch.device) -> "ExposureKind":
+        """The kind on a device."""
+        return self
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails (2 or 1, m, N) can be exposed so."""
+        if np.prod(image_shape) != rails.shape[-1]:
+            raise ValueError("masks have other pixels than images")
+
+    def input_count(self, masks: int) -> int:
+        """Number of the classifier's inputs for m masks."""
+        return masks
+
+    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Shape of a mask for images of a shape."""
+        return image_shape
+
+    def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
+        """Scenes (..., N) as the masks see them."""
+        return scenes
+
+    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
+        return inputs
+
+    def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
+        """First layer for features, and for a `BudgetLevel` if the classifier has it.
+
+        Parameters
+        ----------
+        masks : int
+            m of the design.
+        weight, bias : array
+            Of the classifier's first layer.
+
+        Returns
+        -------
+        tuple
+            Weight, bias, and the level or None.
+        """
+        return weight, bias, None
+
+    def expose(
+        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
+    ) -> Iterator[Exposure]:
+        """Exposures after each look.
+
+        Parameters
+        ----------
+        read : callable
+            Draws counts.
+        rates : tensor, shape (..., rails, m)
+            Expected counts for a budget of one photon.
+        photons : float
+            Budget Φ.
+        mean, std : tensor, shape (m,)
+            Of the features.
+        """
+        yield Exposure(read(rates * photons) / photons)
+
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
+        """Exposures after each look at a camera, which shows what is asked for.
+
+        Raises
+        ------
+        InputError
+            If dwells are fixed.
+        """
+        raise InputError(
+            "the dwells of this design are fixed: show all masks and use `classify`, or learn "
+            "a design with --looks"
+        )
+
+    def fewest_masks(self, masks: int) -> int:
+        """Fewest first masks, of m, that do by themselves."""
+        return masks
+
+    def using(self, used: float) -> "ExposureKind":
+        """The same kind for masks that use another share of the sequence's light."""
+        return self
+
+    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of masks or looks after which an exposure may stop.
+
+        Returns
+        -------
+        after : tuple of int
+            Rising; the last is all.
+        used : array
+            Share of the exposure that has been taken then.
+
+        Raises
+        ------
+        InputError
+            If it may stop nowhere before its end, or that saves nothing.
+        """
+        raise InputError(
+            "this design needs all its masks for an answer: learn nested ones with --nested, or "
+            "several looks with --looks"
+        )
+
+    def at_stops(self, looks: Sequence[Exposure], after: Sequence[int]) -> list[Exposure]:
+        """Exposures at each stop, from those after each look."""
+        return [Exposure(looks[0].features[..., :masks]) for masks in after]
+
+    def check_fixed(self) -> None:
+        """Raise `InputError` unless a fixed sequence of patterns, or one graph, can expose so."""
+
+    def check_noise(self, noise: str) -> None:
+        """Raise `InputError` unless the exposure can be tested under a noise."""
+
+    def check_dwell(self, given: bool) -> None:
+        """Raise `InputError` if dwells are given and not needed, or needed and not given."""
+        if given:
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: leave dwell out"
+            )
+
+
+@validated(frozen=True, config=STRICT)
+class FixedDwells(ExposureKind):
+    """Exposure of which all masks are needed, each with its own dwell."""
+
+    kind: Literal["fixed"] = field(default="fixed", kw_only=True)
