@@ -14,6 +14,15 @@ class InputError(ValueError):
 
     The message is one line that says what was given, what is allowed and what to do.
     The command line prints it and ends with exit code 2.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> try:
+    ...     deepfsi.load_dataset("mnits")
+    ... except deepfsi.InputError as error:
+    ...     print(str(error).partition(" Known")[0])
+    unknown data set 'mnits': did you mean 'mnist'?
     """
 
 

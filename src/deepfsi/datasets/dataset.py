@@ -1,4 +1,4 @@
-"""What a data set is: labelled scenes in a training and a test part."""
+"""Labelled scenes in a training and a test part."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ class Dataset:
     wavelengths
         For spectra whose bands are known: centre of each band in nm, (N,) float64, NaN for the
         dark bands of a padding. It describes and is not part of the hash.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> data = deepfsi.load_dataset("digits")
+    >>> data.pixels, len(data.classes), data.x_train.shape
+    (64, 10, (1437, 64))
+    >>> data.hold_out(437).x_train.shape
+    (1000, 64)
     """
 
     name: str

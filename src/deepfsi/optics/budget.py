@@ -68,6 +68,12 @@ def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
     -------
     array or tensor, shape (..., N)
         Photons.
+
+    Examples
+    --------
+    >>> import deepfsi, numpy
+    >>> deepfsi.photons_per_pixel(numpy.array([0.2, 0.6]), 1e2, 0.8)
+    array([25., 75.])
     """
     return x * (check_budget(photons) / light)  # type: ignore[operator, return-value]
 

@@ -23,6 +23,13 @@ class Scanner(nn.Module):
         Under photon noise `poisson` to test, and either it or `ml_gauss` to train.
     sigma : float
         Read noise in counts per readout, for gaussian noise.
+
+    Examples
+    --------
+    >>> import deepfsi, torch
+    >>> rails = torch.tensor([[[0.5, 0.0]], [[0.0, 0.5]]])  # (2 rails, 1 mask, 2 pixels)
+    >>> deepfsi.Scanner.from_rails(rails, noise="none")(torch.tensor([30.0, 10.0]))
+    tensor([10.])
     """
 
     def __init__(self, masks: nn.Module, noise: Noise = "poisson", sigma: float = 1.0) -> None:

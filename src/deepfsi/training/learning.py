@@ -70,6 +70,13 @@ def learn(
     ------
     InputError
         For any setting that is not allowed.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> digits = deepfsi.load_dataset("digits")
+    >>> deepfsi.learn(digits, photons=1e4, masks=10, epochs=1).matrix.shape
+    (10, 64)
     """
     inner = {
         key: settings.pop(key) for key in list(settings) if key in TrainingSettings.model_fields
