@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
-from test_maps import assert_legible
 
 from deepfsi.errors import InputError
 from deepfsi.experiments.camera import figures
 from deepfsi.experiments.camera.figures import Accuracy
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
+from shared.figures import assert_legible
 
 DESIGNS = {
     "deepfsi": ("DFSI", True),
@@ -176,26 +176,3 @@ def test_effects_have_a_column_each_and_exposures_a_row():
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [
         label for label, _ in DESIGNS.values()
     ]
-
-
-@pytest.mark.parametrize("shape", [(9, 12, 16), (1, 8, 8), (4, 30), (60, 4, 4)])
-def test_pictures_share_a_scale(shape):
-    pictures = np.random.default_rng(0).normal(1, 1, shape)
-    pictures[0].flat[0] = np.nan
-    names = [f"scene_{k}.png" for k in range(len(pictures))]
-    figure = figures.pictures_figure(pictures, names)
-    if len(pictures) > 3:
-        assert_legible(figure)
-    images = [image for ax in figure.axes for image in ax.get_images()]
-    assert len(images) == min(48, len(pictures))
-    for image, wanted in zip(images, pictures, strict=False):
-        shown = np.ma.filled(image.get_array(), np.nan)
-        np.testing.assert_array_equal(shown, np.atleast_2d(wanted))
-        assert image.get_clim() == (np.nanmin(pictures[:48]), np.nanmax(pictures[:48]))
-    with pytest.raises(InputError, match="one name of each"):
-        figures.pictures_figure(pictures, names[1:])
-
-
-def test_pictures_that_are_all_lost_are_drawn():
-    figure = figures.pictures_figure(np.full((2, 4, 4), np.nan), ["a", "b"])
-    figure.draw_without_rendering()

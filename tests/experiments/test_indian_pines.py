@@ -10,7 +10,6 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 from scipy.io import savemat
-from test_maps import assert_legible
 
 from deepfsi import experiments
 from deepfsi.datasets import load_spectra
@@ -28,7 +27,8 @@ from deepfsi.experiments.indian_pines.measures import (
     SpectralMasks,
     pack,
 )
-from deepfsi.report.figures import svg
+from deepfsi.report.style import svg
+from shared.figures import assert_legible
 from shared.results import a_point, some_results
 
 SIMULATED = "indian-pines-surrogate"

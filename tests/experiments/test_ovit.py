@@ -14,7 +14,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.experiments.ovit import claims as ovit
 from deepfsi.experiments.ovit.claims import EXPERIMENT, OvitRecipe, plan
-from deepfsi.report.figures import accuracy_figure
+from deepfsi.report.accuracy import accuracy_figure
 from shared.results import a_point, some_results
 
 TINY = OvitRecipe(

@@ -14,7 +14,8 @@ import pytest
 from deepfsi.errors import InputError
 from deepfsi.report import accuracy_figure, build, count_figure, masks_figure, values_figure
 from deepfsi.report.comparison_page import summary
-from deepfsi.report.figures import photons_text, signed, svg
+from deepfsi.report.masks import signed
+from deepfsi.report.style import photons_text, svg
 from deepfsi.sweeps.results import write_results
 from shared.results import DESIGNS, make_results, with_all
 

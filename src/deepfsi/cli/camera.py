@@ -276,9 +276,9 @@ def camera_image(
 
     Example: deepfsi camera image run_0001 -o picture.png
     """
-    from deepfsi.experiments.camera.figures import pictures_figure
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.picture import reconstruct
+    from deepfsi.report.pictures import pictures_figure
 
     target = out or folder / "picture.png"
     check_picture(target)

@@ -21,7 +21,7 @@ from deepfsi.errors import as_input_error
 if TYPE_CHECKING:
     import numpy as np
 
-    from deepfsi.report.study_page import Section
+    from deepfsi.report.section import Section
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.results import Results
 
@@ -309,7 +309,7 @@ def _given(context: typer.Context, name: str) -> bool:
 
 
 def _print_points(results: "Results") -> None:
-    from deepfsi.report.figures import axis_text, series_axes
+    from deepfsi.report.accuracy import axis_text, series_axes
 
     best = [point for point in results.points if point.best]
     apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]

@@ -3,9 +3,9 @@
 import numpy as np
 
 from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
-from deepfsi.report.figures import photons_text
 from deepfsi.report.maps import accuracy_grid, heat_figure
-from deepfsi.report.study_page import Claim, Picture
+from deepfsi.report.section import Claim, Picture
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.results import Results
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
-from deepfsi.report.study_page import Claim, Picture, Section, Table
+from deepfsi.report.section import Claim, Picture, Section, Table
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts

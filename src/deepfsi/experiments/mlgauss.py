@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.experiments.paired_maps import pair
-from deepfsi.report.figures import photons_text
-from deepfsi.report.study_page import Claim, Picture
+from deepfsi.report.section import Claim, Picture
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference
 from deepfsi.sweeps.results import Results
 

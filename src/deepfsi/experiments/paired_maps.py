@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deepfsi.experiments.experiment import budgets, points
-from deepfsi.report.figures import photons_text
 from deepfsi.report.maps import accuracy_grid, contour_figure
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, difference
 from deepfsi.sweeps.results import Results
 

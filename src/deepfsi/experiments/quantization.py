@@ -4,7 +4,7 @@ import numpy as np
 
 from deepfsi.experiments.experiment import Experiment, Finding, points
 from deepfsi.experiments.paired_maps import pair
-from deepfsi.report.study_page import Claim, Picture
+from deepfsi.report.section import Claim, Picture
 from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 

@@ -1,8 +1,10 @@
 """What comparisons and studies found, as HTML pages and as figures. Reads files; needs no torch."""
 
+from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.comparison_page import build
-from deepfsi.report.figures import accuracy_figure, count_figure, masks_figure, values_figure
-from deepfsi.report.study_page import Claim, Picture, Section, Table, write_study
+from deepfsi.report.masks import masks_figure, values_figure
+from deepfsi.report.section import Claim, Picture, Section, Table
+from deepfsi.report.study_page import write_study
 
 __all__ = [
     "Claim",

@@ -13,9 +13,18 @@ from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.report import figures
-from deepfsi.report.figures import noise_text, photons_text
+from deepfsi.report.accuracy import (
+    CHOSEN,
+    accuracy_figure,
+    count_figure,
+    noises,
+    series,
+    series_axes,
+    series_names,
+)
+from deepfsi.report.masks import masks_figure, peak, scale_figure, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
+from deepfsi.report.style import noise_text, photons_text, svg
 from deepfsi.sweeps.results import Point, Results, read_results
 
 MASKS_SHOWN = 12
@@ -74,7 +83,7 @@ def build(folder: str | os.PathLike[str]) -> Path:
     results = read_results(home / "results.json")
     text = page_text(results, home / "designs")
     picture = io.BytesIO()
-    figures.accuracy_figure(results).savefig(picture, dpi=160)
+    accuracy_figure(results).savefig(picture, dpi=160)
     write_atomically(home / "accuracy.png", picture.getvalue())
     return write_atomically(home / "report.html", text.encode())
 
@@ -93,16 +102,16 @@ def page_text(results: Results, designs: Path) -> str:
     """Text of the page."""
     data = results["data"]
     points = results["points"]
-    axes = figures.series_axes(results)
+    axes = series_axes(results)
     learned = list(learned_masks(results, designs))
     return render(
         "page.html.jinja",
         results=results,
-        summary=[summary(results, noise) for noise in figures.noises(results)],
-        variants=len(figures.series(points, axes)) > len({p["design"] for p in points}),
+        summary=[summary(results, noise) for noise in noises(results)],
+        variants=len(series(points, axes)) > len({p["design"] for p in points}),
         accuracy=list(accuracy_panels(results)),
         counts=list(count_panels(results)),
-        tables=[best_table(results, noise) for noise in figures.noises(results)],
+        tables=[best_table(results, noise) for noise in noises(results)],
         designs_shown={p["label"]: p["title"] for p in points},
         covers=list(dict.fromkeys(p["covers"] for p in points)),
         learned=learned,
@@ -142,7 +151,7 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
     """
     optics: dict[tuple[str, ...], Point] = {}
     for p in sorted((p for p in points if p["photons"] == photons), key=_validated):
-        optics[tuple(str(p.get(axis)) for axis in (*figures.CHOSEN, "levels", "masks"))] = p
+        optics[tuple(str(p.get(axis)) for axis in (*CHOSEN, "levels", "masks"))] = p
     here = list(optics.values())
     single = [p for p in here if p["design"] != "impulse"]
     return sorted(single or here, key=lambda p: -p["accuracy"])
@@ -151,8 +160,8 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
 def summary(results: Results, noise: str) -> str:
     """Say what the numbers say under a noise: who leads where, and how clearly at both ends."""
     points = chosen(results, noise)
-    axes = figures.series_axes(results)
-    names = figures.series_names(points, axes, "title")
+    axes = series_axes(results)
+    names = series_names(points, axes, "title")
     budgets = sorted({p["photons"] for p in points})
 
     def name(point: Point) -> str:
@@ -203,10 +212,10 @@ def only(results: Results, points: list[Point]) -> Results:
 
 def accuracy_panels(results: Results) -> Iterator[Panel]:
     """Accuracy against photons, a picture for each noise."""
-    for i, noise in enumerate(figures.noises(results)):
+    for i, noise in enumerate(noises(results)):
         part = only(results, chosen(results, noise))
         words = f"Accuracy against photon budget under {noise_text(noise)}; numbers in the table."
-        picture = figures.svg(figures.accuracy_figure(part), f"accuracy{i}", words)
+        picture = svg(accuracy_figure(part), f"accuracy{i}", words)
         yield Panel(noise_text(noise).capitalize(), "", (Markup(picture),))
 
 
@@ -217,14 +226,14 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
         counts.setdefault((p["noise"], p["design"], p["light"], p["rails"]), set()).add(p["masks"])
     if max(map(len, counts.values())) < 2:
         return
-    for i, noise in enumerate(figures.noises(results)):
+    for i, noise in enumerate(noises(results)):
         points = [p for p in results["points"] if p["noise"] == noise]
         panels = []
         for j, photons in enumerate(sorted({p["photons"] for p in points})):
             part = only(results, [p for p in points if p["photons"] == photons])
             where = f"{photons_text(photons)} photons"
             words = f"Accuracy against number of masks at {where}; numbers in the last table."
-            picture = figures.svg(figures.count_figure(part), f"count{i}-{j}", words)
+            picture = svg(count_figure(part), f"count{i}-{j}", words)
             panels.append(Panel(where, "", (Markup(picture),)))
         yield noise_text(noise).capitalize(), panels
 
@@ -232,11 +241,11 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
 def best_table(results: Results, noise: str) -> Best:
     """Table of the chosen mask counts under a noise."""
     points = chosen(results, noise)
-    axes = figures.series_axes(results)
-    names = figures.series_names(points, axes, "label")
+    axes = series_axes(results)
+    names = series_names(points, axes, "label")
     budgets = sorted({p["photons"] for p in points})
     rows: list[tuple[str, Point, list[Point | None]]] = []
-    for key, members in figures.series(points, axes).items():
+    for key, members in series(points, axes).items():
         at = {p["photons"]: p for p in members}
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
     leaders = {photons: ranking(points, photons)[0] for photons in budgets}
@@ -246,16 +255,16 @@ def best_table(results: Results, noise: str) -> Best:
 def colour_scale() -> Markup:
     """Draw the one colour bar of all masks."""
     words = "Colour bar from blue at minus the peak over white at 0 to red at the peak."
-    return Markup(figures.svg(figures.scale_figure(), "scale", words))
+    return Markup(svg(scale_figure(), "scale", words))
 
 
 def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
     """Masks and value distributions of every learned design whose files are there."""
-    for i, noise in enumerate(figures.noises(results)):
+    for i, noise in enumerate(noises(results)):
         points = [p for p in chosen(results, noise) if p["learned"]]
-        axes = figures.series_axes(results)
-        names = figures.series_names(points, axes, "title")
-        for j, (key, members) in enumerate(figures.series(points, axes).items()):
+        axes = series_axes(results)
+        names = series_names(points, axes, "title")
+        for j, (key, members) in enumerate(series(points, axes).items()):
             panels: list[Panel] = []
             for point in sorted(members, key=lambda p: p["photons"]):
                 path = designs / f"{point['keys'][0]}.safetensors"
@@ -273,17 +282,17 @@ def mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: st
     if masks <= MASKS_SHOWN:
         shown = f"all {masks} masks" if masks > 1 else "its one mask"
     pictures = (
-        figures.svg(
-            figures.masks_figure(rails, shape, count=MASKS_SHOWN, bar=False),
+        svg(
+            masks_figure(rails, shape, count=MASKS_SHOWN, bar=False),
             f"{name}-masks",
             f"Masks learned at {photons} photons, {shown}.",
         ),
-        figures.svg(
-            figures.values_figure(rails),
+        svg(
+            values_figure(rails),
             f"{name}-values",
             f"Histogram of the mask values learned at {photons} photons.",
         ),
     )
-    end, counted = figures.peak(figures.signed(rails)), share_text(point["throughput"])
+    end, counted = peak(signed(rails)), share_text(point["throughput"])
     note = f"{shown}, peak {end:.2g}, {counted} of the budget counted"
     return Panel(f"{photons} photons", note, tuple(map(Markup, pictures)))

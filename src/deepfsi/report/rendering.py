@@ -6,8 +6,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from deepfsi.report import figures
-from deepfsi.report.figures import noise_text, photons_text
+from deepfsi.report.style import COLOURS, DARK_COLOURS, noise_text, photons_text
 
 
 def render(template: str, **values: Any) -> str:
@@ -21,7 +20,7 @@ def render(template: str, **values: Any) -> str:
     )
     environment.filters.update(photons=photons_text, noise=noise_text, share=share_text)
     return environment.get_template(template).render(
-        colours=figures.COLOURS, dark_colours=figures.DARK_COLOURS, **values
+        colours=COLOURS, dark_colours=DARK_COLOURS, **values
     )
 
 

@@ -3,97 +3,23 @@
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.report import figures
 from deepfsi.report.rendering import flat, render
+from deepfsi.report.section import Cell, Claim, Section, Table
+from deepfsi.report.style import svg
 
 WIDE = 5.5  # inches; wider pictures have a line of the page for themselves
 
 # How an answer is written: word, mark, and place when claims are sorted by it.
 ANSWERS = {True: ("yes", "✓", 1), False: ("no", "✗", 2), None: ("open", "?", 3)}
-
-Cell = str | float | int | None
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure, its caption, and what a reader who cannot see it is told."""
-
-    figure: Figure
-    caption: str
-    words: str
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A statement that the study tests.
-
-    Attributes
-    ----------
-    text : str
-    holds : bool or None
-        None where these data do not decide it.
-    measured : str
-        What was measured, with its interval.
-    why : str
-        How the answer follows from it.
-    """
-
-    text: str
-    holds: bool | None
-    measured: str
-    why: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Numbers and words; None or NaN where there is no value."""
-
-    caption: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-
-
-@dataclass(frozen=True)
-class Section:
-    """One experiment.
-
-    Attributes
-    ----------
-    name : str
-        Its address on the page: letters, digits, `-`, `_` and `.`.
-    title : str
-    found, paper : str
-        A paragraph each: what we find, and what the paper found.
-    pictures, claims, tables
-    files : tuple of str
-        CSV files behind the figures, relative to the page.
-    command : str
-        What repeats the experiment.
-    facts : mapping
-        Provenance, nested as you like.
-    """
-
-    name: str
-    title: str
-    found: str
-    paper: str
-    pictures: tuple[Picture, ...]
-    claims: tuple[Claim, ...]
-    tables: tuple[Table, ...]
-    files: tuple[str, ...]
-    command: str
-    facts: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -138,7 +64,7 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
                 "pictures": [
                     (
                         picture,
-                        Markup(figures.svg(picture.figure, f"figure{i}-{j}", picture.words)),
+                        Markup(svg(picture.figure, f"figure{i}-{j}", picture.words)),
                         picture.figure.get_figwidth() > WIDE,
                     )
                     for j, picture in enumerate(section.pictures)

@@ -36,8 +36,8 @@ from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.hardware.patterns.sequence import Grid, find_grid
-from deepfsi.report.figures import photons_text
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.bootstrap import (
     cluster_bootstrap,
     studentised_bootstrap,

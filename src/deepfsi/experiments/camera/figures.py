@@ -16,19 +16,21 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from deepfsi.errors import InputError
-from deepfsi.report.figures import (
+from deepfsi.report.accuracy import accuracy_axes
+from deepfsi.report.style import (
     COLOURS,
-    GRID,
+    GREYS,
     INK,
     LINES,
     MUTED,
+    PAGE_WIDTH,
     PAPER,
-    accuracy_axes,
+    SMALL,
+    plain_bar,
+    power_text,
+    readable_ink,
     styled,
 )
-from deepfsi.report.maps import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, readable_ink
-
-MOST_PICTURES = 48
 
 BESIDE = 0.028
 """Shift of published values to the right of ours, share of the axis."""
@@ -230,64 +232,6 @@ def effects_figure(
         fontsize=8,
         handlelength=2.6,
     )
-    return figure
-
-
-@styled
-def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
-    """Least-squares pictures from the counts of an acquisition, on one scale.
-
-    Parameters
-    ----------
-    pictures : array, shape (S, down, across) or (S, bands)
-        NaN where a scene was lost.
-    names : sequence of str
-        Of the scenes.
-
-    Returns
-    -------
-    Figure
-        At most the first 48 scenes. The scale ends at the brightest cell, and begins at 0 or at
-        the darkest cell below it.
-
-    Raises
-    ------
-    InputError
-        If the two differ in number.
-    """
-    if len(pictures) != len(names) or len(pictures) == 0:
-        raise InputError(f"{len(pictures)} pictures and {len(names)} names: give one name of each")
-    shown = np.asarray(pictures, dtype=float)[:MOST_PICTURES]
-    if shown.ndim == 2:
-        shown = shown[:, None, :]
-    known = shown[np.isfinite(shown)]
-    low, high = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
-    norm = Normalize(low, high if high > low else low + 1)
-    columns = min(6, len(shown))
-    rows = -(-len(shown) // columns)
-    tile = (PAGE_WIDTH - 0.8) / max(columns, 3)
-    shape = max(shown.shape[1] / shown.shape[2], 0.2)
-    figure = Figure(
-        figsize=(tile * columns + 0.8, rows * (tile * shape + 0.24) + 0.2), layout="constrained"
-    )
-    axes = figure.subplots(rows, columns, squeeze=False)
-    for ax, picture, name in zip(axes.flat, shown, names, strict=False):
-        ax.imshow(
-            np.ma.masked_invalid(picture),
-            cmap=GREYS,
-            norm=norm,
-            aspect="auto" if shown.shape[1] == 1 else "equal",
-            interpolation="none",
-        )
-        ax.set(xticks=[], yticks=[])
-        ax.spines[:].set(visible=True, color=GRID)
-        ax.set_title(textwrap.shorten(name, 14, placeholder="…"), fontsize=SMALL)
-    for ax in list(axes.flat)[len(shown) :]:
-        ax.remove()
-    bar = figure.colorbar(
-        ScalarMappable(norm, GREYS), ax=list(figure.axes), aspect=24, pad=0.015, label="light"
-    )
-    plain_bar(bar)
     return figure
 
 

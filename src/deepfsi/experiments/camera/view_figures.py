@@ -13,8 +13,7 @@ from matplotlib.patches import ConnectionPatch, Rectangle
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Grid
-from deepfsi.report.figures import COLOURS, GRID, styled
-from deepfsi.report.maps import GREYS, PAGE_WIDTH, plain_bar
+from deepfsi.report.style import COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
 
 MARGIN = 1.5
 """Width beside the scenes for words and scale, inches."""

@@ -17,9 +17,9 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
 from deepfsi.experiments.flexible.figures import Line, Stops, lines_figure, stopping_figure
-from deepfsi.report.figures import photons_text
 from deepfsi.report.maps import accuracy_grid, heat_figure
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import (
     CONFIDENCE,
     Difference,

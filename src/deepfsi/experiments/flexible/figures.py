@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
-from deepfsi.report.figures import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_text, styled
+from deepfsi.report.style import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_text, styled
 
 LOOKS: dict[str, dict[str, Any]] = {
     "flexible": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},

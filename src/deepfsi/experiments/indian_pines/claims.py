@@ -18,9 +18,10 @@ from deepfsi.experiments.indian_pines.figures import (
     spectral_masks_figure,
 )
 from deepfsi.experiments.indian_pines.measures import BAND, Measures, measure
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
-from deepfsi.report.figures import INK, accuracy_figure, photons_text
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import INK, photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results

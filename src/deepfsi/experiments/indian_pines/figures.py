@@ -12,16 +12,21 @@ from matplotlib.patheffects import withStroke
 from scipy.ndimage import distance_transform_edt
 
 from deepfsi.experiments.indian_pines.measures import ClassMap, Overview, SpectralMasks
-from deepfsi.report.figures import (
+from deepfsi.report.style import (
+    AXIS_NOISES,
     COLOURS,
+    GREYS,
     GRID,
     INK,
     MUTED,
+    ON_DARK,
+    ON_LIGHT,
+    PAGE_WIDTH,
+    SMALL,
     noise_text,
     photons_text,
     styled,
 )
-from deepfsi.report.maps import AXIS_NOISES, GREYS, ON_DARK, ON_LIGHT, PAGE_WIDTH, SMALL
 
 NO_CLASS = "#e9ecef"
 CLASS_COLOURS = (

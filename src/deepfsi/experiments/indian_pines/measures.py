@@ -20,7 +20,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.experiments.experiment import best
 from deepfsi.optics.scanner import subtract
 from deepfsi.report.comparison_page import read_masks
-from deepfsi.report.figures import brightest
+from deepfsi.report.masks import brightest
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.results import Point, Results
 

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from deepfsi.experiments.experiment import Experiment, Finding, best
+from deepfsi.experiments.mnist.figures import error_figure
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
-from deepfsi.report.figures import accuracy_figure, photons_text
-from deepfsi.report.maps import error_figure
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.results import Results
 

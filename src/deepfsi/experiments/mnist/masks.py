@@ -8,6 +8,7 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.experiments.experiment import Experiment, Finding
+from deepfsi.experiments.mnist.figures import masks_table_figure, measures_figure
 from deepfsi.optics.codes import sensing_matrix
 from deepfsi.optics.measures import (
     effective_directions,
@@ -16,9 +17,8 @@ from deepfsi.optics.measures import (
     throughput,
 )
 from deepfsi.report.comparison_page import read_masks
-from deepfsi.report.figures import photons_text
-from deepfsi.report.maps import masks_table_figure, measures_figure
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.results import Results

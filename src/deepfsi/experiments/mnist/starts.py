@@ -3,9 +3,9 @@
 from typing import Any
 
 from deepfsi.experiments.experiment import Experiment, Finding
-from deepfsi.report.figures import photons_text
-from deepfsi.report.maps import starts_figure
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.experiments.mnist.figures import starts_figure
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import CONFIDENCE, Difference, difference
 from deepfsi.sweeps.results import Results
 

@@ -26,12 +26,13 @@ from deepfsi.datasets import Dataset, list_datasets, load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.experiments.experiment import Experiment, Finding
+from deepfsi.experiments.ovit.figures import patch_masks_figure
 from deepfsi.experiments.ovit.measures import LEARNED, LearnedMasks, Measures, measure_masks
 from deepfsi.optics.budget import BUDGETS
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
-from deepfsi.report.figures import accuracy_figure, photons_text
-from deepfsi.report.maps import patch_masks_figure
-from deepfsi.report.study_page import Claim, Picture, Table
+from deepfsi.report.section import Claim, Picture, Table
+from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.queue import Report, workers_for
 from deepfsi.sweeps.records import Records

@@ -1,0 +1,252 @@
+"""Accuracy against photons and against the number of masks."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+
+from deepfsi.report.style import (
+    COLOURS,
+    INK,
+    LINES,
+    MUTED,
+    PANEL_HEIGHT,
+    PAPER,
+    noise_text,
+    photons_text,
+    styled,
+)
+
+Point = Any
+
+
+Results = Any
+
+
+LINE_HEIGHT = 0.06  # of a name at the right edge, in parts of the axis
+
+
+Fields = tuple[str, ...]
+
+
+CHOSEN: Fields = ("design", "light", "rails")
+
+
+def series_axes(results: Results) -> Fields:
+    """Fields that tell series apart, of those in which points differ beside noise and budget."""
+    points = results["points"]
+    apart = [axis for axis in ("variant", "levels") if len({p.get(axis) for p in points}) > 1]
+    if any(p.get("trained_at", p["photons"]) != p["photons"] for p in points):
+        apart.append("trained_at")
+    pairs = {(p["noise"], p.get("trained_under")) for p in points}
+    if len(pairs) > len({noise for noise, _ in pairs}):
+        apart.append("trained_under")
+    if results["chosen_on"] == "nothing":
+        apart.append("masks")
+    return (*CHOSEN, *apart)
+
+
+def axis_text(axis: str, value: Any) -> str:
+    """Value of a field as a name of a series has it."""
+    if axis == "levels":
+        return f"{value} levels" if value else "continuous"
+    if axis == "trained_at":
+        return f"from {photons_text(value)}"
+    return f"from {value}" if axis == "trained_under" else str(value)
+
+
+def series(points: Iterable[Point], axes: Fields) -> dict[tuple[str, ...], list[Point]]:
+    """Points by the fields `axes`, the design first, in the order in which they appear."""
+    found: dict[tuple[str, ...], list[Point]] = {}
+    for point in points:
+        found.setdefault(tuple(str(point[axis]) for axis in axes), []).append(point)
+    return found
+
+
+def series_names(
+    points: Iterable[Point], axes: Fields, field: str = "label"
+) -> dict[tuple[str, ...], str]:
+    """Name of each series: the design's, and the other axes where these tell two apart."""
+    rows = list(series(points, axes).items())
+    names = {}
+    for key, members in rows:
+        kin = [other for other, _ in rows if other[0] == key[0]]
+        apart = [
+            axis_text(axes[i], members[0][axes[i]])
+            for i in range(1, len(axes))
+            if len({other[i] for other in kin}) > 1
+        ]
+        names[key] = " ".join([members[0][field], *apart])
+    return names
+
+
+def noises(results: Results) -> list[str]:
+    """Noise models of a comparison, in the order in which they appear."""
+    return list(dict.fromkeys(point["noise"] for point in results["points"]))
+
+
+@styled
+def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
+    """Accuracy against photons, each design at its chosen mask count; one panel a noise.
+
+    Parameters
+    ----------
+    results : mapping
+        Content of a `results.json`.
+    top : float
+        End of the axis of accuracy, above the highest point.
+
+    Returns
+    -------
+    Figure
+        Error bars are the points' intervals. Circles are feature-specific designs, squares others.
+    """
+    panels = noises(results)
+    figure = Figure(figsize=(4.8 * len(panels), PANEL_HEIGHT), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, noise in zip(axes, panels, strict=True):
+        points = [p for p in results["points"] if p["noise"] == noise and p["best"]]
+        accuracy_axes(ax, results, points, series_axes(results), "photons", top=top)
+        ax.set_xlabel("photon budget Φ")
+        budgets = sorted({p["photons"] for p in points})
+        short = all(len(photons_text(budget)) <= 4 for budget in budgets)
+        ax.xaxis.set_major_locator(
+            FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
+        )
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+        if len(panels) > 1:
+            ax.set_title(noise_text(noise))
+    return figure
+
+
+@styled
+def count_figure(results: Results) -> Figure:
+    """Accuracy against the number of masks, one panel for each noise and budget.
+
+    Filled markers are the mask counts that were chosen; designs whose count is fixed have one.
+    """
+    panels = [
+        (noise, photons)
+        for noise in noises(results)
+        for photons in sorted({p["photons"] for p in results["points"] if p["noise"] == noise})
+    ]
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(4.2 * columns, PANEL_HEIGHT * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).flat
+    several = len(noises(results)) > 1
+    for ax, (noise, photons) in zip(axes, panels, strict=False):
+        points = [p for p in results["points"] if (p["noise"], p["photons"]) == (noise, photons)]
+        axes_but_masks = tuple(axis for axis in series_axes(results) if axis != "masks")
+        accuracy_axes(ax, results, points, axes_but_masks, "masks")
+        ax.set_xlabel("number of masks m")
+        ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        if len(panels) > 1:
+            heading = f"{photons_text(photons)} photons"
+            ax.set_title(f"{heading}, {noise_text(noise)}" if several else heading)
+    for ax in list(figure.axes)[len(panels) :]:
+        ax.remove()
+    return figure
+
+
+def accuracy_axes(
+    ax: Axes,
+    results: Results,
+    points: list[Point],
+    axes: Fields,
+    across: str,
+    *,
+    values: Iterable[float] = (),
+    falling: bool = False,
+    top: float = 1.0,
+) -> None:
+    """Draw one line per series over the field `across`, named at the right edge.
+
+    Panels that share an axis are given all of its `values`; a `falling` axis has the largest left.
+    """
+    groups, names = series(points, axes), series_names(points, axes)
+    values = sorted({*values, *(p[across] for p in points)})
+    decades = max(1.0, math.log10(values[-1] / values[0]))
+    apart = 10 ** (0.004 * decades)
+    ends: list[tuple[str, str, float, float]] = []
+    seen: dict[str, int] = {}
+    for place, (key, members) in enumerate(groups.items()):
+        design, variant = key[0], seen.setdefault(key[0], 0)
+        seen[design] += 1
+        colour = COLOURS.get(design, INK)
+        rows = sorted(members, key=lambda p: p[across], reverse=falling)
+        x = np.array([p[across] for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
+        y = np.array([p["accuracy"] for p in rows])
+        reach = [
+            [p["accuracy"] - p["low"] for p in rows],
+            [p["high"] - p["accuracy"] for p in rows],
+        ]
+        ax.errorbar(
+            x,
+            y,
+            yerr=np.clip(reach, 0, None),
+            color=colour,
+            linestyle=LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
+            elinewidth=1,
+            capsize=2,
+            zorder=3 + place / 100,
+        )
+        filled = np.array([p["best"] if across == "masks" else variant == 0 for p in rows])
+        for full in set(filled.tolist()):
+            ax.plot(
+                x[filled == full],
+                y[filled == full],
+                linestyle="none",
+                marker="o" if rows[0]["specific"] else "s",
+                color=colour,
+                markerfacecolor=colour if full else PAPER,
+                zorder=4 + place / 100,
+                label=names[key],
+            )
+        ends.append((names[key], colour, float(x[-1]), float(y[-1])))
+    chance = 1 / len(results["data"]["classes"])
+    ax.set_xscale("log")
+    edges = values[0] / 10 ** (0.06 * decades), values[-1] * 10 ** (0.06 * decades)
+    ax.set_xlim(edges[::-1] if falling else edges)
+    ax.axhline(chance, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
+    ax.set_ylim(0, top)
+    ax.set_ylabel("accuracy")
+    ax.grid(axis="y")
+    ax.xaxis.set_minor_locator(NullLocator())
+    _name_ends(ax, [*ends, ("chance", MUTED, ax.get_xlim()[1], chance)])
+
+
+def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:
+    """Write names at the right edge, beside the last points, moved apart where they would touch."""
+    ordered = sorted(ends, key=lambda end: end[3])
+    heights = np.array([end[3] for end in ordered])
+    top = ax.get_ylim()[1]
+    line = LINE_HEIGHT * top
+    for i in range(1, len(heights)):
+        heights[i] = max(heights[i], heights[i - 1] + line)
+    heights[-1] = min(heights[-1], top + line / 3)
+    for i in range(len(heights) - 2, -1, -1):
+        heights[i] = min(heights[i], heights[i + 1] - line)
+    for (name, colour, x, y), height in zip(ordered, heights, strict=True):
+        ax.annotate(
+            "",
+            xy=(x, y),
+            xytext=(1.035, height),
+            textcoords=ax.get_yaxis_transform(),
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "shrinkA": 0},
+            annotation_clip=False,
+        )
+        ax.text(
+            1.045,
+            height,
+            name,
+            color=colour,
+            transform=ax.get_yaxis_transform(),
+            verticalalignment="center",
+            fontweight="bold" if name != "chance" else "normal",
+        )

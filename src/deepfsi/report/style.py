@@ -1,0 +1,221 @@
+"""Colours, fonts and words of all figures, and their SVG for a page.
+
+Colours on top of a colour map are not the page's own, which change with light and dark.
+"""
+
+import io
+import math
+import re
+from collections.abc import Callable, Sequence
+from functools import wraps
+from html import escape
+from typing import Any, Literal, ParamSpec
+
+import matplotlib
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+
+P = ParamSpec("P")
+
+
+INK, MUTED, GRID, PAPER = "#1b1f24", "#5d6670", "#dfe3e8", "#ffffff"
+
+
+DIVERGING = "RdBu_r"
+
+
+PANEL_HEIGHT = 3.5  # inches
+
+
+# Okabe and Ito's palette, yellow left out; every design also has a line of its own.
+COLOURS = {
+    "impulse": "#1b1f25",
+    "raster": "#7a838d",
+    "hadamard": "#e69f00",
+    "truncated-hadamard": "#009e73",
+    "pca": "#0072b2",
+    "deepfsi": "#d55e00",
+    "control": "#cc79a7",
+    "random": "#8a7a00",
+    "lda": "#56b4e9",
+    "class-pairs": "#b3446c",
+    "s-matrix": "#9a6a3a",
+    "custom": "#6a51a3",
+}
+
+
+DARK_COLOURS = {
+    "impulse": "#f2f4f6",
+    "raster": "#97a1ac",
+    "hadamard": "#f2b430",
+    "truncated-hadamard": "#2cc295",
+    "pca": "#4fa8e8",
+    "deepfsi": "#ff7d3b",
+    "control": "#e8a3c8",
+    "random": "#c9b83a",
+    "lda": "#8fd3ff",
+    "class-pairs": "#e07a9f",
+    "s-matrix": "#cf9a62",
+    "custom": "#b39bff",
+}
+
+
+NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise"}
+
+
+LINES: dict[str, Any] = {
+    "impulse": (0, (7, 2, 1.2, 2)),
+    "raster": (0, (1.2, 1.6)),
+    "hadamard": (0, (3, 1.6)),
+    "truncated-hadamard": (0, (6, 2)),
+    "control": (0, (4, 1.4, 1.2, 1.4, 1.2, 1.4)),
+    "random": (0, (2, 3)),
+    "lda": (0, (8, 2, 2, 2)),
+    "class-pairs": (0, (8, 2, 1.2, 2, 1.2, 2)),
+    "s-matrix": (0, (1, 3)),
+}
+
+
+CSS_NAMES = {
+    INK: "ink",
+    MUTED: "muted",
+    GRID: "grid",
+    PAPER: "paper",
+    **{colour: design for design, colour in COLOURS.items()},
+}
+
+
+STYLE: Any = {
+    "font.size": 9,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.5,
+    "lines.markersize": 5.5,
+    "savefig.dpi": 200,
+    "text.parse_math": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "deepfsi",
+}
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Draw with `STYLE`, and leave matplotlib's settings as they were."""
+
+    @wraps(draw)
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with matplotlib.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+def photons_text(photons: float) -> str:
+    """Budget as people write it: 30, 1000, 10⁴, 3 × 10⁵."""
+    if photons < 1e4:
+        return f"{photons:g}"
+    exponent = math.floor(math.log10(photons) + 1e-9)
+    factor = f"{photons / 10**exponent:.3g}"
+    power = "10" + str(exponent).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return power if factor == "1" else f"{factor} × {power}"
+
+
+def noise_text(noise: str) -> str:
+    """Name of a noise model for headings and sentences."""
+    return NOISES.get(noise, f"{noise} noise")
+
+
+def svg(figure: Figure, name: str, words: str) -> str:
+    """Turn a figure into an SVG fragment for an HTML page; the same figure gives the same text.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        Prefix of its ids, unique on the page.
+    words : str
+        What a reader who cannot see it is told.
+    """
+    text = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    body = text.getvalue()
+    body = body[body.index("<svg") :]
+    for part in (r"<metadata>.*?</metadata>", r"<style.*?</style>", r'\sxmlns(:xlink)?="[^"]*"'):
+        body = re.sub(part, "", body, flags=re.DOTALL)
+    body = body.replace("xlink:href=", "href=")
+    body = re.sub(r'\bid="', f'id="{name}-', body)
+    body = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", body)
+    body = re.sub(
+        r"#[0-9a-f]{6}\b",
+        lambda found: f"var(--{CSS_NAMES[found[0]]})" if found[0] in CSS_NAMES else found[0],
+        body,
+    )
+    view = re.search(r'viewBox="[^"]*"', body)
+    assert view is not None, "matplotlib gives every figure a viewBox"
+    style = f"max-width: {96 * figure.get_figwidth():.0f}px"
+    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{style}" {view[0]}>'
+    return re.sub(r"<svg[^>]*>", head, body, count=1)
+
+
+PAGE_WIDTH = 7.2  # inches, of a printed page's text
+
+
+SMALL = 7.5  # points
+
+
+ON_LIGHT, ON_DARK = "#101010", "#fefefe"  # ink on colour maps
+
+
+SEQUENTIAL = "cividis"
+
+
+GREYS = "gray"
+
+
+AXIS_NOISES: tuple[Literal["gaussian", "poisson"], ...] = ("gaussian", "poisson")
+
+
+def thinned(values: Sequence[float], most: int = 7) -> list[float]:
+    """Every value, or every second, third, …, so that there are at most `most`."""
+    return list(values[:: -(-len(values) // most)])
+
+
+def power_text(value: float) -> str:
+    """A number as a power of ten if it is one, which is shorter on an axis than 1000 or 0.001."""
+    exponent = round(math.log10(value))
+    if not math.isclose(value, 10.0**exponent, rel_tol=1e-6):
+        return photons_text(value)
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def signed_text(value: float) -> str:
+    """Difference with its sign, the minus as long as the plus."""
+    return "0" if abs(value) < 1e-9 else f"{value:+.3g}".replace("-", "−")
+
+
+def readable_ink(colours: str, place: float) -> str:
+    """Ink for text on a colour map, by the luminance beneath it."""
+    luminance = np.dot(colormaps[colours](place)[:3], (0.2126, 0.7152, 0.0722))
+    return ON_LIGHT if luminance > 0.45 else ON_DARK
+
+
+def plain_bar(bar: Colorbar) -> None:
+    """Give a colour bar a faint outline and small numbers."""
+    bar.outline.set_edgecolor(MUTED)
+    bar.ax.tick_params(labelsize=SMALL)

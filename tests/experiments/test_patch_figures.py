@@ -1,0 +1,40 @@
+"""Masks of image patches: the brightest first, on a scale of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deepfsi.experiments.ovit.figures import patch_masks_figure
+
+
+def patch_rows(budgets=(1e2, 1e4, 1e6), masks=9, side=3):
+    rng = np.random.default_rng(1)
+    return [
+        {"photons": photons, "side": side, "matrix": rng.normal(size=(masks, side**2)) / 20}
+        for photons in budgets
+    ]
+
+
+@pytest.mark.parametrize("budgets", [(1e2,), (1e2, 1e4, 1e6)])
+def test_all_masks_of_a_patch_brightest_first(budgets):
+    rows = patch_rows(budgets)
+    figure = patch_masks_figure(rows)
+    for ax, row in zip(figure.axes, rows, strict=True):
+        (image,) = ax.images
+        end = np.abs(row["matrix"]).max()
+        assert image.get_clim() == (-end, end)
+        assert f"peak {end:.2g}" == ax.get_xlabel()
+        sheet = np.ma.filled(image.get_array(), np.nan)
+        finer = len(sheet) // (3 * 4 - 1)
+        sheet = sheet[::finer, ::finer]
+        tiles = [sheet[i : i + 3, j : j + 3] for i in (0, 4, 8) for j in (0, 4, 8)]
+        light = [np.abs(tile).sum() for tile in tiles]
+        assert light == sorted(light, reverse=True)
+        assert sorted(light) == pytest.approx(sorted(np.abs(row["matrix"]).sum(axis=1)))
+        assert np.isnan(sheet[3]).all()
+
+
+def test_masks_that_do_not_fill_their_square():
+    figure = patch_masks_figure(patch_rows(masks=7))
+    assert len(figure.axes) == 3
