@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
+from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -28,17 +29,12 @@ from deepfsi.hardware.virtual.camera import (
     irradiance,
     record,
 )
-from deepfsi.optics import constraints
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import SILENT, Report
 
-DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
-SHAPE = (3, 4)
 GRID = find_grid(DEVICE, SHAPE)
-CELLS = 12
 MIRRORS = GRID.mirrors
 AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
-SUMMED_REFLECTANCE = 7.0
 IDEAL = CAMERAS["ideal"]
 OPTICS = [
     ("equal-dwell", "dual"),
@@ -48,24 +44,6 @@ OPTICS = [
     ("column", "dual"),
 ]
 every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
-
-
-def scenes(number: int = 3, shape: tuple[int, int] = SHAPE) -> np.ndarray:
-    return np.random.default_rng(4).uniform(0.1, 1, (number, *shape)).astype(np.float32)
-
-
-def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", masks=5, dwell=2e-3):
-    """Export random masks, one of them with a dark rail."""
-    wild = np.random.default_rng(3).random((masks, CELLS)) - (0.5 if rails == "dual" else 0)
-    wild[1] = abs(wild[1])
-    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
-    design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE)
-    return export_patterns(design, FrameSettings(DEVICE, dwell), folder)
-
-
-def into(shares: list[float]) -> Report:
-    """Report that keeps the shares."""
-    return Report(lambda share, _: shares.append(share))
 
 
 def scanner_rates(shown: Patterns, x: np.ndarray, photons: float) -> np.ndarray:

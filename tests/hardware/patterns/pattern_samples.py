@@ -1,0 +1,50 @@
+"""Patterns that the tests share: masks of few cells on a small device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.hardware.patterns.folder import (
+    DesignRails,
+    export_patterns,
+)
+from deepfsi.hardware.patterns.sequence import (
+    FrameSettings,
+    find_device,
+)
+from deepfsi.progress import SILENT
+
+FORMATS = ("npy", "png", "raw")
+
+
+SMALL = find_device("67x50")
+"""Not whole bytes across, and cells of 8 x 8 leave margins."""
+
+
+UNEQUAL = np.array([0.999, 0.001])[None, :, None].repeat(16, axis=2)
+"""Two masks of very different shares, rails (1, 2, 16)."""
+
+
+every_format = pytest.mark.parametrize("form", FORMATS)
+
+
+every_selection = pytest.mark.parametrize("selection", ["ordered", "random"])
+
+
+def grey(masks: int = 5, pixels: int = 16, rails: int = 2, seed: int = 0) -> np.ndarray:
+    """Free-dwell rails, unlike each other in their peaks."""
+    rng = np.random.default_rng(seed)
+    out = rng.random((rails, masks, pixels)) * rng.random((rails, masks, 1))
+    return out / out.max(axis=-1).sum()
+
+
+def export(
+    folder: Path, rails=None, light="free-dwell", image_shape=(4, 4), s=3.0, file=None,
+    report=SILENT, **changes,
+):  # fmt: skip
+    settings = FrameSettings(**{"device": SMALL, "dwell_s": 1e-3, **changes})
+    design = DesignRails(grey() if rails is None else rails, light, image_shape, s, file)
+    return export_patterns(design, settings, folder, report)

@@ -1,0 +1,104 @@
+"""Files of frames: the same bits in every format; what is not a frame is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pattern_samples import FORMATS, SMALL, every_format, export, grey
+from PIL import Image
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import (
+    check_patterns,
+    read_frames,
+)
+from deepfsi.hardware.patterns.sequence import (
+    DEVICES,
+    find_device,
+)
+
+
+def test_formats_hold_the_same_bits(tmp_path):
+    for form in FORMATS:
+        export(tmp_path / form, format=form)
+    frames = [list(read_frames(tmp_path / form)) for form in FORMATS]
+    for same in zip(*frames, strict=True):
+        assert np.array_equal(same[0], same[1])
+        assert np.array_equal(same[0], same[2])
+    packed = np.load(tmp_path / "npy" / "frames.npy")
+    assert packed.dtype == np.uint8
+    assert np.array_equal(packed, np.stack(frames[0]))
+    assert (tmp_path / "raw" / "frames.bin").read_bytes() == packed.tobytes()
+
+
+@every_format
+def test_the_left_mirror_is_the_highest_bit_and_on_is_white(tmp_path, form):
+    rails = np.zeros((1, 2, 16))
+    rails[0, 0, 0], rails[0, 1, 11] = 0.5, 0.25  # top left; third row, right
+    device = find_device("20x4")
+    export(tmp_path / "p", rails, image_shape=(4, 4), device=device, format=form)
+    wanted = np.zeros((2, 4, 20), dtype=bool)
+    wanted[0, 0, :5] = wanted[1, 2, 15:20] = True
+    frames = list(read_frames(tmp_path / "p"))[2:4]
+    assert frames[0][0].tolist() == [0b11111000, 0, 0]
+    assert frames[1][2].tolist() == [0, 0b00000001, 0b11110000]
+    if form == "png":
+        for mirrors, path in zip(wanted, ("0002.png", "0003.png"), strict=True):
+            with Image.open(tmp_path / "p" / "frames" / path) as picture:
+                assert picture.mode == "1"
+                assert np.array_equal(np.asarray(picture.convert("L")), mirrors * np.uint8(255))
+            header = (tmp_path / "p" / "frames" / path).read_bytes()[16:26]
+            assert header == bytes([0, 0, 0, 20, 0, 0, 0, 4, 1, 0])  # one bit, grey
+    else:
+        content = (tmp_path / "p" / f"frames.{'npy' if form == 'npy' else 'bin'}").read_bytes()
+        bits = np.unpackbits(np.frombuffer(content[-6 * 12 :], np.uint8).reshape(6, 4, 3), axis=2)
+        assert np.array_equal(bits[2:4, :, :20], wanted)
+        assert not bits[:, :, 20:].any()
+
+
+def test_a_frame_of_the_dlp7000_is_98304_bytes(tmp_path):
+    device = DEVICES["dlp7000"]
+    shown = export(
+        tmp_path / "p", grey(1, 1024, 1), image_shape=(32, 32), device=device, format="raw"
+    )
+    assert (shown.manifest.grid.height, shown.manifest.grid.width) == (24, 32)
+    assert (tmp_path / "p" / "frames.bin").stat().st_size == 5 * 98_304
+    assert device.frame_bytes == 98_304
+
+
+@every_format
+def test_a_missing_frame_is_found_and_named(tmp_path, form):
+    export(tmp_path / "p", format=form)
+    path = tmp_path / "p" / {"npy": "frames.npy", "png": "frames", "raw": "frames.bin"}[form]
+    if form == "png":
+        (path / "0009.png").unlink()
+    else:
+        path.write_bytes(path.read_bytes()[: -4 * SMALL.frame_bytes - 3])
+    with pytest.raises(InputError, match=r"0009\.png is missing" if form == "png" else "frame 9;"):
+        check_patterns(tmp_path / "p")
+    if form != "png":
+        path.unlink()
+        with pytest.raises(InputError, match=f"{path.name} is missing"):
+            check_patterns(tmp_path / "p")
+
+
+@every_format
+def test_other_files_than_the_frames_are_refused(tmp_path, form):
+    export(tmp_path / "p", format=form)
+    path = (
+        tmp_path / "p" / {"npy": "frames.npy", "png": "frames/0003.png", "raw": "frames.bin"}[form]
+    )
+    whole = path.read_bytes()
+    contents = [b"", whole[: len(whole) // 2], whole + b"x" if form != "png" else b"GIF89a"]
+    if form == "npy":
+        contents += [whole.replace(b"|u1", b"|i1", 1), whole.replace(b"(14,", b"(13,", 1)]
+        contents += [b"\x93NUMPY\x01\x00\x76\x00" + b"{" * 118 + whole[128:]]
+    for content in contents:
+        path.write_bytes(content)
+        with pytest.raises(InputError):
+            check_patterns(tmp_path / "p")
+    if form == "png":
+        for mode, size in (("L", (67, 50)), ("1", (50, 67))):
+            Image.new(mode, size).save(path)
+            with pytest.raises(InputError, match="one bit a pixel"):
+                check_patterns(tmp_path / "p")

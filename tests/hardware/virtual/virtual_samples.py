@@ -1,0 +1,35 @@
+"""Scenes and patterns that the tests of the virtual camera share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.optics import constraints
+from deepfsi.progress import Report
+
+DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
+SHAPE = (3, 4)
+SUMMED_REFLECTANCE = 7.0
+
+
+def scenes(number: int = 3, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    return np.random.default_rng(4).uniform(0.1, 1, (number, *shape)).astype(np.float32)
+
+
+def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", masks=5, dwell=2e-3):
+    """Export random masks, one of them with a dark rail."""
+    wild = np.random.default_rng(3).random((masks, 12)) - (0.5 if rails == "dual" else 0)
+    wild[1] = abs(wild[1])
+    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE)
+    return export_patterns(design, FrameSettings(DEVICE, dwell), folder)
+
+
+def into(shares: list[float]) -> Report:
+    """Report that keeps the shares."""
+    return Report(lambda share, _: shares.append(share))
