@@ -1,4 +1,4 @@
-"""What a larger classifier makes of impulse imaging: a bound for designs, and how tight it is.
+"""A larger classifier on impulse imaging: a bound for designs, and its tightness.
 
     python benchmarks/bound.py                          # MNIST, 1e2 to 1e5 photons
     python benchmarks/bound.py --epochs 1 --photons 1e4
@@ -42,7 +42,7 @@ def main(words: list[str] | None = None) -> None:
     arguments = parser.parse_args(words)
 
     data = load_dataset(arguments.data)
-    side, light = data.image_shape[0], summed_reflectance(data.x_train)
+    side, reflectance = data.image_shape[0], summed_reflectance(data.x_train)
     x, y = torch.from_numpy(data.x_train), torch.from_numpy(data.y_train)
     steps = len(x) // arguments.batch
     print("| photons | accuracy | 95 % interval, test images |")
@@ -50,11 +50,11 @@ def main(words: list[str] | None = None) -> None:
     for photons in arguments.photons:
         torch.manual_seed(0)
         net = network(side, len(data.classes))
-        unit = float((x[:1000].mean() * photons / light + 1e-12) ** 0.5)
+        unit = float((x[:1000].mean() * photons / reflectance + 1e-12) ** 0.5)
 
         def counts(scenes: torch.Tensor, photons=photons, unit=unit) -> torch.Tensor:
-            rates = photons_per_pixel(scenes, photons, light)
-            mean = photons_per_pixel(x.mean(dim=0), photons, light)
+            rates = photons_per_pixel(scenes, photons, reflectance)
+            mean = photons_per_pixel(x.mean(dim=0), photons, reflectance)
             return ((torch.poisson(rates) - mean) / unit).view(-1, 1, side, side)
 
         optimiser = torch.optim.AdamW(net.parameters())

@@ -1,4 +1,4 @@
-"""What training under stray light, on displaced scenes and with grey levels is worth there.
+"""Worth of training under stray light, on displaced scenes and with grey levels.
 
     python benchmarks/conditions.py                     # MNIST, 20 000 training images
     python benchmarks/conditions.py --data digits --scenes 600 --epochs 2 --masks 4

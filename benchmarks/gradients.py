@@ -219,32 +219,32 @@ def learn(
 
     With masks to `keep`, a matrix (m, N), the classifier alone.
     """
-    how = job.training
+    settings = job.training
     gain = job.photons / scenes.summed_reflectance
     main = torch.Generator().manual_seed(job.seed)
     second = torch.Generator().manual_seed(job.seed + 2**31)
     network = Mlp(
         job.masks,
         len(scenes.data.classes),
-        how.hidden,
+        settings.hidden,
         generator=torch.Generator().manual_seed(job.seed),
     )
     pixels = scenes.pixels(job.light)
-    matrix = scenes.matrix(how.start, job.masks, job.seed) if keep is None else keep
+    matrix = scenes.matrix(settings.start, job.masks, job.seed) if keep is None else keep
     start = torch.from_numpy(matrix).float()
     masks = Learned(start[:, pixels].unsqueeze(0), job.light, job.rails)
     groups = [
-        {"params": list(network.parameters()), "lr": how.lr},
-        {"params": list(masks.parameters()), "lr": how.mask_lr if keep is None else 0.0},
+        {"params": list(network.parameters()), "lr": settings.lr},
+        {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
     x, count = scenes.centred(job.light, torch.float32), len(scenes.labels)
-    batch = min(how.batch or min(max(count // 100, 32), 500), count)
+    batch = min(settings.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
-    optimiser = torch.optim.AdamW(groups, weight_decay=how.decay, fused=True)
+    optimiser = torch.optim.AdamW(groups, weight_decay=settings.decay, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, [group["lr"] for group in groups], total_steps=how.epochs * steps
+        optimiser, [group["lr"] for group in groups], total_steps=settings.epochs * steps
     )
-    for _ in range(how.epochs):
+    for _ in range(settings.epochs):
         order = torch.randperm(count, generator=main)[: steps * batch].view(steps, batch)
         for rows in order:
             # drawn for every estimator, so that all see the scenes in the same order
@@ -338,10 +338,10 @@ class Study:
         """Train once and classify the scenes of a part."""
         longer = self.arguments.longer if name == LONGER else 1
         lr, mask_lr = rates
-        how = TrainingSettings(
+        settings = TrainingSettings(
             epochs=self.arguments.epochs * longer, lr=lr, mask_lr=mask_lr, precision="float32"
         )
-        job = Job(masks=masks, photons=photons, seed=seed, training=how)
+        job = Job(masks=masks, photons=photons, seed=seed, training=settings)
         began = time.perf_counter()
         design = learn(self.scenes, job, ESTIMATORS.get(name))
         if name in (RETRAINED, TWICE):
@@ -350,7 +350,7 @@ class Study:
         seconds = time.perf_counter() - began
         (result,) = evaluate(design, self.parts[part], photons, seed=seed)
         done = Trial(
-            photons, masks, name, lr, mask_lr, how.epochs, seed, part, result.accuracy, seconds
+            photons, masks, name, lr, mask_lr, settings.epochs, seed, part, result.accuracy, seconds
         )
         self.trials.append(done)
         if self.arguments.csv:

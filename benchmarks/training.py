@@ -105,9 +105,11 @@ def our_epochs(
     scenes: TrainingSet, data: Dataset, masks: int, epochs: int, precision: str
 ) -> tuple[list[float], float]:
     """Seconds of each epoch, and test accuracy."""
-    how = TrainingSettings(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
+    settings = TrainingSettings(
+        epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision
+    )
     ticks: list[float] = []
-    job = Job(masks=masks, photons=BUDGET, training=how)
+    job = Job(masks=masks, photons=BUDGET, training=settings)
     design = train(
         scenes, [job], report=Report(lambda share, what: ticks.append(time.perf_counter()))
     )[0]

@@ -126,8 +126,8 @@ def test_a_step_with_straight_slopes_is_what_autograd_gives():
 
 def test_the_comparison_trains_as_the_package(digits):
     scenes = TrainingSet(digits, "cpu")
-    how = TrainingSettings(epochs=2, precision="float32")
-    job = Job(masks=6, photons=300, seed=3, training=how)
+    settings = TrainingSettings(epochs=2, precision="float32")
+    job = Job(masks=6, photons=300, seed=3, training=settings)
     (theirs,) = train(scenes, [job])
     ours = benchmark("gradients").learn(scenes, job, None)
     assert torch.allclose(ours.rails, theirs.rails, rtol=0, atol=1e-4)

@@ -113,12 +113,12 @@ def test_split_gives_positive_and_negative_parts():
 
 
 @every_optics
-@pytest.mark.parametrize("steps", [0, 1, 768])
+@pytest.mark.parametrize("levels", [0, 2, 769])
 @pytest.mark.parametrize("rate", [0.03, 3.0])
-def test_learned_masks_obey_after_every_step(light, rails, rate, steps):
+def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
     """Two replicas chase far more light than there is, with small and absurd steps."""
     start = torch.randn(2, 6, 16, generator=generator())
-    learned = Learned(start if rails == "dual" else start.abs(), light, rails, steps)
+    learned = Learned(start if rails == "dual" else start.abs(), light, rails, levels)
     target = 10 * torch.randn(2, 6, 16, generator=generator(1))
     optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
     for _ in range(40):
@@ -169,10 +169,11 @@ def some_rails(light: str, rails: str) -> Tensor:
 
 
 @every_optics
-@pytest.mark.parametrize("steps", [1, 2, 5, 768])
-def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, rails, steps):
+@pytest.mark.parametrize("levels", [2, 3, 6, 769])
+def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, rails, levels):
+    steps = levels - 1
     before = some_rails(light, rails)
-    shown = constraints.quantise(before, light, steps)
+    shown = constraints.quantise(before, light, levels)
     peak = before.sum(dim=1, keepdim=True) if light == "two-arm" else shown
     peak = peak.amax(dim=-1, keepdim=True)
     share = steps * shown / torch.where(peak > 0, peak, 1.0)
@@ -183,40 +184,40 @@ def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, ra
         if light != "column":  # which may have to be dimmed
             time = (before if light == "two-arm" else rails_before).amax() * (1 + FLOAT32)
             assert (rails_shown - rails_before).abs().max() <= time / (2 * steps)
-    if steps == 1:
+    if levels == 2:
         assert two_valued(shown)
 
 
 @every_optics
-@pytest.mark.parametrize("steps", [1, 7])
-def test_replicas_are_quantised_as_if_alone(light, rails, steps):
+@pytest.mark.parametrize("levels", [2, 8])
+def test_replicas_are_quantised_as_if_alone(light, rails, levels):
     before = some_rails(light, rails)
     before[1] *= 0.1
-    each = [constraints.quantise(one, light, steps) for one in before]
-    assert torch.equal(constraints.quantise(before, light, steps), torch.stack(each))
-    nested = constraints.quantise(before.view(3, 1, *before.shape[1:]), light, steps)
+    each = [constraints.quantise(one, light, levels) for one in before]
+    assert torch.equal(constraints.quantise(before, light, levels), torch.stack(each))
+    nested = constraints.quantise(before.view(3, 1, *before.shape[1:]), light, levels)
     assert torch.equal(nested[:, 0], torch.stack(each))
 
 
 def test_column_is_mended_where_rounding_up_would_break_it():
     """Two frames at 0.6 of their peaks, which round up to both of them: 1.2 times the light."""
     before = torch.tensor([[[0.6, 1.0, 0.0], [0.6, 0.0, 1.0]]]) / 1.2
-    shown = constraints.quantise(before, "column", 1)
+    shown = constraints.quantise(before, "column", 2)
     assert torch.equal(shown, torch.tensor([[[0.5, 0.5, 0.0], [0.5, 0.0, 0.5]]]))
 
 
-@pytest.mark.parametrize("steps", [0, -1])
-def test_a_device_needs_a_step(steps):
-    with pytest.raises(InputError, match="steps from dark to the peak are not allowed"):
-        constraints.quantise(torch.ones(1, 1, 2), "column", steps)
+@pytest.mark.parametrize("levels", [1, 0, -1])
+def test_a_device_needs_two_levels(levels):
+    with pytest.raises(InputError, match="grey levels are not allowed"):
+        constraints.quantise(torch.ones(1, 1, 2), "column", levels)
 
 
 @every_optics
-@pytest.mark.parametrize("steps", [1, 4])
-def test_gradients_go_straight_through_the_rounding(light, rails, steps):
+@pytest.mark.parametrize("levels", [2, 5])
+def test_gradients_go_straight_through_the_rounding(light, rails, levels):
     """They are those of the continuous masks, for what a loss asks of the quantised ones."""
     start = torch.rand(2, 4, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
-    shown, continuous = (Learned(start, light, rails, each) for each in (steps, 0))
+    shown, continuous = (Learned(start, light, rails, each) for each in (levels, 0))
     targets = torch.randn(2, 2, 4, 9, generator=generator(1))
 
     def loss(masks: tuple[Tensor, Tensor]) -> Tensor:
@@ -240,16 +241,16 @@ def test_gradients_go_straight_through_the_rounding(light, rails, steps):
 
 
 @every_optics
-@pytest.mark.parametrize("steps", [0, 1, 4])
-def test_learned_masks_count_their_lit_rails(light, rails, steps):
+@pytest.mark.parametrize("levels", [0, 2, 5])
+def test_learned_masks_count_their_lit_rails(light, rails, levels):
     start = torch.rand(2, 5, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
     start[:, 0] = start[:, 0].abs() + 1  # dark on one arm, once it is rounded
-    learned = Learned(start, light, rails, steps)
+    learned = Learned(start, light, rails, levels)
     masks = learned()
     counted = learned.lit(*masks)
     assert torch.equal(counted, scanner.lit(*masks))
     if light == "two-arm":
-        assert (counted[:, 0] == (1 if steps == 1 else 2)).all()
+        assert (counted[:, 0] == (1 if levels == 2 else 2)).all()
 
 
 @every_optics
@@ -275,11 +276,11 @@ def test_dwells_are_learned_shares_of_the_whole_time():
 
 
 @every_optics
-@pytest.mark.parametrize("steps", [0, 1])
-def test_replicas_do_not_touch_each_other(light, rails, steps):
+@pytest.mark.parametrize("levels", [0, 2])
+def test_replicas_do_not_touch_each_other(light, rails, levels):
     start = torch.rand(3, 4, 9, generator=generator()) + 0.1
-    together = Learned(start, light, rails, steps)()
-    alone = Learned(start[1], light, rails, steps)()
+    together = Learned(start, light, rails, levels)()
+    alone = Learned(start[1], light, rails, levels)()
     for whole, one in zip(together, alone, strict=True):
         assert torch.allclose(whole.expand(3, 4, 9)[1], one, atol=1e-7)
 

@@ -211,7 +211,7 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         y_test=whole.y_train[-2_000:],
     )
     scenes = TrainingSet(data, "cpu")
-    how = TrainingSettings(
+    settings = TrainingSettings(
         **{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
     )
     accuracy = []
@@ -222,7 +222,9 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         ("truncated-hadamard", 41),
         ("raster", 1024),
     ):
-        (one,) = train(scenes, [Job(design=design, masks=masks, photons=PHOTONS, training=how)])
+        (one,) = train(
+            scenes, [Job(design=design, masks=masks, photons=PHOTONS, training=settings)]
+        )
         accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
     assert accuracy == sorted(accuracy, reverse=True)
     assert accuracy[1] > 0.86

@@ -280,9 +280,9 @@ def test_fixed_masks_move_with_the_module():
     [("column", "dual"), ("column", "single"), ("free-dwell", "dual"), ("two-arm", "dual")],
 )
 @pytest.mark.parametrize("replicas", [(), (3,)])
-@pytest.mark.parametrize("steps", [0, 1])
+@pytest.mark.parametrize("levels", [0, 2])
 def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
-    light, rails, replicas, steps
+    light, rails, replicas, levels
 ):
     draw = generator(3)
     scenes = torch.rand(7, 12, generator=draw, dtype=torch.float64)
@@ -291,7 +291,7 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
     epsilon = torch.randn(7, *replicas, 5, generator=draw, dtype=torch.float64)
     start = torch.randn(*replicas, 5, 12, generator=draw, dtype=torch.float64)
     start[..., 2, :] = 0
-    masks = Learned(start.abs() if rails == "single" else start, light, rails, steps)
+    masks = Learned(start.abs() if rails == "single" else start, light, rails, levels)
     weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
 
     def expected() -> torch.Tensor:

@@ -31,7 +31,7 @@ from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product
 from deepfsi.training.learning import learn, train
 from deepfsi.training.training_set import TrainingSet
 
-HOW = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
+SETTINGS = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
 CPU = torch.device("cpu")
 
 
@@ -71,7 +71,7 @@ def together_and_alone(
 ) -> list[tuple[Design, Design]]:
     scenes = TrainingSet(digits, "cpu")
     same = {"design": design, "light": light, "rails": rails, "noise": noise}
-    jobs = [Job(masks=6, photons=photons, training=HOW, **same) for photons in (1e3, 1e4, 1e6)]
+    jobs = [Job(masks=6, photons=photons, training=SETTINGS, **same) for photons in (1e3, 1e4, 1e6)]
     return list(zip(train(scenes, jobs), [train(scenes, [job])[0] for job in jobs], strict=True))
 
 
@@ -136,12 +136,12 @@ def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
         ("deepfsi", {"light": "two-arm"}),
         ("deepfsi", {"rails": "single", "light": "free-dwell"}),
         ("control", {}),
-        ("pca", {"training": HOW.model_copy(update={"span": 100.0})}),
+        ("pca", {"training": SETTINGS.model_copy(update={"span": 100.0})}),
     ],
 )
 def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stacked):
     """With their weights stacked, as on a GPU, or not; alone they are not."""
-    change = {"training": HOW.model_copy(update={"start": "random"}), **change}
+    change = {"training": SETTINGS.model_copy(update={"start": "random"}), **change}
     jobs = [
         Job(design=design, masks=6, photons=photons, seed=seed, **change)
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
@@ -159,7 +159,7 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stac
 
 
 def test_replicas_learn_for_their_own_budget(digits):
-    jobs = [Job(masks=6, photons=photons, training=HOW) for photons in (1e2, 1e6)]
+    jobs = [Job(masks=6, photons=photons, training=SETTINGS) for photons in (1e2, 1e6)]
     starved, bright = train(TrainingSet(digits, "cpu"), jobs)
     assert not torch.allclose(starved.rails, bright.rails, atol=1e-3)
     assert (starved.std > 2 * bright.std).all()
@@ -167,7 +167,7 @@ def test_replicas_learn_for_their_own_budget(digits):
 
 def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
     jobs = [
-        Job(design="pca", masks=6, photons=1e3, noise="gaussian", sigma=sigma, training=HOW)
+        Job(design="pca", masks=6, photons=1e3, noise="gaussian", sigma=sigma, training=SETTINGS)
         for sigma in (1.0, 30.0)
     ]
     quiet, loud = train(TrainingSet(digits, "cpu"), jobs)
@@ -176,7 +176,7 @@ def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
 
 @pytest.mark.parametrize("change", [{"masks": 7}, {"light": "free-dwell"}])
 def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
-    job = Job(masks=6, photons=1e3, training=HOW)
+    job = Job(masks=6, photons=1e3, training=SETTINGS)
     with pytest.raises(ValueError, match="may differ in photons, sigma and seed only"):
         train(TrainingSet(digits, "cpu"), [job, job.model_copy(update=change)])
 
@@ -415,8 +415,10 @@ def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_a_precision_asked_for_is_used(precision):
-    how = TrainingSettings(precision=precision)
-    assert product_dtype(Job(masks=2, photons=1e8, training=how), CPU) == getattr(torch, precision)
+    settings = TrainingSettings(precision=precision)
+    assert product_dtype(Job(masks=2, photons=1e8, training=settings), CPU) == getattr(
+        torch, precision
+    )
 
 
 def rounding(digits, masks: int, photons: float) -> float:
@@ -519,7 +521,7 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
             seed=seed,
             light=light,
             rails=rails,
-            training=HOW.model_copy(update={"levels": 2, "mask_lr": 0.1}),
+            training=SETTINGS.model_copy(update={"levels": 2, "mask_lr": 0.1}),
         )
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
     ]

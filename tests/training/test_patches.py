@@ -160,8 +160,8 @@ def test_the_global_generator_is_left_alone(patches):
 
 
 def test_it_learns_in_bright_light(data, patches):
-    how = SMALL.model_copy(update={"epochs": 15, "lr": 5e-3})
-    made = train(patches, PatchJob(photons=1e6, patch=4, training=how))
+    settings = SMALL.model_copy(update={"epochs": 15, "lr": 5e-3})
+    made = train(patches, PatchJob(photons=1e6, patch=4, training=settings))
     result = evaluate(made, data, 1e6, draws=1)[0]
     assert result.accuracy > 0.8
     assert 0 < result.throughput <= 1 + FLOAT32

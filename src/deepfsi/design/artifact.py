@@ -253,7 +253,7 @@ class Design:
         Masks are multiples of 1 / (levels − 1) of each frame's peak. Classifier and statistics stay
         as they are; `TrainingSettings.levels` trains for such a device.
         """
-        return replace(self, rails=constraints.quantise(self.rails, self.light, levels - 1))
+        return replace(self, rails=constraints.quantise(self.rails, self.light, levels))
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.

@@ -16,6 +16,7 @@ import numpy as np
 from deepfsi.errors import InputError
 
 Array = TypeVar("Array")
+"""A numpy array or a tensor."""
 
 
 BUDGETS = (1e-12, 1e15)
@@ -52,7 +53,7 @@ def summed_reflectance(x: np.ndarray) -> float:
     return float(x.sum(axis=1, dtype=np.float64).mean())
 
 
-def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
+def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:
     """Expected photons per pixel, λ = Φ x / s.
 
     Parameters
@@ -61,7 +62,7 @@ def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
         Reflectance.
     photons : float
         Budget Φ, expected photons on the coding device.
-    light : float
+    summed_reflectance : float
         s of the training set, from `summed_reflectance`.
 
     Returns
@@ -75,7 +76,7 @@ def photons_per_pixel(x: Array, photons: float, light: float) -> Array:
     >>> deepfsi.photons_per_pixel(numpy.array([0.2, 0.6]), 1e2, 0.8)
     array([25., 75.])
     """
-    return x * (check_budget(photons) / light)  # type: ignore[operator, return-value]
+    return x * (check_budget(photons) / summed_reflectance)  # type: ignore[operator, return-value]
 
 
 def impulse_imaging_error(

@@ -17,7 +17,7 @@ from deepfsi.errors import InputError, closest
 
 @dataclass(frozen=True)
 class Code:
-    """What is known of a named design before any data.
+    """Properties of a named design that no data is needed for.
 
     Attributes
     ----------
@@ -100,7 +100,16 @@ def count_allowed(name: str, data: Dataset) -> tuple[int, int]:
 
 
 def check_count(name: str, masks: int, data: Dataset) -> int:
-    """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
+    """Return a mask count, or raise `InputError` if the design cannot have it on this data.
+
+    Parameters
+    ----------
+    name : str
+        A key of `DESIGNS`.
+    masks : int
+        m.
+    data : Dataset
+    """
     low, high = count_allowed(name, data)
     whole = not isinstance(masks, bool) and float(masks).is_integer()
     if not whole or not low <= masks <= high:
@@ -246,6 +255,13 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
 def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     """Linear discriminant directions, the supervised linear baseline that PCA is not.
 
+    Parameters
+    ----------
+    x : array, shape (n, N)
+    y : array of int, shape (n,)
+    masks : int
+        m.
+
     Returns
     -------
     array, shape (masks, N)
@@ -263,6 +279,13 @@ def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
 
     As frames of one rail a pair is what one class has more than the other, and the reverse. Where
     there are fewer pairs of different means than masks, principal components follow.
+
+    Parameters
+    ----------
+    x : array, shape (n, N)
+    y : array of int, shape (n,)
+    masks : int
+        m.
 
     Returns
     -------

@@ -18,7 +18,10 @@ from torch import Tensor
 from deepfsi.errors import InputError, closest
 
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
+"""Name of a light constraint."""
+
 Rails = Literal["dual", "single"]
+"""Rails of each mask: positive and negative part, or one non-negative frame."""
 
 SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `check` forgives."""
@@ -96,8 +99,8 @@ def equalise(rails: Tensor) -> Tensor:
     return rails / (peak(rails) * rails.shape[-2])
 
 
-def quantise(rails: Tensor, light: Light, steps: int) -> Tensor:
-    """Rails as a device shows them: each frame in steps of its own peak / `steps`.
+def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
+    """Rails as a device shows them: each frame in `levels` grey levels from dark to its own peak.
 
     Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two
     arms the positive rail is the pattern, and the other gets what is left of the time.
@@ -107,16 +110,17 @@ def quantise(rails: Tensor, light: Light, steps: int) -> Tensor:
     rails : tensor, shape (..., 2 or 1, m, N)
         Leading axes are replicas, each by itself.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    steps : int
-        From dark to the peak, at least 1: one less than the grey levels, of which dark is one.
+    levels : int
+        Grey levels, dark included, at least 2.
 
     Returns
     -------
     tensor
         Of the shape of `rails`.
     """
-    if steps < 1:
-        raise InputError(f"{steps} steps from dark to the peak are not allowed: give at least 1")
+    if levels < 2:
+        raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
+    steps = levels - 1
     if light == "two-arm":
         time = rails.sum(dim=-3).amax(dim=-1, keepdim=True)
         plus = (rails[..., 0, :, :] / _or_one(time) * steps).round() / steps * time
@@ -129,7 +133,7 @@ def quantise(rails: Tensor, light: Light, steps: int) -> Tensor:
 
 
 def excess(rails: Tensor, light: Light) -> float:
-    """How far rails (2 or 1, m, N) break a constraint: 0 or less if they obey it."""
+    """Relative excess of rails (2 or 1, m, N) over a constraint: 0 or less if they obey it."""
     if light == "column":
         return float(rails.sum(dim=(0, 1)).max()) - 1
     if light == "free-dwell":
@@ -144,7 +148,7 @@ def excess(rails: Tensor, light: Light) -> float:
 
 
 def used(rails: Tensor, light: Light) -> Tensor:
-    """How much of a constraint the first masks use: by the first k of them, for every k.
+    """Share of a constraint that the first k masks use, for every k.
 
     Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
     beginning of all, on one device, they have taken this share of its time.

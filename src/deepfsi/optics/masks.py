@@ -35,8 +35,8 @@ class Learned(nn.Module):
         single rail it must be non-negative.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     rails : {"dual", "single"}
-    steps : int
-        Of `quantise`, for masks as a device with grey levels shows them; 0 for continuous ones.
+    levels : int
+        Grey levels, dark included, of the device that shows the masks; 0 for continuous ones.
 
     Notes
     -----
@@ -51,10 +51,10 @@ class Learned(nn.Module):
 
     unit: Tensor
 
-    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual", steps: int = 0) -> None:
+    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual", levels: int = 0) -> None:
         super().__init__()
         check_light(light, rails)
-        self.light, self.rails, self.steps = light, rails, steps
+        self.light, self.rails, self.levels = light, rails, levels
         *replicas, masks, _ = start.shape
         if light == "column":
             fitted = start / start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
@@ -81,24 +81,24 @@ class Learned(nn.Module):
         return self._shown(matrix, matrix.abs())
 
     def rails_to_measure(self) -> Tensor:
-        """What `scanner.measure` needs: M alone, or difference and total (2, ..., m, N)."""
+        """Matrix M for `scanner.measure`, or difference and total (2, ..., m, N)."""
         if self.disjoint:
             return self.matrix()
         return pair(*self())
 
     def lit(self, difference: Tensor, total: Tensor) -> Tensor:
-        """How many rails of each mask are not dark, (..., m)."""
+        """Number of rails of each mask that are not dark, (..., m)."""
         time = total[..., 0].detach() if self.light == "two-arm" else 0
         least, most = difference.detach().aminmax(dim=-1)
         return (most > -time).int() + (least < time).int()
 
     @property
     def disjoint(self) -> bool:
-        """Whether the total is |M|, and its gradient that of |M|.
+        """True if the total is |M|, and its gradient that of |M|.
 
         So it is where there are two rails of which each pixel is on one, and no rounding.
         """
-        return self.rails == "dual" and self.light != "two-arm" and not self.steps
+        return self.rails == "dual" and self.light != "two-arm" and not self.levels
 
     def matrix(self) -> Tensor:
         """Difference M⁺ − M⁻ before it is quantised, (..., m, N)."""
@@ -116,10 +116,10 @@ class Learned(nn.Module):
         return pattern * time
 
     def _shown(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
-        if not self.steps:
+        if not self.levels:
             return difference, total
         with torch.no_grad():
-            shown = combine(quantise(separate(difference, total), self.light, self.steps))
+            shown = combine(quantise(separate(difference, total), self.light, self.levels))
         return _Through.apply(difference, shown[0]), _Through.apply(total, shown[1])  # type: ignore[no-untyped-call]
 
     def _dwell(self) -> Tensor:

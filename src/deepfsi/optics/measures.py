@@ -44,7 +44,7 @@ def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
 
 
 def effective_directions(matrix: np.ndarray) -> float:
-    """How many independent directions masks measure: their effective rank.
+    """Effective rank of masks: the number of independent directions that they measure.
 
     It is exp(H), with H the Shannon entropy of the singular values divided by their sum: m for
     orthogonal masks of equal norm, 1 for copies of one mask, in between where masks resemble each

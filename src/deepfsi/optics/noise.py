@@ -17,6 +17,7 @@ from torch import Tensor
 from deepfsi.errors import InputError, closest
 
 Noise = Literal["none", "gaussian", "poisson", "ml_gauss"]
+"""Name of a detector noise."""
 
 POISSON_LIMIT = 1e6
 """Rate in counts above which `poisson` samples the rounded Gaussian limit.
@@ -57,7 +58,16 @@ def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
 
 
 def gaussian(rate: Tensor, sigma: float, generator: torch.Generator | None = None) -> Tensor:
-    """Add read noise of `sigma` counts to each readout; shapes as `poisson`."""
+    """Add read noise to each readout; shapes as `poisson`.
+
+    Parameters
+    ----------
+    rate : tensor, any shape
+        Expected counts.
+    sigma : float
+        Standard deviation, counts per readout.
+    generator : torch.Generator, optional
+    """
     return rate + sigma * _normal(rate, generator)
 
 
@@ -66,14 +76,14 @@ def ml_gauss(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     return rate + root(rate) * _normal(rate, generator)
 
 
-def attach_gradient(counts: Tensor, mean: Tensor, light: Tensor) -> Tensor:
+def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
     """Let exact counts follow what their mean and variance depend on, as those of `ml_gauss` do.
 
     Parameters
     ----------
     counts : tensor, shape (..., m)
         y, of one rail or the difference of two, drawn at a mean μ and a variance L.
-    mean, light : tensor, shape (..., m)
+    mean, total : tensor, shape (..., m)
         μ and L: difference and sum of the rails' expected counts; of one rail, both its own.
 
     Returns
@@ -88,9 +98,9 @@ def attach_gradient(counts: Tensor, mean: Tensor, light: Tensor) -> Tensor:
     mean is that of [f′(k) + f′(k + 1)] / 2, because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule
     for what is exact, ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt.
     """
-    fixed = light.detach()
+    fixed = total.detach()
     pull = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)
-    return counts + (mean - mean.detach()) + pull * (light - fixed)
+    return counts + (mean - mean.detach()) + pull * (total - fixed)
 
 
 def root(rate: Tensor) -> Tensor:

@@ -40,7 +40,15 @@ class Scanner(nn.Module):
 
     @classmethod
     def from_rails(cls, rails: Tensor, noise: Noise = "poisson", sigma: float = 1.0) -> "Scanner":
-        """Scanner with fixed rails (2 or 1, m, N)."""
+        """Scanner with fixed rails.
+
+        Parameters
+        ----------
+        rails : tensor, shape (2 or 1, m, N)
+        noise : {"poisson", "gaussian", "ml_gauss", "none"}
+        sigma : float
+            Counts per readout, for gaussian noise.
+        """
         return cls(Fixed(rails), noise, sigma)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -65,8 +73,8 @@ class Scanner(nn.Module):
         difference, total = self.masks()
         if self.noise == "none":
             return project(photons, difference)
-        mean, light = project_pair(photons, difference, total, self.noise == "ml_gauss")
-        power = variance(light, lit(difference, total), self.noise, self.sigma)
+        mean, counts = project_pair(photons, difference, total, self.noise == "ml_gauss")
+        power = variance(counts, lit(difference, total), self.noise, self.sigma)
         return mean + root(power) * torch.randn(
             mean.shape, generator=generator, device=mean.device, dtype=mean.dtype
         )
@@ -109,17 +117,29 @@ def project(photons: Tensor, masks: Tensor) -> Tensor:
 def project_pair(
     photons: Tensor, difference: Tensor, total: Tensor, both: bool
 ) -> tuple[Tensor, Tensor]:
-    """Products with difference and total; the second is left out (the first twice) if not `both`.
+    """Products of scenes with difference and total of rails.
 
     A single rail's difference is its total, and so is their product.
+
+    Parameters
+    ----------
+    photons : tensor, shape (..., N)
+    difference, total : tensor, shape (*lead, m, N)
+    both : bool
+        If not, the product with the difference is returned twice.
+
+    Returns
+    -------
+    tuple of tensor
+        Each (..., *lead, m).
     """
     if difference is total or not both:
         mean = project(photons, difference)
         return mean, mean
     pair = torch.stack([difference.to(photons.dtype), total.to(photons.dtype)])
     wider = torch.promote_types(photons.dtype, difference.dtype)
-    mean, light = project(photons, pair).to(wider).unbind(-difference.ndim)
-    return mean, light
+    mean, counts = project(photons, pair).to(wider).unbind(-difference.ndim)
+    return mean, counts
 
 
 def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> Tensor:
@@ -157,8 +177,8 @@ class _Measure(torch.autograd.Function):
             low = torch.stack([low, low.abs()])
         products = project(scenes, low).to(epsilon.dtype)
         single = products.ndim == epsilon.ndim
-        mean, light = (products, products) if single else products.unbind(1)
-        deviation = (light[:-1] + light[-1]).clamp_(min=0).sqrt_()
+        mean, counts = (products, products) if single else products.unbind(1)
+        deviation = (counts[:-1] + counts[-1]).clamp_(min=0).sqrt_()
         ctx.save_for_backward(scenes, epsilon, deviation)
         ctx.signed, ctx.shape = signed, low.shape
         return torch.addcmul(mean[:-1], deviation, epsilon)
@@ -166,12 +186,12 @@ class _Measure(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None]:
         scenes, epsilon, deviation = ctx.saved_tensors
-        by_light = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
+        by_counts = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
         back = gradient.new_zeros(len(scenes), *ctx.shape[:-1])
-        mean, light = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
+        mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
         mean[:-1] = gradient
-        light[:-1] += by_light
-        light[-1] = by_light.sum(dim=0)
+        counts[:-1] += by_counts
+        counts[-1] = by_counts.sum(dim=0)
         product = (back.flatten(1).to(scenes.dtype).T @ scenes).view(ctx.shape)
         if ctx.signed:
             product = torch.addcmul(product[0], product[1], ctx.sign)

@@ -99,7 +99,7 @@ def feature_statistics(
 
 
 def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
-    """What budgets and numbers of masks do to the noise of each mask in the mean of training.
+    """Noise of each mask in the mean over the budgets and numbers of masks of a training.
 
     Parameters
     ----------

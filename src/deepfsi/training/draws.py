@@ -79,11 +79,11 @@ class SeedStream:
         return mean + self.noise.deviation(total, lit) * self.normal(mean.shape[-1])
 
     def repeated(self, shared: Tensor) -> Tensor:
-        """What is the same for all jobs (B, 1, …), for each of them (B, R, …)."""
+        """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""
         return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
 
     def part(self, every: Tensor) -> Tensor:
-        """What of all jobs, (R or 1, m), is of these."""
+        """Rows of these jobs in a tensor of all, (R or 1, m)."""
         return every[self.replicas] if len(every) > 1 else every
 
     def products(self, every: Tensor, step: int) -> Tensor:
@@ -95,7 +95,14 @@ class SeedStream:
 def seed_streams(
     jobs: Sequence[Job], noise: FeatureNoise, labels: Tensor, batch: int
 ) -> list[SeedStream]:
-    """Streams of jobs of which those of one seed follow one another; parameters as `SeedStream`."""
+    """Streams of jobs of which those of one seed follow one another.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    noise, labels, batch
+        As for `SeedStream`.
+    """
     streams, first = [], 0
     for seed, members in groupby(job.seed for job in jobs):
         last = first + len(list(members))

@@ -30,6 +30,7 @@ from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.training_set import TrainingSet
 
 Streams = list[SeedStream]
+"""Draws of the jobs of each seed, in the order of the jobs."""
 
 
 class Features(ABC):

@@ -1,4 +1,4 @@
-"""What is to be trained: one design with its light, noise and settings, checked before any work."""
+"""Jobs: one design with its light, noise and settings, checked before any work."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
@@ -19,6 +19,8 @@ from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 
 Precision = Literal["auto", "float32", "bfloat16"]
+"""Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
+
 REVISION = 1
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
@@ -29,7 +31,8 @@ Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻�
 """
 
 
-Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""Above 0, finite."""
 
 
 def _start(name: str) -> str:
@@ -39,6 +42,7 @@ def _start(name: str) -> str:
 
 
 Start = Annotated[str, AfterValidator(_start)]
+"""Name of a design with a matrix of its own."""
 
 
 def _levels(count: int) -> int:
@@ -48,17 +52,18 @@ def _levels(count: int) -> int:
 
 
 Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
+"""Grey levels, dark included; 0 for continuous masks."""
 
 
 class TrainingSettings(BaseModel):
-    """How a design is trained; all that do so together share one."""
+    """Settings of a training; all designs that train together share them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     epochs: int = Field(40, ge=1)
     batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
-    lr: Rate = Field(1e-2, description="peak of the one-cycle schedule")
-    mask_lr: Rate = Field(1e-1, description="the same for masks, relative to their rms")
+    lr: LearningRate = Field(1e-2, description="peak of the one-cycle schedule")
+    mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
     hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
     dropout: float = Field(0.0, ge=0, lt=1)
     scale: Literal["each", "common"] = Field("common", description="spread of features")
@@ -91,13 +96,8 @@ class TrainingSettings(BaseModel):
 
     @property
     def conditioned(self) -> bool:
-        """Whether budget and number of masks shown are inputs of the classifier."""
+        """True if budget and number of masks shown are inputs of the classifier."""
         return self.span > 1 or self.nested > 0
-
-    @property
-    def steps(self) -> int:
-        """Grey steps from dark to the peak; 0 for continuous masks."""
-        return max(self.levels - 1, 0)
 
 
 TUNED: dict[str, dict[str, Any]] = {
@@ -115,7 +115,7 @@ readouts at one setting at most). Designs not named here, but for learned ones a
 
 
 def training_for(design: str, **settings: Any) -> TrainingSettings:
-    """How a design is trained: the defaults, what suits the design, then `settings`.
+    """Settings of a design: the defaults, those tuned for the design, then `settings`.
 
     Masks of several looks start from `class-pairs` (0.866 on MNIST's validation images at 1e4
     photons, 64 masks and 4 looks; 0.845 from principal components).
@@ -125,6 +125,7 @@ def training_for(design: str, **settings: Any) -> TrainingSettings:
 
 
 TrainingNoise = Literal["ml_gauss", "poisson", "gaussian", "none"]
+"""Name of a noise that masks and classifier are trained under."""
 
 
 class Job(BaseModel):
@@ -144,7 +145,7 @@ class Job(BaseModel):
 
     @property
     def code(self) -> codes.Code:
-        """What is known of the named design; `InputError` if it does not exist."""
+        """Properties of the named design; `InputError` if it does not exist."""
         return codes.DESIGNS[codes.check_design(self.design)]
 
     @property
@@ -162,7 +163,7 @@ class Job(BaseModel):
         return light, "single" if self.code.single_rail else self.rails
 
     def companions(self, device: torch.device) -> tuple[Any, ...]:
-        """What jobs must have in common to be trained together: all but budget, sigma and seed."""
+        """Key that jobs trained together share: all but budget, sigma and seed."""
         apart = {"photons", "sigma", "seed"}
         return (self.model_dump_json(exclude=apart), product_dtype(self.masks_from(), device))
 
@@ -198,7 +199,15 @@ def product_dtype(job: Job, device: torch.device) -> torch.dtype:
 
 
 def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
-    """Raise `InputError` for whatever a job asks that cannot be had on this data."""
+    """Raise `InputError` for whatever a job asks that cannot be had on this data.
+
+    Parameters
+    ----------
+    job : Job
+    data : Dataset
+    matrix : array, shape (m, N), optional
+        Of a "custom" design.
+    """
     if job.training.looks > 1:
         _check_looks(job)
     if job.training.conditioned and job.noise != "ml_gauss":

@@ -27,7 +27,7 @@ def initial_masks(
     """
     job = jobs[0]
     light, rails = job.optics
-    steps, several = job.training.steps, job.training.looks > 1
+    levels, several = job.training.levels, job.training.looks > 1
     if matrix is not None:
         signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32)).unsqueeze(0)
     else:
@@ -35,7 +35,7 @@ def initial_masks(
         signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
     if job.code.learned:
         start = signed[..., training_set.pixels(light).cpu()].expand(len(jobs), -1, -1).clone()
-        return Learned(start, "equal-dwell" if several else light, rails, steps)
+        return Learned(start, "equal-dwell" if several else light, rails, levels)
     if matrix is not None:
         fitted = constraints.check(constraints.expand(signed[0], light, rails), light).unsqueeze(0)
     elif job.design == "raster":  # its scale is what defines it
@@ -43,7 +43,7 @@ def initial_masks(
     else:
         fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
     fitted = constraints.equalise(fitted) if several else fitted
-    return Fixed(constraints.quantise(fitted, light, steps) if steps else fitted)
+    return Fixed(constraints.quantise(fitted, light, levels) if levels else fitted)
 
 
 def final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:

@@ -31,7 +31,7 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     job, scene = jobs[0], training_set.full[0].numel()
     count, replicas = len(training_set.labels), len(jobs)
     masks, batch = replicas * job.masks, batch_of(job.training, count)
-    copies = MASK_COPIES + (QUANTISED_MASK_COPIES if job.training.steps else 0)
+    copies = MASK_COPIES + (QUANTISED_MASK_COPIES if job.training.levels else 0)
     learned = copies * masks * scene if job.masks_from().code.learned else 0
     own = replicas if job.design in ("control", "random") else 1
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks

@@ -31,7 +31,7 @@ from deepfsi.optics.budget import BUDGETS, summed_reflectance
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.noise import variance
 from deepfsi.optics.scanner import Scanner, lit, project
-from deepfsi.training.job import BFLOAT16_COUNTS, Precision, Rate
+from deepfsi.training.job import BFLOAT16_COUNTS, LearningRate, Precision
 from deepfsi.training.training_set import find_device
 
 REVISION = 1
@@ -50,8 +50,8 @@ class PatchTraining(BaseModel):
 
     epochs: int = Field(15, ge=1)
     batch: int = Field(100, ge=2)
-    lr: Rate = Field(2e-3, description="peak of the one-cycle schedule")
-    mask_lr: Rate = Field(2e-2, description="the same for masks, relative to their rms")
+    lr: LearningRate = Field(2e-3, description="peak of the one-cycle schedule")
+    mask_lr: LearningRate = Field(2e-2, description="the same for masks, relative to their rms")
     decay: float = Field(0.05, ge=0, allow_inf_nan=False, description="of the transformer")
     scale: Literal["each", "common"] = Field("common", description="spread of features")
     width: int = Field(64, ge=1)

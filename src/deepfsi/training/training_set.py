@@ -13,6 +13,7 @@ from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.constraints import Light
 
 Matrices = dict[tuple[str, int, int], np.ndarray]
+"""Sensing matrices (m, N) by design, number of masks and seed."""
 
 
 class TrainingSet:
@@ -76,7 +77,17 @@ class TrainingSet:
             self.matrix(name, 1, 0)
 
     def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
-        """Sensing matrix of a fixed design; principal components are computed once for all m."""
+        """Sensing matrix of a fixed design; principal components are computed once for all m.
+
+        Parameters
+        ----------
+        name : str
+            A key of `codes.DESIGNS`.
+        masks : int
+            m.
+        seed : int
+            For "random" only.
+        """
         codes.check_count(name, masks, self.data)
         whole = self.data.pixels if name == "pca" else masks
         key = (name, whole, seed if name == "random" else 0)
