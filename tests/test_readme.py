@@ -1,5 +1,6 @@
 """What the README shows is run: every block of Python, and every command with all its options."""
 
+import os
 import re
 import shlex
 from pathlib import Path
@@ -62,12 +63,13 @@ def test_a_camera_by_files_alone(tmp_path, monkeypatch, capsys):
 
 
 def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
-    """On digits and small; the cluster's line is for `test_cluster`."""
+    """On digits, small, in one process; the cluster's line is for `test_cluster`."""
     from test_experiments import EVERY, experiment, tiny
 
     from deepfsi import cli
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     recipes = {each.name: tiny(each, 1) for each in EVERY}
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
     (tmp_path / "recipes").mkdir()
