@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
+from deepfsi.design.answers import Estimate
+from deepfsi.design.stopping import Stopped, StoppingRule
 from deepfsi.experiments.flexible import claims as flexible
+from deepfsi.experiments.flexible.measures import Measures, Prefix
 from shared.results import a_point, some_results
 
 LIGHTS = (1e3, 1e4)
@@ -18,53 +23,57 @@ def point(recipe, accuracy, **fields):
 
 
 def rate(mean):
-    return {"mean": mean, "low": mean - 0.001, "high": mean + 0.001}
+    return Estimate(mean, mean - 0.001, mean + 0.001)
+
+
+def stopped_trials(used, lost, spread):
+    """Exposures of three trials that stop early."""
+    return [
+        Stopped(
+            photons=1e5,
+            rule=StoppingRule((1, 2), (1.0, 1.0), 0.9),
+            used=rate(used + change),
+            whole=rate(0.9),
+            stopped=rate(0.9 - lost),
+            difference=rate(-lost + change * spread),
+            stops=[0.5, 0.5],
+            confidence=0.9,
+            calibration_error=0.01,
+            uncalibrated_error=0.02,
+            log_loss=0.1,
+            uncalibrated_log_loss=0.2,
+            reliability=[],
+            rejection=[{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
+            curve=[{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
+            validation={},
+            images=10,
+            draws=1,
+        )
+        for change in SHIFTS
+    ]
 
 
 def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001):
+    fixed = [{"design": d, "label": d.upper(), "title": d} for d in ("pca", "truncated-hadamard")]
     points = [
         *(point("budgets", 0.9, photons=p) for p in LIGHTS),
-        *(
-            point("budgets", 0.7, photons=p, design=d, label=d.upper(), title=d)
-            for p in LIGHTS
-            for d in ("pca", "truncated-hadamard")
-        ),
+        *(point("budgets", 0.7, photons=p, **design) for p in LIGHTS for design in fixed),
         point("counts", 0.9, masks=10),
-        *(
-            point("counts", 0.7, masks=10, design=d, label=d.upper(), title=d)
-            for d in ("pca", "truncated-hadamard")
-        ),
+        *(point("counts", 0.7, masks=10, **design) for design in fixed),
         *(point("range", ranged, photons=p, trained_at=2e2) for p in LIGHTS),
         point("nested", 0.9),
         point("stop", 0.9, photons=1e5),
         *(point("plain", 0.9, photons=p) for p in (5e4, 1e5)),
     ]
-    stopped, looked = (
-        [
-            {
-                "photons": 1e5,
-                "used": rate(used + change),
-                "whole": rate(0.9),
-                "stopped": rate(0.9 - lost),
-                "difference": rate(-lost + change * spread),
-                "calibration_error": 0.01,
-                "uncalibrated_error": 0.02,
-                "stops": [0.5, 0.5],
-                "rule": {"after": [1, 2]},
-                "curve": [{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
-                "rejection": [{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
-            }
-            for change in SHIFTS
-        ]
-        for used, lost in ((used, lost), (looked, 0.0))
-    )
     prefixes = [
-        point(recipe, first if masks == 10 else 0.9, masks=masks, photons=1e4)
+        Prefix(
+            recipe, masks, masks / 1024, 1e4, tuple(each + SHIFTS), each, each - 0.002, each + 0.002
+        )
         for recipe in ("nested", "both")
-        for masks in (10, 92)
+        for masks, each in ((10, first), (92, 0.9))
     ]
-    extra = {"prefixes": prefixes, "stopped": stopped, "looked": looked}
-    return some_results(points, extra=extra)
+    trials = stopped_trials(used, lost, spread), stopped_trials(looked, 0.0, spread)
+    return some_results(points, extra=asdict(Measures(prefixes, *trials)))
 
 
 @pytest.mark.parametrize(
@@ -94,5 +103,5 @@ def test_tables_hold_the_differences():
 
 
 def test_a_single_trial_has_the_interval_of_its_images():
-    found = flexible._over([{"mean": 0.4, "low": 0.3, "high": 0.5}])
+    found = flexible.mean_rate([Estimate(0.4, 0.3, 0.5)])
     assert (found.low, found.high) == pytest.approx((0.3, 0.5))

@@ -4,19 +4,19 @@ One design stands against many that were each trained for one budget or one numb
 the same network and on the same scenes. The targets are our own.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy import stats
 
-from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
-from deepfsi.design.stopping import stop
+from deepfsi.design.answers import Estimate
+from deepfsi.design.stopping import Stopped
 from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
 from deepfsi.experiments.flexible.figures import Line, Stops, lines_figure, stopping_figure
+from deepfsi.experiments.flexible.measures import Measures, Prefix, measure
 from deepfsi.report.maps import accuracy_grid, heat_figure
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
@@ -28,8 +28,7 @@ from deepfsi.statistics.differences import (
     of_trials,
     signed,
 )
-from deepfsi.sweeps.queue import Report
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point, Results
 
 RANGE_LOSS, NESTED_LOSS = 0.01, 0.015
 """Accuracy that one design may lose against each of those that it stands for."""
@@ -42,216 +41,157 @@ PAPER = (
     "was trained for, and that the number of masks matters."
 )
 
-Trials = Mapping[str, Any]
-"""Accuracies by trial, with the interval of one, as a point of the results has them."""
+LEARNED = "deepfsi"
+"""Name of the design that is trained for one budget or one number of masks."""
+
+Place = Any
+"""Photon budget or number of masks."""
+
+Text = Callable[[Place], str | int]
 
 
-def measure(
-    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
-) -> dict[str, Any]:
-    """Test the first masks of nested designs, and stop exposures early."""
-    base = points(results, recipe="budgets")
-    counts = sorted({p["masks"] for p in [*base, *points(results, recipe="counts")]})
-    prefixes = []
-    for name in ("nested", "both"):
-        report(0.0, "first masks")
-        members = points(results, recipe=name)
-        made = _load(designs, members[0])
-        lights = budgets(members)
-        for masks in counts:
-            if not made[0].fewest_masks <= masks <= made[0].masks:
-                continue
-            tests = [
-                evaluate(design.first(masks), data, lights, draws=1, seed=seed)
-                for seed, design in enumerate(made)
-            ]
-            prefixes += [
-                {
-                    "recipe": name,
-                    "masks": masks,
-                    "ratio": masks / data.pixels,
-                    "photons": photons,
-                    **_trials([each[place] for each in tests]),
-                }
-                for place, photons in enumerate(lights)
-            ]
-    report(0.5, "stopping")
-    stopped = {}
-    for name in ("stop", "looks"):
-        [point] = points(results, recipe=name)
-        held_out = results["data"]["validation"]
-        stopped[name] = [
-            stop(design, data, point["photons"], held_out=held_out, draws=1, seed=seed).as_dict()
-            for seed, design in enumerate(_load(designs, point))
+@dataclass(frozen=True)
+class Rivalry:
+    """One design for all places of an axis against designs of their own.
+
+    Attributes
+    ----------
+    axis : str
+        Field of the points: `photons` or `masks`.
+    one : dict
+        Place → test of the one design.
+    own : dict
+        (design, place) → test of a design of its own.
+    """
+
+    axis: str
+    one: Mapping[Place, Point | Prefix]
+    own: Mapping[tuple[str, Place], Point]
+
+    @property
+    def places(self) -> list[Place]:
+        """Places where a learned design of its own was trained."""
+        return [place for place in self.one if (LEARNED, place) in self.own]
+
+    @property
+    def differences(self) -> dict[Place, Difference]:
+        """Accuracy of the one design less that of the learned design of its own."""
+        return {
+            place: difference(self.one[place], self.own[(LEARNED, place)]) for place in self.places
+        }
+
+    @property
+    def fixed(self) -> dict[str, str]:
+        """Labels of the other designs."""
+        return {name: p.label for (name, _), p in self.own.items() if name != LEARNED}
+
+    def table(self, caption: str, heads: tuple[str, str], text: Text) -> Table:
+        """Accuracies at every place, and the differences.
+
+        Parameters
+        ----------
+        caption : str
+        heads : tuple of str
+            Of the places and of the one design.
+        text : callable
+            How a place is written.
+        """
+        differences = self.differences
+        return Table(
+            caption,
+            (*heads, "dedicated", "difference", *self.fixed.values()),
+            tuple(
+                (
+                    text(place),
+                    self.one[place].accuracy,
+                    self.own[(LEARNED, place)].accuracy,
+                    str(differences[place]),
+                    *(self.own[(name, place)].accuracy for name in self.fixed),
+                )
+                for place in self.places
+            ),
+        )
+
+    def lines(self, one: str, own: str) -> list[Line]:
+        """The one design, the learned ones of their own, and the others, under these names."""
+        named = [(own, LEARNED), *((label, name) for name, label in self.fixed.items())]
+        return [
+            _line(one, "flexible", self.one.values(), self.axis),
+            *(
+                _line(text, name, [self.own[(name, place)] for place in self.places], self.axis)
+                for text, name in named
+            ),
         ]
-    return {
-        "prefixes": prefixes,
-        "stopped": stopped["stop"],
-        "looked": stopped["looks"],
-    }
+
+    def lowest(self, text: Text) -> str:
+        """The lowest difference, and where it is."""
+        differences = self.differences
+        place = min(differences, key=lambda place: differences[place].mean)
+        return f"{differences[place]} at {text(place)}"
 
 
-def _load(folder: Path, point: Mapping[str, Any]) -> list[Design]:
-    return [Design.load(folder / f"{key}.safetensors") for key in point["keys"]]
+@dataclass(frozen=True)
+class Saving:
+    """Share of the photons that stopping early saves, and accuracy that it loses."""
 
-
-def _trials(tests: Sequence[Any]) -> dict[str, Any]:
-    accuracies = [test.accuracy for test in tests]
-    low, high = (
-        of_trials(accuracies).interval() if len(tests) > 1 else (tests[0].low, tests[0].high)
-    )
-    return {
-        "accuracies": accuracies,
-        "accuracy": float(np.mean(accuracies)),
-        "low": low,
-        "high": high,
-    }
+    share: Difference
+    loss: Difference
 
 
 def show(results: Results) -> Finding:
     """Lines against budget and masks, what stopping saves, and heat maps; four claims."""
-    extra = results["extra"]
-    ranged, range_table, range_panel = _range(results)
-    nested, nested_table, nested_panel = _nested(results)
-    saved, lost = _stopping(extra["stopped"])
-    saved_by_looks, lost_by_looks = _stopping(extra["looked"])
-    at = extra["stopped"][0]["photons"]
-    nested_at = photons_text(points(results, recipe="nested")[0]["photons"])
-    claims = (
-        Claim(
-            f"One design for all budgets loses at most {RANGE_LOSS} against each dedicated one",
-            above(ranged.values(), -RANGE_LOSS),
-            f"lowest {_lowest(ranged, photons_text)} photons",
+    measures = TypeAdapter(Measures).validate_python(results.extra)
+    ranged, nested = _range(results), _nested(results, measures.prefixes)
+    savings = _saving(measures.stopped), _saving(measures.looked)
+    at = photons_text(measures.stopped[0].photons)
+    nested_at = photons_text(points(results, recipe="nested")[0].photons)
+    return Finding(
+        _found(ranged, nested, savings, at),
+        (
+            _lines_picture(results, ranged, nested, nested_at),
+            _stopping_picture(results, measures),
+            _heat_picture(results, measures.prefixes),
         ),
-        Claim(
-            f"The first masks of one design lose at most {NESTED_LOSS} against dedicated ones at "
-            f"{nested_at} photons",
-            above(nested.values(), -NESTED_LOSS),
-            f"lowest {_lowest(nested, str)} masks",
-        ),
-        *(
-            Claim(
-                f"Stopping exposures of {kind} early saves {SAVED:.0%} of the photons and loses "
-                f"less than {EQUAL} at {photons_text(at)} photons",
-                _both(above([share], SAVED), above([-loss], -EQUAL)),
-                f"saved {share}, lost {loss}",
-            )
-            for kind, share, loss in (
-                ("nested masks", saved, lost),
-                ("several looks", saved_by_looks, lost_by_looks),
-            )
+        (*_accuracy_claims(ranged, nested, nested_at), *_stopping_claims(savings, at)),
+        (
+            ranged.table(
+                "One design for all budgets, and designs for one budget each, tested at it",
+                ("photons", "range"),
+                photons_text,
+            ),
+            nested.table(
+                f"The first masks of one design at {nested_at} photons, and designs of so many",
+                ("masks", "first masks"),
+                int,
+            ),
+            _stop_table(results, measures),
         ),
     )
-    pictures = (
-        Picture(
-            lines_figure({"photon budget Φ": range_panel, "masks shown": nested_panel}),
-            "Left: one design for all budgets, against those for one budget each, there and "
-            f"(dotted) elsewhere. Right: the first masks of one design at {nested_at} photons, "
-            "against designs of that many. Bars: 95 % intervals.",
-            "Accuracy against budget and against masks; numbers in the tables.",
-        ),
-        _stopping_picture(results),
-        _heat_picture(results),
+
+
+# ---------------------------------------------------------------- numbers
+
+
+def _range(results: Results) -> Rivalry:
+    """The design for all budgets against those for one."""
+    own = [p for p in points(results, recipe="budgets") if p.photons == p.trained_at]
+    return Rivalry(
+        "photons",
+        {p.photons: p for p in points(results, recipe="range")},
+        {(p.design, p.photons): p for p in own},
     )
-    found = (
-        f"One design for all budgets is at its lowest {_lowest(ranged, photons_text)} photons, "
-        "against the one trained for that budget; the first masks of a nested design are at their "
-        f"lowest {_lowest(nested, str)} masks, against the design of so many. Stopping early saves "
-        f"{saved.mean:.0%} of {photons_text(at)} photons with nested masks and changes accuracy by "
-        f"{signed(0.0 - lost.mean, 4)}; with several looks, whose counts choose the dwells of the "
-        f"next, {saved_by_looks.mean:.0%} and {signed(0.0 - lost_by_looks.mean, 4)}."
-    )
-    return Finding(found, pictures, claims, (range_table, nested_table, _stop_table(results)))
 
 
-def _lowest(differences: Mapping[Any, Difference], text: Any) -> str:
-    place = min(differences, key=lambda place: differences[place].mean)
-    return f"{differences[place]} at {text(place)}"
+def _nested(results: Results, prefixes: Iterable[Prefix]) -> Rivalry:
+    """The first masks of a nested design against designs of so many."""
+    members = [p for p in prefixes if p.recipe == "nested"]
+    own = [p for p in _counts(results, members[0].photons) if p.photons == p.trained_at]
+    dedicated = {(p.design, p.masks): p for p in own}
+    shown = {p.masks: p for p in members if (LEARNED, p.masks) in dedicated}
+    return Rivalry("masks", shown, dedicated)
 
 
-def _both(first: bool | None, second: bool | None) -> bool | None:
-    if first is False or second is False:
-        return False
-    return True if first and second else None
-
-
-def _range(results: Results) -> tuple[dict[float, Difference], Table, list[Line]]:
-    ranged = {p["photons"]: p for p in points(results, recipe="range")}
-    base = points(results, recipe="budgets")
-    own = {(p["design"], p["photons"]): p for p in base if p["photons"] == p["trained_at"]}
-    lights = [photons for photons in ranged if ("deepfsi", photons) in own]
-    differences = {p: difference(ranged[p], own[("deepfsi", p)]) for p in lights}
-    fixed = [design for design in dict.fromkeys(p["design"] for p in base) if design != "deepfsi"]
-    labels = {p["design"]: p["label"] for p in base}
-    table = Table(
-        "One design for all budgets, and designs for one budget each, tested at it",
-        ("photons", "range", "dedicated", "difference", *(labels[each] for each in fixed)),
-        tuple(
-            (
-                photons_text(p),
-                ranged[p]["accuracy"],
-                own[("deepfsi", p)]["accuracy"],
-                str(differences[p]),
-                *(own[(design, p)]["accuracy"] for design in fixed),
-            )
-            for p in lights
-        ),
-    )
-    panel = [_line("one design for all", "flexible", ranged.values(), "photons")]
-    panel.append(
-        _line("one for each budget", "deepfsi", [own[("deepfsi", p)] for p in lights], "photons")
-    )
-    for number, trained_at in enumerate(lights):
-        elsewhere = [p for p in base if (p["design"], p["trained_at"]) == ("deepfsi", trained_at)]
-        name = "" if number else "the same, elsewhere"
-        panel.append(_line(name, "elsewhere", elsewhere, "photons", bars=False))
-    panel += [
-        _line(labels[design], design, [own[(design, p)] for p in lights], "photons")
-        for design in fixed
-    ]
-    return differences, table, panel
-
-
-def _nested(results: Results) -> tuple[dict[int, Difference], Table, list[Line]]:
-    prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "nested"]
-    photons = prefixes[0]["photons"]
-    dedicated = {
-        (p["design"], p["masks"]): p
-        for p in _counts(results, photons)
-        if p["photons"] == p["trained_at"]
-    }
-    shown = {p["masks"]: p for p in prefixes if ("deepfsi", p["masks"]) in dedicated}
-    differences = {k: difference(p, dedicated[("deepfsi", k)]) for k, p in shown.items()}
-    fixed = [d for d in dict.fromkeys(design for design, _ in dedicated) if d != "deepfsi"]
-    labels = {p["design"]: p["label"] for p in dedicated.values()}
-    table = Table(
-        f"The first masks of one design at {photons_text(photons)} photons, and designs of so many",
-        ("masks", "first masks", "dedicated", "difference", *(labels[each] for each in fixed)),
-        tuple(
-            (
-                k,
-                p["accuracy"],
-                dedicated[("deepfsi", k)]["accuracy"],
-                str(differences[k]),
-                *(dedicated[(design, k)]["accuracy"] for design in fixed),
-            )
-            for k, p in shown.items()
-        ),
-    )
-    panel = [
-        _line("first masks of one design", "flexible", shown.values(), "masks"),
-        _line(
-            "one for each number", "deepfsi", [dedicated[("deepfsi", k)] for k in shown], "masks"
-        ),
-    ]
-    panel += [
-        _line(labels[design], design, [dedicated[(design, k)] for k in shown], "masks")
-        for design in fixed
-    ]
-    return differences, table, panel
-
-
-def _counts(results: Results, photons: float) -> list[Trials]:
+def _counts(results: Results, photons: float) -> list[Point]:
     """Points of designs trained at a budget, of every number of masks."""
     return [
         point
@@ -260,34 +200,96 @@ def _counts(results: Results, photons: float) -> list[Trials]:
     ]
 
 
-def _stopping(stopped: Sequence[Mapping[str, Any]]) -> tuple[Difference, Difference]:
-    """Share of the photons that stopping saves, and accuracy that it loses."""
-    saved = _over([{**each["used"], "mean": 1 - each["used"]["mean"]} for each in stopped])
-    lost = _over([{**each["difference"], "mean": -each["difference"]["mean"]} for each in stopped])
-    return saved, lost
+def _saving(stopped: Sequence[Stopped]) -> Saving:
+    return Saving(
+        mean_rate([replace(each.used, mean=1 - each.used.mean) for each in stopped]),
+        mean_rate([replace(each.difference, mean=-each.difference.mean) for each in stopped]),
+    )
 
 
-def _stop_table(results: Results) -> Table:
-    plain = {p["photons"]: p["accuracy"] for p in points(results, recipe="plain")}
+def mean_rate(rates: Sequence[Estimate]) -> Difference:
+    """Mean over trials; of a single one with its interval over images."""
+    if len(rates) > 1:
+        return of_trials([rate.mean for rate in rates])
+    [rate] = rates
+    half = (rate.high - rate.low) / 2
+    return Difference(rate.mean, half / float(stats.norm.ppf((1 + CONFIDENCE) / 2)))
+
+
+# ---------------------------------------------------------------- words and claims
+
+
+def _found(ranged: Rivalry, nested: Rivalry, savings: tuple[Saving, Saving], at: str) -> str:
+    saved, by_looks = savings
+    return (
+        f"One design for all budgets is at its lowest {ranged.lowest(photons_text)} photons, "
+        "against the one trained for that budget; the first masks of a nested design are at their "
+        f"lowest {nested.lowest(str)} masks, against the design of so many. Stopping early saves "
+        f"{saved.share.mean:.0%} of {at} photons with nested masks and changes accuracy by "
+        f"{signed(0.0 - saved.loss.mean, 4)}; with several looks, whose counts choose the dwells "
+        f"of the next, {by_looks.share.mean:.0%} and {signed(0.0 - by_looks.loss.mean, 4)}."
+    )
+
+
+def _accuracy_claims(ranged: Rivalry, nested: Rivalry, nested_at: str) -> tuple[Claim, Claim]:
+    return (
+        Claim(
+            f"One design for all budgets loses at most {RANGE_LOSS} against each dedicated one",
+            above(ranged.differences.values(), -RANGE_LOSS),
+            f"lowest {ranged.lowest(photons_text)} photons",
+        ),
+        Claim(
+            f"The first masks of one design lose at most {NESTED_LOSS} against dedicated ones at "
+            f"{nested_at} photons",
+            above(nested.differences.values(), -NESTED_LOSS),
+            f"lowest {nested.lowest(str)} masks",
+        ),
+    )
+
+
+def _stopping_claims(savings: tuple[Saving, Saving], at: str) -> list[Claim]:
+    return [
+        Claim(
+            f"Stopping exposures of {kind} early saves {SAVED:.0%} of the photons and loses "
+            f"less than {EQUAL} at {at} photons",
+            _both(above([each.share], SAVED), above([-each.loss], -EQUAL)),
+            f"saved {each.share}, lost {each.loss}",
+        )
+        for kind, each in zip(("nested masks", "several looks"), savings, strict=True)
+    ]
+
+
+def _both(first: bool | None, second: bool | None) -> bool | None:
+    if first is False or second is False:
+        return False
+    return True if first and second else None
+
+
+def _stop_table(results: Results, measures: Measures) -> Table:
     rows: list[tuple[str, float, float]] = []
     errors = []
-    for name, kind in (("stopped", "nested"), ("looked", "several looks")):
-        trials = results["extra"][name]
-        photons = trials[0]["photons"]
-        used, whole, stopped = (
-            float(np.mean([each[part]["mean"] for each in trials]))
-            for part in ("used", "whole", "stopped")
-        )
+    for trials, kind in ((measures.stopped, "nested"), (measures.looked, "several looks")):
+        photons = trials[0].photons
+        used, whole, stopped, error, raw = np.mean(
+            [
+                (
+                    each.used.mean,
+                    each.whole.mean,
+                    each.stopped.mean,
+                    each.calibration_error,
+                    each.uncalibrated_error,
+                )
+                for each in trials
+            ],
+            axis=0,
+        ).tolist()
         rows += [
             (f"{kind}, whole exposures", photons, whole),
             (f"{kind}, stopped early", used * photons, stopped),
         ]
-        error, raw = (
-            float(np.mean([each[part] for each in trials]))
-            for part in ("calibration_error", "uncalibrated_error")
-        )
         errors.append(f"{error:.4f} with {kind} ({raw:.4f} without temperatures)")
-    rows += [("neither, whole exposures", p, plain[p]) for p in sorted(plain, reverse=True)]
+    plain = sorted(points(results, recipe="plain"), key=lambda point: -point.photons)
+    rows += [("neither, whole exposures", point.photons, point.accuracy) for point in plain]
     return Table(
         f"Stopping early; the calibration error of the answers is {' and '.join(errors)}",
         ("", "mean photons", "accuracy"),
@@ -295,22 +297,41 @@ def _stop_table(results: Results) -> Table:
     )
 
 
-def _over(rates: Sequence[Mapping[str, float]]) -> Difference:
-    """Mean over trials; of a single one with its interval over images."""
-    if len(rates) > 1:
-        return of_trials([rate["mean"] for rate in rates])
-    [rate] = rates
-    half = (rate["high"] - rate["low"]) / 2
-    return Difference(rate["mean"], half / float(stats.norm.ppf((1 + CONFIDENCE) / 2)))
+# ---------------------------------------------------------------- figures
 
 
-def _stopping_picture(results: Results) -> Picture:
-    extra = results["extra"]
-    photons = extra["stopped"][0]["photons"]
-    plain = _line("neither, whole exposures", "deepfsi", points(results, recipe="plain"), "photons")
+def _lines_picture(results: Results, ranged: Rivalry, nested: Rivalry, nested_at: str) -> Picture:
+    base = points(results, recipe="budgets", design=LEARNED)
+    elsewhere = [
+        _line(
+            "" if number else "the same, elsewhere",
+            "elsewhere",
+            [point for point in base if point.trained_at == trained_at],
+            "photons",
+            bars=False,
+        )
+        for number, trained_at in enumerate(ranged.places)
+    ]
+    first, own, *fixed = ranged.lines("one design for all", "one for each budget")
+    panels = {
+        "photon budget Φ": [first, own, *elsewhere, *fixed],
+        "masks shown": nested.lines("first masks of one design", "one for each number"),
+    }
+    return Picture(
+        lines_figure(panels),
+        "Left: one design for all budgets, against those for one budget each, there and "
+        f"(dotted) elsewhere. Right: the first masks of one design at {nested_at} photons, "
+        "against designs of that many. Bars: 95 % intervals.",
+        "Accuracy against budget and against masks; numbers in the tables.",
+    )
+
+
+def _stopping_picture(results: Results, measures: Measures) -> Picture:
+    photons = measures.stopped[0].photons
+    plain = _line("neither, whole exposures", LEARNED, points(results, recipe="plain"), "photons")
     stopped = (
-        Stops("nested, stopped early", "elsewhere", extra["stopped"]),
-        Stops("several looks, stopped early", "looks", extra["looked"]),
+        Stops("nested, stopped early", "elsewhere", measures.stopped),
+        Stops("several looks, stopped early", "looks", measures.looked),
     )
     return Picture(
         stopping_figure(stopped, plain),
@@ -322,20 +343,18 @@ def _stopping_picture(results: Results) -> Picture:
     )
 
 
-def _heat_picture(results: Results) -> Picture:
-    photons = points(results, recipe="nested")[0]["photons"]
+def _heat_picture(results: Results, prefixes: Iterable[Prefix]) -> Picture:
+    photons = points(results, recipe="nested")[0].photons
     members = _counts(results, photons)
-    prefixes = [p for p in results["extra"]["prefixes"] if p["recipe"] == "both"]
-    lights = [p for p in budgets(members) if p in set(budgets(prefixes))]
-    apart = {f"{p['ratio']:.0%}": p["ratio"] for p in prefixes}  # rows that read alike are one
+    both = [p for p in prefixes if p.recipe == "both"]
+    lights = [p for p in budgets(members) if p in set(budgets(both))]
+    apart = {f"{p.ratio:.0%}": p.ratio for p in both}  # rows that read alike are one
     ratios = sorted(apart.values())
     grids = {
-        point["title"]: accuracy_grid(
-            [p for p in members if p["design"] == point["design"]], lights, ratios
-        )
+        point.title: accuracy_grid([p for p in members if p.design == point.design], lights, ratios)
         for point in members
     }
-    grids["one design for all"] = accuracy_grid(prefixes, lights, ratios)
+    grids["one design for all"] = accuracy_grid(both, lights, ratios)
     return Picture(
         heat_figure(grids, lights, ratios),
         "Accuracy by budget of the test and compression ratio. The last panel is one design, "
@@ -345,13 +364,18 @@ def _heat_picture(results: Results) -> Picture:
     )
 
 
-def _line(name: str, look: str, members: Iterable[Trials], axis: str, bars: bool = True) -> Line:
-    every = sorted(members, key=lambda point: point[axis])
-    ends: list[list[float]] = [
-        [point[end] for point in every] if bars else [] for end in ("low", "high")
-    ]
-    accuracy = [point["accuracy"] for point in every]
-    return Line(name, look, [point[axis] for point in every], accuracy, *ends)
+def _line(
+    name: str, look: str, members: Iterable[Point | Prefix], axis: str, bars: bool = True
+) -> Line:
+    every = sorted(members, key=lambda point: getattr(point, axis))
+    return Line(
+        name,
+        look,
+        [getattr(point, axis) for point in every],
+        [point.accuracy for point in every],
+        [point.low for point in every] if bars else [],
+        [point.high for point in every] if bars else [],
+    )
 
 
 EXPERIMENT = Experiment(

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
+from deepfsi.design.stopping import Stopped
 from deepfsi.report.style import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_text, styled
 
 LOOKS: dict[str, dict[str, Any]] = {
@@ -60,13 +61,12 @@ class Stops:
         For the key.
     look : str
         Of `LOOKS`.
-    trials : sequence of mapping
-        `stopping.Stopped` of each.
+    trials : sequence of Stopped
     """
 
     name: str
     look: str
-    trials: Sequence[Mapping[str, Any]]
+    trials: Sequence[Stopped]
 
 
 @styled
@@ -117,16 +117,17 @@ def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
     left, middle, right = figure.subplots(1, 3)
     lines = [plain]
     for each in stopped:
-        photons, curve = each.trials[0]["photons"], [trial["curve"] for trial in each.trials]
+        photons, curves = each.trials[0].photons, [trial.curve for trial in each.trials]
         used, accuracy = (
-            np.mean([[point[name] for point in points] for points in curve], axis=0)
+            np.mean([[point[name] for point in curve] for curve in curves], axis=0)
             for name in ("used", "accuracy")
         )
         lines.append(Line(each.name, each.look, (used * photons).tolist(), accuracy.tolist()))
     _draw(left, lines)
     for each in stopped:
         used, accuracy = (
-            np.mean([trial[name]["mean"] for trial in each.trials]) for name in ("used", "stopped")
+            np.mean([getattr(trial, name).mean for trial in each.trials])
+            for name in ("used", "stopped")
         )
         left.plot(used * photons, accuracy, marker="D", color=LOOKS[each.look]["color"])
     left.set_xlabel("mean photons used")
@@ -134,11 +135,11 @@ def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
     left.set_ylabel("accuracy")
     for each in stopped:
         for trial in each.trials:
-            after = np.array(trial["rule"]["after"])
-            going = 1 - np.cumsum(trial["stops"])
+            after = np.array(trial.rule.after)
+            going = 1 - np.cumsum(trial.stops)
             middle.step(after / after[-1], going, where="post", **LOOKS[each.look])
-        accepted = [point["accepted"] for point in each.trials[0]["rejection"]]
-        values = np.mean([[p["stopped"] for p in t["rejection"]] for t in each.trials], axis=0)
+        accepted = [point["accepted"] for point in each.trials[0].rejection]
+        values = np.mean([[p["stopped"] for p in t.rejection] for t in each.trials], axis=0)
         right.plot(accepted, values, label=each.name, **LOOKS[each.look])
     middle.xaxis.set_major_formatter(PercentFormatter(1))
     middle.set_xlabel("masks, or looks, that were shown")
