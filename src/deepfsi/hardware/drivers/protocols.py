@@ -6,30 +6,20 @@ folder are all that `hardware.recording` reads. `scan` records scene after scene
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
 from deepfsi.progress import SILENT, Report
 
-__all__ = ["PatternProjector", "PhotonCounter", "scan"]
 
+class PatternProjector(AbstractContextManager["PatternProjector"], Protocol):
+    """Micromirror device that shows a folder of patterns and marks the start of each frame.
 
-class PatternProjector(Protocol):
-    """Micromirror device that shows a folder of patterns and marks the start of each frame."""
-
-    def __enter__(self) -> Self:
-        """Take hold of the device."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop showing and let go of the device."""
+    Entering takes hold of the device; leaving stops the pass and lets go of it.
+    """
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Bring the frames of a pattern folder into the device, in place of earlier ones."""
@@ -44,19 +34,12 @@ class PatternProjector(Protocol):
         """Stop the pass where it is."""
 
 
-class PhotonCounter(Protocol):
-    """Photon-counting electronics that record photons and frame markers into a PTU file."""
+class PhotonCounter(AbstractContextManager["PhotonCounter"], Protocol):
+    """Photon-counting electronics that record photons and frame markers into a PTU file.
 
-    def __enter__(self) -> Self:
-        """Take hold of the device."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop recording and let go of the device; a file that was not finished is removed."""
+    Entering takes hold of the device; leaving stops the recording and lets go of the device. A file
+    that was not finished is removed.
+    """
 
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""

@@ -18,7 +18,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -104,12 +103,7 @@ class VialuxProjector:
         self._alp = alp
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Halt and free the device; what went wrong before goes before what goes wrong here."""
         quiet = contextlib.suppress(InputError) if kind else contextlib.nullcontext()
         with quiet, contextlib.ExitStack() as stack:

@@ -116,7 +116,7 @@ spad
 
 
 def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -> np.ndarray:
-    """Relative light on each mirror.
+    """Relative irradiance of each mirror.
 
     Parameters
     ----------
@@ -147,11 +147,11 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     share = ((1 - camera.vignetting * corner) / grid.mirrors).astype(np.float32)
     out = np.zeros((len(scenes), device.rows, device.columns), dtype=np.float32)
     for scene, mirrors in zip(scenes, out, strict=True):
-        light = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
+        image = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
         if camera.blur:
-            spectrum = fourier_gaussian(rfft2(light), camera.blur, n=light.shape[1])
-            light = np.maximum(irfft2(spectrum, light.shape), 0)
-        mirrors[grid.window] = light[kept] * share
+            spectrum = fourier_gaussian(rfft2(image), camera.blur, n=image.shape[1])
+            image = np.maximum(irfft2(spectrum, image.shape), 0)
+        mirrors[grid.window] = image[kept] * share
     return out
 
 
@@ -209,12 +209,12 @@ def arrival_rates(
     stray = camera.ambient / (device.rows * device.columns)
     for first in range(0, len(images), SCENES_AT_ONCE):
         part = images[first : first + SCENES_AT_ONCE]
-        light = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
+        image = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
         for place, on in _blocks(patterns_folder, device):
             for arm in range(arms):
                 seen = on if arm == 0 else 1 - on
                 area = seen.reshape(-1, device.rows, device.columns)[:, *manifest.grid.window]
-                signal = (seen @ light.T).astype(np.float64) * (flux / manifest.summed_reflectance)
+                signal = (seen @ image.T).astype(np.float64) * (flux / manifest.summed_reflectance)
                 photons = signal + area.sum(axis=(1, 2))[:, None] * stray
                 out[first : first + len(part), place : place + len(on), arm] = photons.T
             done = first * frames + (place + len(on)) * len(part)
@@ -223,11 +223,13 @@ def arrival_rates(
 
 
 def _check_flux(flux: float) -> None:
+    """Raise `InputError` unless a flux can be simulated."""
     if not 0 <= flux <= MOST_FLUX:
         raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
 
 
 def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
+    """Images (S, h, w) of scenes, or `InputError`."""
     images = np.asarray(scenes)
     if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
         images = images[:, None, :]

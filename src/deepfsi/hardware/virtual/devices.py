@@ -5,9 +5,8 @@ stopped, the photon file of these passes, as `camera.record` would.
 """
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from deepfsi.hardware.virtual.camera import Camera, arrival_rates, write_photons
 from deepfsi.progress import SILENT, Report
 
 
-class VirtualProjector:
+class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     """Projector whose passes a `VirtualCounter` sees.
 
     Parameters
@@ -31,17 +30,8 @@ class VirtualProjector:
         self.folder: Path | None = None
         self.passes: list[np.ndarray] = []
 
-    def __enter__(self) -> Self:
-        """Nothing to open."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Nothing to close."""
+    def __exit__(self, *error: object) -> None:
+        """Do nothing: there is nothing to close."""
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
@@ -61,7 +51,7 @@ class VirtualProjector:
         """Do nothing: a virtual pass has ended."""
 
 
-class VirtualCounter:
+class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     """Counter of the photons of a virtual projector's passes.
 
     Parameters
@@ -82,16 +72,7 @@ class VirtualCounter:
         self._path: Path | None = None
         self._first = 0
 
-    def __enter__(self) -> Self:
-        """Nothing to open."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Forget a recording that was not stopped: no file is begun before."""
         self._path = None
 
