@@ -28,10 +28,11 @@ from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import Report
-from deepfsi.sweeps.queue import workers_for
+from deepfsi.sweeps.context import SweepContext
+from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
-from deepfsi.sweeps.run import run
 from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps.workers import Workers, default_count
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -42,7 +43,15 @@ SHORT, LONG = 1, 3
 PRECISIONS = {"bfloat16": "auto", "float32": "float32"}
 
 
-def sweep(data: Dataset, epochs: int, seeds: int, precision: str, **where: object) -> float:
+def sweep(
+    data: Dataset,
+    epochs: int,
+    seeds: int,
+    precision: str,
+    device: str,
+    workers: int,
+    out: Path | None = None,
+) -> float:
     """Seconds that a sweep takes."""
     recipe = Recipe(
         data=data.name,
@@ -58,7 +67,8 @@ def sweep(data: Dataset, epochs: int, seeds: int, precision: str, **where: objec
     trials = plan(recipe, data)
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        done = run(trials, data, Path(where.pop("out", None) or folder), **where)
+        context = SweepContext(data, 0, device)
+        done = run_trials(trials, context, out or Path(folder), Workers(workers))
         seconds = time.perf_counter() - began
     accuracy = np.mean([record["test"][0]["accuracy"] for record in done])
     print(
@@ -202,14 +212,14 @@ def main() -> None:
     data = load_dataset(arguments.data)
     scenes = TrainingSet(data, arguments.device)
     device = scenes.device.type
-    workers = arguments.workers or workers_for(scenes.device)
+    workers = arguments.workers or default_count(device)
     print(
         f"{data.name}, {len(data.x_train)} images of {data.pixels} pixels, {device}, "
         f"{workers} workers, torch {torch.__version__}"
     )
     if arguments.whole:
-        where = {"device": device, "workers": workers, "out": arguments.out}
-        print(f"whole sweep: {sweep(data, EPOCHS, SEEDS, 'bfloat16', **where) / 60:.1f} min")
+        seconds = sweep(data, EPOCHS, SEEDS, "bfloat16", device, workers, arguments.out)
+        print(f"whole sweep: {seconds / 60:.1f} min")
         return
     if "sample" in arguments.parts:
         sample(data, device, workers)

@@ -13,11 +13,13 @@ from deepfsi import experiments
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.experiments.ovit import claims as ovit
-from deepfsi.experiments.ovit.claims import EXPERIMENT, OvitRecipe, plan
+from deepfsi.experiments.ovit.claims import EXPERIMENT
 from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.sweeps import patch_trials
+from deepfsi.sweeps.patch_trials import PatchRecipe, plan_patches
 from shared.results import a_point, some_results
 
-TINY = OvitRecipe(
+TINY = PatchRecipe(
     data="synthetic",
     validation=24,
     patch=4,
@@ -32,7 +34,7 @@ TINY = OvitRecipe(
 def images(monkeypatch):
     """Make the study one of small synthetic images, of a moment."""
     data = synthetic((8, 8))
-    monkeypatch.setattr(OvitRecipe, "load", lambda self: data)
+    monkeypatch.setattr(PatchRecipe, "load", lambda self: data)
 
     def recipes(self, quick, trials=None):
         return {"ovit": TINY if trials is None else TINY.model_copy(update={"trials": trials})}
@@ -79,7 +81,7 @@ def test_points_are_means_over_seeds_of_what_the_trials_hold(images, tmp_path):
 
 def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
     trained = []
-    train = ovit.train
+    train = patch_trials.train
 
     def counted(patches, job, progress=None):
         if len(trained) == 3:
@@ -87,7 +89,7 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
         trained.append(job)
         return train(patches, job, progress)
 
-    monkeypatch.setattr(ovit, "train", counted)
+    monkeypatch.setattr(patch_trials, "train", counted)
     with pytest.raises(KeyboardInterrupt):
         EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
     assert len(list((tmp_path / "trials").glob("*.json"))) == 3
@@ -97,7 +99,7 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
         trained.append(job)
         return train(patches, job, progress)
 
-    monkeypatch.setattr(ovit, "train", told)
+    monkeypatch.setattr(patch_trials, "train", told)
     EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
     assert len(trained) == 20
     assert len({(job.design, job.photons, job.seed) for job in trained}) == 20
@@ -129,7 +131,7 @@ def test_damaged_results_are_one_clear_line(images, tmp_path):
 
 def test_everything_a_result_depends_on_is_in_its_name():
     data = synthetic((8, 8))
-    keys = {trial.key for trial in plan(TINY, data)}
+    keys = {trial.key for trial in plan_patches(TINY, data)}
     assert len(keys) == 20
     for change in (
         {"validation": 25},
@@ -137,15 +139,10 @@ def test_everything_a_result_depends_on_is_in_its_name():
         {"training": TINY.training.model_copy(update={"lr": 1e-5})},
         {"tuned": {design: {"scale": "each"} for design in TINY.designs}},
     ):
-        assert not keys & {t.key for t in plan(TINY.model_copy(update=change), data)}
-    assert not keys & {trial.key for trial in plan(TINY, synthetic((8, 8), scenes=150))}
-    again = {t.design_key for t in plan(TINY.model_copy(update={"draws": 2}), data)}
-    assert again == {trial.design_key for trial in plan(TINY, data)}
-
-
-def test_a_cluster_is_refused(images, tmp_path):
-    with pytest.raises(InputError, match="workers"):
-        EXPERIMENT.run(tmp_path, command="", ray="auto")
+        assert not keys & {t.key for t in plan_patches(TINY.model_copy(update=change), data)}
+    assert not keys & {trial.key for trial in plan_patches(TINY, synthetic((8, 8), scenes=150))}
+    again = {t.design_key for t in plan_patches(TINY.model_copy(update={"draws": 2}), data)}
+    assert again == {trial.design_key for trial in plan_patches(TINY, data)}
 
 
 @pytest.mark.parametrize(
@@ -165,8 +162,8 @@ def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg,
         DatasetInfo("cifar10-jpeg", 1, 1, 1, jpeg),
     ]
     asked = []
-    monkeypatch.setattr(ovit, "list_datasets", lambda: listed)
-    monkeypatch.setattr(ovit, "load_dataset", lambda name, **how: asked.append((name, how)))
+    monkeypatch.setattr(patch_trials, "list_datasets", lambda: listed)
+    monkeypatch.setattr(patch_trials, "load_dataset", lambda name, **how: asked.append((name, how)))
     EXPERIMENT.recipes(quick=False)["ovit"].load()
     assert asked == [(loaded, {"size": (64, 64), "images": 12_000})]
 

@@ -201,7 +201,7 @@ def test_a_plan_goes_on_where_it_was(done, monkeypatch):
     def never(*given, **named):
         raise AssertionError("trained again")
 
-    monkeypatch.setattr("deepfsi.sweeps.queue.train", never)
+    monkeypatch.setattr("deepfsi.sweeps.context.train", never)
     assert photons_needed(QUICK, data, 0.8, folder, command="ours")[0] == first[0]
 
 
@@ -255,7 +255,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
 
 
 def test_a_bad_target_ends_before_any_work(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(planning, "run", None)
+    monkeypatch.setattr(planning, "run_trials", None)
     for target in ("2", "many"):
         given = ["plan", "--target", target, "-o", str(tmp_path / "p")]
         monkeypatch.setattr(sys, "argv", ["deepfsi", *given])

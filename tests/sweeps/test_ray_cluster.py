@@ -22,11 +22,12 @@ from ray.cluster_utils import Cluster
 
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
-from deepfsi.sweeps import ray_cluster, run
+from deepfsi.sweeps import ray_cluster
 from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
+from shared.trials import train_trials
 
 SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
 """Ray settings under which the death of a node is noticed within seconds."""
@@ -87,10 +88,10 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Records, "write", write)
-        found = run.run(trials, digits, tmp_path / "there", ray=nodes.address)
+        found = train_trials(trials, digits, tmp_path / "there", ray=nodes.address)
     assert killed_at_work
     assert sorted(written) == sorted(trial.key for trial in trials)
-    here = run.run(trials, digits, tmp_path / "here")
+    here = train_trials(trials, digits, tmp_path / "here")
     for one, other in zip(found, here, strict=True):
         assert one["key"] == other["key"]
         assert one["test"][0]["accuracy"] == pytest.approx(other["test"][0]["accuracy"], abs=0.02)

@@ -22,17 +22,19 @@ from deepfsi.datasets import load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
-from deepfsi.sweeps import queue, run
+from deepfsi.sweeps import context
+from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.forecast import forecast
-from deepfsi.sweeps.queue import SweepContext, batches, effort, train_batch
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows, write_table
+from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import Trial, plan
 from deepfsi.training.learning import train
 from deepfsi.training.memory import footprint
 from deepfsi.training.training_set import TrainingSet
+from shared.trials import train_trials
 
 FILES = {
     path.stem: tomllib.loads(path.read_text())
@@ -113,7 +115,7 @@ def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     assert {Trial.model_validate_json(t.model_dump_json()).key for t in trials} == {
         t.key for t in trials
     }
-    table = rows(run.run(trials, digits, tmp_path))
+    table = rows(train_trials(trials, digits, tmp_path))
     assert [row["training_levels"] for row in table] == levels
     assert {row["levels"] for row in table} == {0}
 
@@ -142,9 +144,9 @@ def test_all_mistakes_of_a_recipe_are_reported():
 
 def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
     trials = plan(small(), digits)
-    first = run.run(trials, digits, tmp_path)
-    monkeypatch.setattr(queue, "train", lambda *_: pytest.fail("a finished trial was repeated"))
-    assert run.run(trials, digits, tmp_path) == first
+    first = train_trials(trials, digits, tmp_path)
+    monkeypatch.setattr(context, "train", lambda *_: pytest.fail("a finished trial was repeated"))
+    assert train_trials(trials, digits, tmp_path) == first
     record = first[-1]
     design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
     job = record["trial"]["job"]
@@ -155,7 +157,7 @@ def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, mo
 
 def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
     trials = plan(small(), digits)
-    real, calls = queue.train, []
+    real, calls = context.train, []
 
     def stop_at_third(*arguments):
         calls.append(arguments)
@@ -163,11 +165,11 @@ def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(*arguments)
 
-    monkeypatch.setattr(queue, "train", stop_at_third)
+    monkeypatch.setattr(context, "train", stop_at_third)
     with pytest.raises(KeyboardInterrupt):
-        run.run(trials, digits, tmp_path)
+        train_trials(trials, digits, tmp_path)
     assert len(list((tmp_path / "trials").iterdir())) == 4
-    run.run(trials, digits, tmp_path)
+    train_trials(trials, digits, tmp_path)
     assert len(calls) == 3 + 2
 
 
@@ -205,20 +207,20 @@ def test_a_killed_process_leaves_only_whole_records(tmp_path):
 @pytest.fixture
 def trained(monkeypatch):
     """Keys of all jobs that are trained, as often as they are."""
-    real, seen = queue.train, []
+    real, seen = context.train, []
 
     def train(scenes, jobs, *rest):
         seen.extend(job.model_dump_json() for job in jobs)
         return real(scenes, jobs, *rest)
 
-    monkeypatch.setattr(queue, "train", train)
+    monkeypatch.setattr(context, "train", train)
     return seen
 
 
 def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained):
     trials = plan(small(trials=4, designs=("pca", "random", "lda")), digits)
     with ThreadPoolExecutor() as pool:
-        runs = [pool.submit(run.run, trials, digits, tmp_path) for _ in range(3)]
+        runs = [pool.submit(train_trials, trials, digits, tmp_path) for _ in range(3)]
         found = [run.result() for run in runs]
     assert len(trained) == len(trials)
     assert found[0] == found[1] == found[2]
@@ -227,29 +229,29 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained):
 
 
 def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
-    run.run(plan(small(), digits), digits, tmp_path)
+    train_trials(plan(small(), digits), digits, tmp_path)
     count = len(trained)
     more = small(test_photons=(1e3, 1e5), test_noise=("poisson", "ml_gauss"), test_levels=(0, 9))
-    records = run.run(plan(more, digits), digits, tmp_path)
+    records = train_trials(plan(more, digits), digits, tmp_path)
     assert len(trained) == count
     assert {len(record["test"]) for record in records} == {2 * 2 * 2}
-    fresh = run.run(plan(more, digits), digits, tmp_path / "fresh")
+    fresh = train_trials(plan(more, digits), digits, tmp_path / "fresh")
     for one, other in zip(records, fresh, strict=True):
         assert [t["accuracy"] for t in one["test"]] == [t["accuracy"] for t in other["test"]]
 
 
 def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
-    run.run(plan(small(), digits), digits, tmp_path)
+    train_trials(plan(small(), digits), digits, tmp_path)
     trained.clear()
     grown = small(masks=(3, 6, 9), trials=2)
-    run.run(plan(grown, digits), digits, tmp_path)
+    train_trials(plan(grown, digits), digits, tmp_path)
     assert len(trained) == 2 * 2 * 3 * 2 - 2 * 2 * 2
 
 
 def test_processes_give_what_one_process_gives(digits, tmp_path):
     trials = plan(small(designs=("deepfsi", "random", "control"), trials=2), digits)
-    one = run.run(trials, digits, tmp_path / "one")
-    two = run.run(trials, digits, tmp_path / "two", workers=2)
+    one = train_trials(trials, digits, tmp_path / "one")
+    two = train_trials(trials, digits, tmp_path / "two", count=2)
     for first, second in zip(one, two, strict=True):
         assert first["key"] == second["key"]
         assert first["test"] == second["test"]
@@ -258,28 +260,28 @@ def test_processes_give_what_one_process_gives(digits, tmp_path):
 def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
     trials = plan(small(designs="deepfsi", training={"epochs": 2, "lr": 1e30}), digits)
     with pytest.raises(InputError, match="diverged"):
-        run.run(trials, digits, tmp_path, workers=2)
+        train_trials(trials, digits, tmp_path, count=2)
     assert not list(tmp_path.glob("**/*.lock"))
 
 
 def test_batches_are_split_to_fit_the_memory(digits):
     trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
-    scenes = TrainingSet(digits, "cpu")
-    need = [footprint(scenes, [trial.job for trial in trials[:n]]) for n in (1, 2, 4)]
+    sweep = SweepContext(digits, 0, "cpu")
+    need = [footprint(sweep.training_set, [trial.job for trial in trials[:n]]) for n in (1, 2, 4)]
     assert need == sorted(set(need))
     for limit, sizes in ((0, [1, 1, 1, 1]), (need[1], [2, 2]), (need[2], [4])):
-        assert [len(batch) for batch in batches(trials, scenes, limit)] == sizes
+        assert [len(batch) for batch in sweep.batches_within(trials, limit)] == sizes
 
 
 def test_a_processor_is_not_crowded_with_learned_masks(digits, monkeypatch):
-    monkeypatch.setattr(queue, "CROWD", 12)
+    monkeypatch.setattr(context, "MASKS_AT_ONCE", 12)
     recipe = small(designs=("pca", "deepfsi"), masks=6, photons=(1e1, 1e2, 1e3, 1e4))
-    found = batches(plan(recipe, digits), TrainingSet(digits, "cpu"), 1e12)
+    found = SweepContext(digits, 0, "cpu").batches_within(plan(recipe, digits), 1e12)
     assert {batch[0].job.design: len(batch) for batch in found} == {"pca": 4, "deepfsi": 2}
 
 
 def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch):
-    real = queue.train
+    real = context.train
 
     def train(scenes, jobs, *rest):
         if len(jobs) > 1:
@@ -287,17 +289,18 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
         return real(scenes, jobs, *rest)
 
     trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)
-    monkeypatch.setattr(queue, "train", train)
-    assert len(run.run(trials, digits, tmp_path)) == len(trials)
+    monkeypatch.setattr(context, "train", train)
+    assert len(train_trials(trials, digits, tmp_path)) == len(trials)
 
 
 def test_every_trial_is_in_one_batch(digits):
     trials = plan(small(trials=3, photons=(1e2, 1e7)), digits)
-    found = batches(trials, TrainingSet(digits, "cpu"), 1e12)
+    sweep = SweepContext(digits, 0, "cpu")
+    found = sweep.batches_within(trials, 1e12)
     assert sorted(trial.key for batch in found for trial in batch) == sorted(
         trial.key for trial in trials
     )
-    costs = [effort(batch) for batch in found]
+    costs = [sweep.effort(batch) for batch in found]
     assert costs == sorted(costs, reverse=True)
 
 
@@ -310,14 +313,14 @@ def test_every_list_of_the_training_is_an_axis(digits, tmp_path):
     )
     trials = plan(recipe, digits)
     assert len({trial.key for trial in trials}) == 4
-    results, _ = run.compare(recipe, digits, tmp_path, command="deepfsi")
+    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
     assert len({point["variant"] for point in results["points"]}) == 4
     assert all(point.best for point in results["points"])
 
 
 def test_noise_of_the_training_may_be_another_than_that_of_the_test(digits, tmp_path):
     recipe = small(designs="deepfsi", masks=3, train_noise=("ml_gauss", "poisson", "gaussian"))
-    results, _ = run.compare(recipe, digits, tmp_path, command="deepfsi")
+    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
     kinds = {(point["trained_under"], point["noise"]) for point in results["points"]}
     assert kinds == {(train, "poisson") for train in ("ml_gauss", "poisson", "gaussian")}
 
@@ -330,7 +333,7 @@ def test_gaussian_noise_may_have_budgets_of_its_own(digits):
 
 def test_a_table_has_a_row_for_each_test(digits, tmp_path):
     recipe = small(test_photons=(1e2, 1e4), test_levels=(0, 769))
-    records = run.run(plan(recipe, digits), digits, tmp_path)
+    records = train_trials(plan(recipe, digits), digits, tmp_path)
     csv = polars.read_csv(write_table(records, tmp_path / "all.csv"))
     parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
     assert csv.shape == parquet.shape
@@ -347,7 +350,7 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path, workers):
     recipe = small(designs="pca", masks=3, noise=("poisson", "gaussian"), train_noise="gaussian")
     trials = plan(recipe, digits)
     assert len({trial.design_key for trial in trials}) == len(trials) / 2
-    assert len(run.run(trials, digits, tmp_path, workers=workers)) == len(trials)
+    assert len(train_trials(trials, digits, tmp_path, count=workers)) == len(trials)
     assert len(list((tmp_path / "designs").iterdir())) == len(trials) / 2
 
 
@@ -355,16 +358,15 @@ def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path
     recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
     trials = plan(recipe, digits)
     with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
-        run.run(trials, digits, tmp_path)
+        train_trials(trials, digits, tmp_path)
     assert len(list((tmp_path / "trials").iterdir())) == len(trials) / 2
 
 
 def test_a_machine_that_batches_otherwise_still_works(digits, monkeypatch):
     """The one that planned had no bfloat16, this one has."""
     trials = plan(small(designs="deepfsi", masks=3, photons=(1e3, 1e9)), digits)
-    context = SweepContext(digits, 0, "cpu")
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
-    assert len(train_batch(context, trials)) == len(trials)
+    assert len(SweepContext(digits, 0, "cpu").train(trials)) == len(trials)
 
 
 def test_settings_of_masks_do_not_multiply_fixed_designs(digits):
@@ -378,7 +380,7 @@ def test_other_processes_of_the_caller_live_on(digits, tmp_path):
     mine.start()
     try:
         trials = plan(small(designs=("pca", "random")), digits)
-        run.run(trials, digits, tmp_path, workers=2)
+        train_trials(trials, digits, tmp_path, count=2)
         assert mine.is_alive()
     finally:
         mine.kill()
@@ -402,30 +404,30 @@ def test_mistakes_in_axes_are_all_told(settings, parts):
 
 def test_a_record_that_is_something_else_is_made_again(digits, tmp_path):
     trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
-    run.run(trials, digits, tmp_path)
+    train_trials(trials, digits, tmp_path)
     (path,) = (tmp_path / "trials").iterdir()
     path.write_text("null")
-    assert len(run.run(trials, digits, tmp_path)) == 1
+    assert len(train_trials(trials, digits, tmp_path)) == 1
 
 
 def test_a_forecast_counts_what_is_left(digits, tmp_path):
     recipe = small(trials=2)
     before = forecast(recipe, digits, tmp_path)
     first = plan(small(), digits)
-    run.run(first, digits, tmp_path)
+    train_trials(first, digits, tmp_path)
     after = forecast(recipe, digits, tmp_path)
     assert (before.trials, before.done, after.done) == (16, 0, len(first))
     assert before.operations == pytest.approx(2 * after.operations)
     assert 0 < after.seconds < math.inf
-    run.run(plan(recipe, digits), digits, tmp_path)
+    train_trials(plan(recipe, digits), digits, tmp_path)
     assert forecast(recipe, digits, tmp_path).seconds == 0
 
 
 def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
     alone = plan(small(photons=1e3, masks=3), digits)
     together = plan(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
-    run.run(alone, digits, tmp_path / "alone")
-    run.run(together, digits, tmp_path / "together")
+    train_trials(alone, digits, tmp_path / "alone")
+    train_trials(together, digits, tmp_path / "together")
     for trial in alone:
         name = f"{trial.design_key}.safetensors"
         one = Design.load(tmp_path / "alone" / "designs" / name)
@@ -484,10 +486,10 @@ def test_trials_of_different_training_noise_are_different_points(digits):
 @pytest.mark.parametrize("loss", ["record", "design", "damage"])
 def test_what_is_lost_is_made_again(digits, tmp_path, loss):
     trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
-    run.run(trials, digits, tmp_path)
+    train_trials(trials, digits, tmp_path)
     (path,) = (tmp_path / ("designs" if loss == "design" else "trials")).iterdir()
     path.write_text('{"key":') if loss == "damage" else path.unlink()
-    (again,) = run.run(trials, digits, tmp_path)
+    (again,) = train_trials(trials, digits, tmp_path)
     assert again["key"] == trials[0].key
     assert len(list(tmp_path.glob("*/*"))) == 2
 
@@ -523,9 +525,9 @@ def test_without_validation_nothing_is_chosen(digits):
 
 def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
     seen = []
-    real = queue.TrainingSet
-    monkeypatch.setattr(queue, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
-    run.run(plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
+    real = context.TrainingSet
+    monkeypatch.setattr(context, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
+    train_trials(plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
     (parts,) = seen
     assert len(parts.x_train) == len(digits.x_train) - 200
     assert np.array_equal(parts.x_test, digits.x_train[-200:])
@@ -535,7 +537,7 @@ def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
     matrix = np.eye(64)[:5] / 5
     trials = plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
     assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
-    assert len(run.run(trials, digits, tmp_path, matrix=matrix)) == len(trials)
+    assert len(train_trials(trials, digits, tmp_path, matrix=matrix)) == len(trials)
 
 
 def test_the_control_group_is_for_photon_noise(digits):
@@ -564,5 +566,5 @@ def test_every_recipe_runs_small(settings, digits, tmp_path):
         "training": {**settings.get("training", {}), "epochs": 1},
     }
     recipe = Recipe(**{**settings, **tiny})
-    results, _ = run.compare(recipe, digits, tmp_path, command="deepfsi")
+    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
     assert {point.design for point in results.points} == set(recipe.designs)

@@ -84,6 +84,7 @@ def plan(
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.results import write_results
+    from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
     recipe = options.recipe_from(context.params, {"ratios": (0.01, 0.04, 0.16)})
@@ -98,7 +99,7 @@ def plan(
             out,
             command=command_line(),
             device=device,
-            workers=workers,
+            workers=Workers(workers),
             report=report,
         )
     write_atomically(out / "plan.json", json.dumps(found, indent=1).encode())

@@ -240,6 +240,7 @@ def _run(
     ray: str | None = None,
 ) -> "tuple[Results, list[dict[str, Any]]]":
     from deepfsi.sweeps.run import compare as run
+    from deepfsi.sweeps.workers import Workers
 
     scenes = load(recipe.data, recipe.size, split=recipe.split)
     check_writable(out)
@@ -251,8 +252,7 @@ def _run(
             command=command_line(),
             matrix=matrix,
             device=device,
-            workers=workers,
-            ray=ray,
+            workers=Workers(workers, ray),
             report=report,
         )
 

@@ -14,13 +14,14 @@ from pydantic import BaseModel
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
+from deepfsi.progress import SILENT, Report
 from deepfsi.report.section import Claim, Picture, Section, Table
-from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
+from deepfsi.sweeps.workers import Workers
 
 Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
@@ -99,7 +100,7 @@ class Experiment:
         device: str = "auto",
         workers: int | None = 1,
         ray: str | None = None,
-        report: Report | None = None,
+        report: Report = SILENT,
     ) -> Results:
         """Train and test what the folder does not hold yet, and write the numbers.
 
@@ -122,8 +123,7 @@ class Experiment:
                 folder,
                 command=command,
                 device=device,
-                workers=workers,
-                ray=ray,
+                workers=Workers(workers, ray),
                 report=report,
             )
             records += own
@@ -134,9 +134,8 @@ class Experiment:
             results = (results or part).with_points(points)
         assert results is not None, "an experiment has a recipe"
         if self.measure:
-            tell = report or (lambda share, now: None)
             first = next(iter(sources.values()))
-            extra = self.measure(results, first, folder / "designs", workers, tell)
+            extra = self.measure(results, first, folder / "designs", workers, report)
             results = results.model_copy(update={"extra": extra})
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results

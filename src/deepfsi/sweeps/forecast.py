@@ -13,10 +13,11 @@ import torch
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import Report
-from deepfsi.sweeps.queue import Batch, SweepContext, batches, memory, workers_for
+from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps.workers import default_count
 from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.learning import train
 from deepfsi.training.loop import batch_of
@@ -68,7 +69,7 @@ def forecast(
         Of the sweep's output.
     device : {"auto", "cpu", "cuda"}
     workers : int, optional
-        Processes that will share the work; as many as `run.run` takes unless given.
+        Processes that will share the work; as many as `run_trials` takes unless given.
     """
     trials = plan(recipe, data)
     records = Records(folder)
@@ -76,11 +77,11 @@ def forecast(
     untrained = [trial for trial in open_trials if records.design(trial) is None]
     left = list({trial.design_key: trial for trial in untrained}.values())
     context = SweepContext(data, recipe.held_out(data), device)
-    processes = workers or workers_for(context.scenes.device)
-    todo = batches(left, context.scenes, memory(context.scenes.device) / processes)
+    processes = workers or default_count(context.processor.type)
+    todo = context.batches(left, processes)
     kinds: dict[Any, list[Batch]] = defaultdict(list)
     for batch in todo:
-        context.scenes.prepare(batch[0].job.drawn_from)
+        context.training_set.prepare(batch[0].job.drawn_from)
         kinds[_kind(batch, context)].append(batch)
     threads = torch.get_num_threads()
     torch.set_num_threads(max(1, threads // processes))
@@ -114,12 +115,12 @@ def _kind(batch: Batch, context: SweepContext) -> Any:
     job = batch[0].job
     apart = {"photons", "sigma", "seed", "masks"}
     tests = batch[0].model_dump_json(include={"test_noise", "test_levels", "draws"})
-    kind = product_dtype(job.masks_from(), context.scenes.device)
+    kind = product_dtype(job.masks_from(), context.processor)
     return (job.model_dump_json(exclude=apart), kind, len(batch), tests)
 
 
 def _steps(job: Job, context: SweepContext) -> int:
-    count = len(context.scenes.labels)
+    count = len(context.training_set.labels)
     return job.training.epochs * (count // batch_of(job.training, count))
 
 
@@ -129,14 +130,14 @@ def _operations(job: Job, context: SweepContext) -> float:
     if not made.code.learned:
         return 2.0 * context.data.x_train.size * job.masks * 2
     pair = 2 if made.noise == "ml_gauss" else 1
-    scene = int(context.scenes.pixels(made.light).sum())
-    count = len(context.scenes.labels)
+    scene = int(context.training_set.pixels(made.light).sum())
+    count = len(context.training_set.labels)
     return 2.0 * made.training.epochs * count * scene * made.masks * pair * 2
 
 
 def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     """Seconds of a step of this batch, and of the tests of one of its trials."""
-    count = len(context.scenes.labels)
+    count = len(context.training_set.labels)
     size = batch_of(batch[0].job.training, count)
     few = _first(context.parts, STEPS * size)
     short = batch[0].job.training.model_copy(update={"epochs": 2, "batch": size})

@@ -15,15 +15,21 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
-from deepfsi.sweeps.queue import Report
+from deepfsi.progress import SILENT, Report
+from deepfsi.sweeps.context import SweepContext
+from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
-from deepfsi.sweeps.run import run
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import plan as trials_of
+from deepfsi.sweeps.workers import HERE, Workers
 
 STEPS = 1000
 """Budgets that a curve is looked at, between the lowest and the highest tried."""
+
+ROUNDS = 2
+"""Budgets that may be added to each curve, one after another where it meets the target, with the
+mask counts that are best beside it."""
 
 APART = 0.2
 """Decades between two budgets that are worth a training each."""
@@ -173,10 +179,9 @@ def photons_needed(
     folder: Path,
     *,
     command: str,
-    rounds: int = 2,
     device: str = "auto",
-    workers: int | None = 1,
-    report: Report | None = None,
+    workers: Workers = HERE,
+    report: Report = SILENT,
 ) -> tuple[dict[str, Any], Results]:
     """Photons and masks that a target accuracy needs, for each design, light and rails.
 
@@ -186,7 +191,7 @@ def photons_needed(
     Parameters
     ----------
     recipe : Recipe
-        What to try first: designs, three budgets or more, mask counts or ratios, light and rails,
+        First comparison: designs, three budgets or more, mask counts or ratios, light and rails,
         under one noise and with one training setting each.
     data : Dataset
     target : float
@@ -195,11 +200,9 @@ def photons_needed(
         Records and designs; stopped, it goes on where it was.
     command : str
         For the results.
-    rounds : int
-        Budgets that may be added to each curve, one after another where it meets the target, with
-        the mask counts that are best beside it.
-    device, workers, report
-        As `run.run`.
+    device : {"auto", "cpu", "cuda"}
+    workers : Workers
+    report : Report
 
     Returns
     -------
@@ -215,44 +218,35 @@ def photons_needed(
         If the target is out of range or the recipe has other axes.
     """
     check_plan(recipe, data, target)
-    tell = report or (lambda share, what: None)
+    context = SweepContext(data, recipe.held_out(data), device)
     records: list[dict[str, Any]] = []
     asked = [recipe]
-    for number in range(rounds + 1):
-
-        def part(share: float, what: str, number: int = number) -> None:
-            tell((number + share) / (rounds + 1), what)
-
+    for number in range(ROUNDS + 1):
         trials = {trial.key: trial for each in asked for trial in trials_of(each, data)}
-        records += run(
-            list(trials.values()),
-            data,
-            folder,
-            device=device,
-            workers=workers,
-            report=part,
-        )
-        results = summarise(
-            recipe,
-            data,
-            records,
-            command=command,
-            seconds=sum(record["info"]["seconds"] for record in records),
-        )
+        part = report.part(number / (ROUNDS + 1), (number + 1) / (ROUNDS + 1))
+        records += run_trials(list(trials.values()), context, folder, workers, part)
+        seconds = sum(record["info"]["seconds"] for record in records)
+        results = summarise(recipe, data, records, command=command, seconds=seconds)
         curves = _curves(results)
         asked = [more for kind in curves if (more := _more(recipe, kind, curves[kind], target))]
         if not asked:
             break
+    report(1.0, "done")
+    return _plan(recipe, results, target), results
+
+
+def _plan(recipe: Recipe, results: Results, target: float) -> dict[str, Any]:
     covers = "test images" + " and training seeds" * (recipe.trials > 1)
-    plan = {
+    return {
         "target": target,
-        "command": command,
+        "command": results.command,
         "data": results.data.as_dict(),
         "covers": f"{covers}, and what lies between tried budgets",
-        "needs": [_need(kind, curve, results.data.test, target) for kind, curve in curves.items()],
+        "needs": [
+            _need(kind, curve, results.data.test, target)
+            for kind, curve in _curves(results).items()
+        ],
     }
-    tell(1.0, "done")
-    return plan, results
 
 
 def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:

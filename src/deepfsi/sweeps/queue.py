@@ -1,168 +1,151 @@
-"""Batches of trials, trained here, in worker processes or on a Ray cluster, and recorded."""
+"""Trials of any kind: claimed, trained here, in processes or on a Ray cluster, and recorded.
 
-import math
+A run that was stopped goes on where it was, and several processes may work on one folder.
+"""
+
 import time
-from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
-from functools import cached_property
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
-import numpy as np
-import psutil
 import torch
 
-from deepfsi import progress
-from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
-from deepfsi.sweeps.recipe import Resources
-from deepfsi.sweeps.records import Records
-from deepfsi.sweeps.results import SCHEMA
-from deepfsi.sweeps.trial import Trial
-from deepfsi.sweeps.workers import cores, processes
-from deepfsi.training.learning import Diverged, train
-from deepfsi.training.memory import footprint
-from deepfsi.training.training_set import Matrices, TrainingSet
+from deepfsi.progress import SILENT, Report
+from deepfsi.sweeps.records import RecordedTrial, Records
+from deepfsi.sweeps.workers import HERE, Workers, default_count, processes
 
-CROWD = 2048
-"""Learned masks that a processor trains at once: with more its caches lose what batching gains."""
+AnyTrial = TypeVar("AnyTrial", bound=RecordedTrial)
 
-MEMORY = 0.7
-"""Share of the free memory that is planned for."""
-
-Report = Callable[[float, str], None]
-"""Called with the share of the work that is done, 0 to 1, and what is being trained."""
-
-Batch = list[Trial]
-"""Trials that are trained together."""
-
-Done = tuple[Trial, dict[str, Any] | None, bytes | None]
+Done = tuple[AnyTrial, dict[str, Any] | None, bytes | None]
 """A trial, its record and its design file; both None where it diverged."""
 
 
-class SweepContext:
-    """What every batch of a sweep needs; sent once to each process that works on it."""
+class Context(Protocol[AnyTrial]):
+    """Work on one kind of trial, and what it needs; sent once to each process that does it."""
 
-    def __init__(
-        self, data: Dataset, held_out: int, device: str, matrix: np.ndarray | None = None
-    ) -> None:
-        self.data, self.held_out, self.device, self.matrix = data, held_out, device, matrix
-        self.matrices: Matrices = {}
+    @property
+    def processor(self) -> torch.device:
+        """Device that trials are trained on here."""
 
-    @cached_property
-    def parts(self) -> Dataset:
-        """The data, its validation part as test part."""
-        return self.data.hold_out(self.held_out) if self.held_out else self.data
+    def batches(self, trials: Sequence[AnyTrial], workers: int) -> list[list[AnyTrial]]:
+        """Trials to be trained together, in the order of work, by so many processes at once."""
 
-    @cached_property
-    def scenes(self) -> TrainingSet:
-        """What is trained on."""
-        return TrainingSet(self.parts, self.device, self.matrices)
+    def prepare(self, trials: Sequence[AnyTrial]) -> None:
+        """Compute what all processes would, before the context is sent to them."""
 
-    def __getstate__(self) -> dict[str, Any]:
-        made_there = ("parts", "scenes")
-        return {name: value for name, value in vars(self).items() if name not in made_there}
+    def effort(self, batch: Sequence[AnyTrial]) -> float:
+        """Relative cost of a batch."""
+
+    def title(self, batch: Sequence[AnyTrial]) -> str:
+        """Batch in words."""
+
+    def train(self, batch: list[AnyTrial], report: Report = SILENT) -> list[Done[AnyTrial]]:
+        """Train and test a batch."""
+
+    def record(self, trial: AnyTrial, design: Design) -> dict[str, Any]:
+        """Record of a trial whose design is tested now."""
 
 
-def batches(trials: Sequence[Trial], scenes: TrainingSet, limit: float) -> list[Batch]:
-    """Trials to be trained together, the longest work first.
+def run_trials(
+    trials: Sequence[AnyTrial],
+    context: Context[AnyTrial],
+    folder: Path,
+    workers: Workers = HERE,
+    report: Report = SILENT,
+) -> list[dict[str, Any]]:
+    """Train and test whatever the folder does not hold yet.
 
-    On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share their
-    scenes and noise, up to `CROWD`. A batch that would take more than `limit` bytes is split.
+    Parameters
+    ----------
+    trials : sequence of trials
+    context : Context
+        Of these trials.
+    folder : Path
+        Made if need be. May be stopped at any moment and started again, and several processes may
+        work on it: each trains what no other does.
+    workers : Workers
+    report : Report
+
+    Returns
+    -------
+    list of dict
+        The records, in the order of `trials`.
     """
-
-    def full(batch: Batch, trial: Trial) -> bool:
-        masks = (len(batch) + 1) * trial.job.masks
-        crowded = trial.job.code.learned and scenes.device.type == "cpu" and masks > CROWD
-        return crowded or footprint(scenes, [each.job for each in [*batch, trial]]) > limit
-
-    groups: dict[Any, Batch] = defaultdict(list)
-    for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
-        seed = None if scenes.device.type == "cuda" else trial.job.seed
-        groups[(trial.job.companions(scenes.device), seed)].append(trial)
-    found: list[Batch] = []
-    for group in groups.values():
-        batch: Batch = []
-        for trial in group:
-            if batch and full(batch, trial):
-                found.append(batch)
-                batch = []
-            batch.append(trial)
-        found.append(batch)
-    return sorted(found, key=effort, reverse=True)
-
-
-def workers_for(device: torch.device) -> int:
-    """How many processes are fastest on a device: on a processor one for each core."""
-    return 1 if device.type == "cuda" else cores()
-
-
-def memory(device: torch.device) -> float:
-    """Bytes that may be planned for on a device."""
-    if device.type == "cuda":
-        return MEMORY * torch.cuda.mem_get_info(device)[0]
-    return MEMORY * psutil.virtual_memory().available
-
-
-def effort(batch: Sequence[Trial]) -> float:
-    """Relative cost of training a batch: a constant a step, products and noise."""
-    job = batch[0].job
-    cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
-    return job.training.epochs * cost * (2 if job.design == "control" else 1)
-
-
-def work_off(
-    todo: list[Batch],
-    context: SweepContext,
-    records: Records,
-    tell: Report,
-    workers: int,
-    ray: str | None,
-    resources: Resources,
-) -> list[Trial]:
-    """Train and record batches; return the trials that diverged."""
-    lost: list[Trial] = []
-    total, done = sum(map(effort, todo)), 0.0
-
-    def finished_of(claimed: Iterator[Batch]) -> Generator[list[Done], None, None]:
-        if ray is not None:
-            from deepfsi.sweeps.ray_cluster import run_on_ray
-
-            cpus, gpus = resources.cpus, resources.gpus
-            with closing(
-                run_on_ray(train_batch, context, claimed, address=ray, cpus=cpus, gpus=gpus)
-            ) as tasks:
-                for _, result in tasks:
-                    yield result
-        elif workers > 1:
-            with closing(processes(train_batch, context, claimed, workers)) as results:
-                yield from results
-        else:
-            for batch in claimed:
-                yield train_batch(context, batch, inside(batch))
-
-    def inside(batch: Batch) -> progress.Report:
-        return progress.Report(
-            lambda share, _: tell((done + share * effort(batch)) / total, title_of(batch))
+    records = Records(folder)
+    failed: set[str] = set()
+    before = 0
+    while missing := [t for t in trials if t.design_key not in failed and not records.read(t)]:
+        if len(missing) == before:
+            time.sleep(1)  # another process tests them
+        before = len(missing)
+        untrained = _test_trained(missing, context, records, report)
+        if not untrained:
+            continue
+        first_of_each = list({trial.design_key: trial for trial in untrained}.values())
+        count = workers.count or default_count(context.processor.type)
+        todo = context.batches(first_of_each, count)
+        here = replace(workers, count=min(count, len(todo)))
+        if here.ray is not None or min(count, len(todo)) > 1:
+            context.prepare(first_of_each)
+        lost = _train_all(todo, context, records, here, report)
+        failed |= {trial.design_key for trial in lost}
+        report(1.0, "done")
+    if failed:
+        names = sorted({context.title([trial]) for trial in trials if trial.design_key in failed})
+        raise InputError(
+            f"training diverged and the others are done: {', '.join(names)}; lower lr and mask_lr"
         )
+    found = [(trial, records.read(trial)) for trial in trials]
+    # a record is found by what it depends on; its words are those of who asks
+    return [{**record, "trial": trial.model_dump(mode="json")} for trial, record in found if record]
+
+
+def _test_trained(
+    trials: Sequence[AnyTrial], context: Context[AnyTrial], records: Records, report: Report
+) -> list[AnyTrial]:
+    """Test the designs that are there already, from other tests; return the other trials."""
+    left = []
+    for trial in trials:
+        design = records.design(trial)
+        if design is None or not records.claim([trial]):
+            left.append(trial)
+            continue
+        report(0.0, f"testing {design.name} again")
+        records.write(trial, context.record(trial, design.to(context.processor)), None)
+    return left
+
+
+def _train_all(
+    todo: list[list[AnyTrial]],
+    context: Context[AnyTrial],
+    records: Records,
+    workers: Workers,
+    report: Report,
+) -> list[AnyTrial]:
+    """Train and record batches; return the trials that diverged."""
+    lost: list[AnyTrial] = []
+    total, done = sum(map(context.effort, todo)), 0.0
+
+    def part(batch: list[AnyTrial]) -> Report:
+        title = context.title(batch)
+        titled = Report(lambda share, _: report(share, title))
+        return titled.part(done / total, (done + context.effort(batch)) / total)
 
     try:
         while todo:
-            postponed: list[Batch] = []
-            tell(done / total, f"{len(todo)} batches")
-            with closing(finished_of(_claimed(todo, records, postponed))) as arriving:
+            postponed: list[list[AnyTrial]] = []
+            report(done / total, f"{len(todo)} batches")
+            claimed = _claimed(todo, records, postponed)
+            with closing(_trained(claimed, context, workers, part)) as arriving:
                 for finished in arriving:
-                    for trial, record, design in finished:
-                        if record is None:
-                            lost.append(trial)
-                            records.release([trial])
-                        else:
-                            records.write(trial, record, design)
+                    lost += _recorded(finished, records)
                     batch = [trial for trial, _, _ in finished]
-                    done += effort(batch)
-                    tell(min(done / total, 1.0), title_of(batch))
+                    done += context.effort(batch)
+                    report(min(done / total, 1.0), context.title(batch))
             todo = postponed
             if todo:
                 time.sleep(1)  # another process has them
@@ -171,7 +154,9 @@ def work_off(
     return lost
 
 
-def _claimed(todo: Sequence[Batch], records: Records, postponed: list[Batch]) -> Iterator[Batch]:
+def _claimed(
+    todo: Sequence[list[AnyTrial]], records: Records, postponed: list[list[AnyTrial]]
+) -> Iterator[list[AnyTrial]]:
     """Yield what is left to train of batches that no other process works on."""
     for batch in todo:
         left = [trial for trial in batch if records.design(trial) is None]
@@ -186,69 +171,41 @@ def _claimed(todo: Sequence[Batch], records: Records, postponed: list[Batch]) ->
             yield [trial for trial in left if trial not in finished]
 
 
-def train_batch(
-    context: SweepContext, batch: Batch, report: progress.Report = progress.SILENT
-) -> list[Done]:
-    """Train and test one batch.
+def _trained(
+    claimed: Iterator[list[AnyTrial]],
+    context: Context[AnyTrial],
+    workers: Workers,
+    part: Callable[[list[AnyTrial]], Report],
+) -> Generator[list[Done[AnyTrial]], None, None]:
+    """Yield what batches give, as they finish."""
+    if workers.ray is not None:
+        from deepfsi.sweeps.ray_cluster import run_on_ray
 
-    In parts where this machine would batch otherwise than the one that planned, in halves where a
-    GPU's memory does not hold it whole, and one by one where a trial diverges; that one's record
-    is None.
-    """
-    parts = batches(batch, context.scenes, math.inf)
-    if len(parts) > 1:
-        return [done for part in parts for done in train_batch(context, part)]
-    own = context.matrix if batch[0].job.design == "custom" else None
-    try:
-        designs = train(context.scenes, [trial.job for trial in batch], own, report)
-    except Diverged:
-        if len(batch) == 1:
-            return [(batch[0], None, None)]
-        return [done for trial in batch for done in train_batch(context, [trial])]
-    except torch.OutOfMemoryError:
-        if len(batch) == 1:
-            raise InputError(
-                f"{title_of(batch)} do not fit the memory of this GPU: use --device cpu"
-            ) from None
-        middle = len(batch) // 2
-        return train_batch(context, batch[:middle]) + train_batch(context, batch[middle:])
-    pairs = zip(batch, designs, strict=True)
-    return [
-        (trial, tested_record(context, trial, design), design.to_bytes()) for trial, design in pairs
-    ]
+        cpus, gpus = workers.resources.cpus, workers.resources.gpus
+        with closing(
+            run_on_ray(_train, context, claimed, address=workers.ray, cpus=cpus, gpus=gpus)
+        ) as tasks:
+            for _, result in tasks:
+                yield result
+    elif (workers.count or 1) > 1:
+        with closing(processes(_train, context, claimed, workers.count or 1)) as results:
+            yield from results
+    else:
+        for batch in claimed:
+            yield context.train(batch, part(batch))
 
 
-def tested_record(context: SweepContext, trial: Trial, design: Design) -> dict[str, Any]:
-    """Record of a trial whose design is tested now."""
-    return {
-        "schema": SCHEMA,
-        "key": trial.key,
-        "design": trial.design_key,
-        "trial": trial.model_dump(mode="json"),
-        "validation": _tested(trial, design, context.parts) if context.held_out else [],
-        "test": _tested(trial, design, context.data),
-        "info": design.info,
-    }
+def _train(context: Context[AnyTrial], batch: list[AnyTrial]) -> list[Done[AnyTrial]]:
+    return context.train(batch)
 
 
-def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:
-    return [
-        {**result.as_dict(), "levels": levels}
-        for levels in trial.test_levels
-        for noise in trial.test_noise
-        for result in evaluate(
-            design.quantised(levels) if levels else design,
-            data,
-            trial.test_photons,
-            noise=noise,
-            sigma=trial.job.sigma,
-            draws=trial.draws,
-            seed=trial.job.seed,
-        )
-    ]
-
-
-def title_of(batch: Sequence[Trial]) -> str:
-    """Design, masks and number of trials of a batch."""
-    job = batch[0].job
-    return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
+def _recorded(finished: Sequence[Done[AnyTrial]], records: Records) -> list[AnyTrial]:
+    """Write the records of a batch; return the trials that have none."""
+    lost = []
+    for trial, record, design in finished:
+        if record is None:
+            lost.append(trial)
+            records.release([trial])
+        else:
+            records.write(trial, record, design)
+    return lost

@@ -16,6 +16,7 @@ from deepfsi.optics import codes
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.noise import Noise
+from deepfsi.sweeps.workers import Resources
 from deepfsi.training.job import Levels, TrainingNoise, TrainingSettings, training_for
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
@@ -71,15 +72,6 @@ Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
-
-
-class Resources(BaseModel):
-    """What each task takes of a cluster."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    cpus: float = Field(1, gt=0, allow_inf_nan=False)
-    gpus: float = Field(0, ge=0, allow_inf_nan=False)
 
 
 class Recipe(BaseModel):

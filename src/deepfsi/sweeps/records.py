@@ -21,8 +21,8 @@ from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 
 
-class Trial(Protocol):
-    """What is recorded: any training and its tests that have names."""
+class RecordedTrial(Protocol):
+    """A training and its tests, of any kind."""
 
     @property
     def key(self) -> str:
@@ -31,6 +31,9 @@ class Trial(Protocol):
     @property
     def design_key(self) -> str:
         """Content hash that names the design: of what the training depends on."""
+
+    def model_dump(self, *, mode: str) -> dict[str, Any]:
+        """Settings, as the record has them."""
 
 
 class Records:
@@ -46,7 +49,7 @@ class Records:
         self.folder = folder
         self._claims: dict[str, FileLock] = {}
 
-    def read(self, trial: Trial) -> dict[str, Any] | None:
+    def read(self, trial: RecordedTrial) -> dict[str, Any] | None:
         """Record of a trial, or None if it or its design is missing or damaged."""
         if not self._design_path(trial).is_file():
             return None
@@ -57,23 +60,23 @@ class Records:
         whole = isinstance(record, dict) and record.get("key") == trial.key
         return record if whole else None
 
-    def design(self, trial: Trial) -> Design | None:
+    def design(self, trial: RecordedTrial) -> Design | None:
         """Design of a trial that was trained already, perhaps for other tests."""
         try:
             return Design.load(self._design_path(trial))
         except InputError:
             return None
 
-    def write(self, trial: Trial, record: Mapping[str, Any], design: bytes | None) -> None:
+    def write(self, trial: RecordedTrial, record: Mapping[str, Any], design: bytes | None) -> None:
         """Keep what a trial gave, and give up the claim on it."""
         if design is not None:
             write_atomically(self._design_path(trial), design)
         write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())
         self.release([trial])
 
-    def claim(self, trials: Iterable[Trial]) -> bool:
+    def claim(self, trials: Iterable[RecordedTrial]) -> bool:
         """Claim trials for this process, all or none; False where another one has any of them."""
-        taken: list[Trial] = []
+        taken: list[RecordedTrial] = []
         for trial in trials:
             path = self._design_path(trial).with_suffix(".lock")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,7 +90,7 @@ class Records:
             taken.append(trial)
         return True
 
-    def release(self, trials: Iterable[Trial]) -> None:
+    def release(self, trials: Iterable[RecordedTrial]) -> None:
         """Give up claims. A process that dies gives up its own."""
         for trial in trials:
             lock = self._claims.pop(trial.key)
@@ -100,10 +103,10 @@ class Records:
             lock.release()
         self._claims.clear()
 
-    def _record_path(self, trial: Trial) -> Path:
+    def _record_path(self, trial: RecordedTrial) -> Path:
         return self.folder / "trials" / f"{trial.key}.json"
 
-    def _design_path(self, trial: Trial) -> Path:
+    def _design_path(self, trial: RecordedTrial) -> Path:
         return self.folder / "designs" / f"{trial.design_key}.safetensors"
 
 
@@ -145,7 +148,7 @@ def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
     Parameters
     ----------
     records : sequence of dict
-        From `run.run`.
+        From `queue.run_trials`.
     path : Path
         Ends in .csv or .parquet.
 

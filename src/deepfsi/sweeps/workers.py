@@ -7,7 +7,10 @@ import threading
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.errors import InputError
 
@@ -16,6 +19,44 @@ Shared = TypeVar("Shared")
 Result = TypeVar("Result")
 
 _shared: Any = None
+
+
+class Resources(BaseModel):
+    """Share of a cluster that each batch takes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cpus: float = Field(1, gt=0, allow_inf_nan=False)
+    gpus: float = Field(0, ge=0, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Processes that train.
+
+    Parameters
+    ----------
+    count : int, optional
+        On this machine, each with its share of the cores; None for one a core, or one for a GPU.
+        With more than one, a script of yours needs ``if __name__ == "__main__":``.
+    ray : str, optional
+        Address of a Ray cluster to work on instead, or "auto".
+    resources : Resources
+        Share of the cluster that each batch takes.
+    """
+
+    count: int | None = 1
+    ray: str | None = None
+    resources: Resources = field(default_factory=Resources)
+
+
+HERE = Workers()
+"""This process alone."""
+
+
+def default_count(device: str) -> int:
+    """Number of processes that are fastest on a device: on a processor one for each core."""
+    return 1 if device == "cuda" else cores()
 
 
 def cores() -> int:

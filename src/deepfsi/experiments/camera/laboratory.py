@@ -40,7 +40,7 @@ from deepfsi.hardware.virtual.camera import (
     draw_counts,
     record,
 )
-from deepfsi.sweeps.queue import Report
+from deepfsi.progress import Report
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
 

@@ -14,7 +14,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import Stopped, stop
 from deepfsi.experiments.experiment import budgets, points
 from deepfsi.statistics.differences import of_trials
-from deepfsi.sweeps.queue import Report
+from deepfsi.progress import Report
 from deepfsi.sweeps.results import Point, Results
 
 

@@ -19,9 +19,9 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.experiments.experiment import best
 from deepfsi.optics.scanner import subtract
+from deepfsi.progress import Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.masks import brightest
-from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.results import Point, Results
 
 MAPPED = (1e2, 1e4, 1e6)

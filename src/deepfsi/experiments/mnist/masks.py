@@ -16,11 +16,11 @@ from deepfsi.optics.measures import (
     subspace_similarity,
     throughput,
 )
+from deepfsi.progress import Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, of_trials
-from deepfsi.sweeps.queue import Report
 from deepfsi.sweeps.results import Results
 
 SHOWN = (1e3, 1e5, 1e8)

@@ -6,50 +6,32 @@ what a transformer's patch projection does. Noise is added to the counts, and a 
 classifies what is left.
 """
 
-import hashlib
-import json
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, field_validator
+from pydantic import BaseModel, TypeAdapter
 
-from deepfsi.datasets import Dataset, list_datasets, load_dataset
-from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.experiments.ovit.figures import patch_masks_figure
 from deepfsi.experiments.ovit.measures import LEARNED, LearnedMasks, Measures, measure_masks
-from deepfsi.optics.budget import BUDGETS
+from deepfsi.progress import SILENT, Report
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
-from deepfsi.sweeps.queue import Report, workers_for
-from deepfsi.sweeps.records import Records
+from deepfsi.sweeps.patch_trials import PatchContext, PatchRecipe, plan_patches
+from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.summary import facts_of, point, provenance_of
-from deepfsi.sweeps.workers import processes
-from deepfsi.training.patches import (
-    REVISION,
-    PatchedDesign,
-    Patches,
-    PatchJob,
-    PatchTraining,
-    train,
-)
-from deepfsi.training.training_set import find_device
+from deepfsi.sweeps.workers import Workers
 
-SCHEMA = 1
 LABEL = "OViT"
 RIVALS = ("raster", "hadamard", "pca")
 SHOWN = (1e2, 1e4, 1e6)
@@ -65,193 +47,11 @@ PAPER = (
 )
 
 
-class OvitRecipe(BaseModel):
-    """What to compare: every design at every budget, with every seed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    data: str = Field(description="name of a data set of images")
-    instead: str | None = Field(None, description="taken where it is here and the first is not")
-    size: tuple[int, int] = (64, 64)
-    images: int | None = Field(None, description="training images, those of validation included")
-    validation: int = Field(ge=1, description="how many of them are not trained on")
-    patch: int = Field(8, ge=2, description="side of a patch in pixels")
-    designs: tuple[PatchedDesign, ...] = Field(min_length=1)
-    photons: tuple[float, ...] = Field(min_length=1, description="of the whole image")
-    trials: int = Field(3, ge=1, description="training seeds for each point")
-    draws: int = Field(1, ge=1, description="noise draws of each test image")
-    training: PatchTraining = PatchTraining()
-    tuned: dict[PatchedDesign, dict[str, Any]] = Field({}, description="for single designs")
-
-    @field_validator("photons")
-    @classmethod
-    def _allowed(cls, budgets: tuple[float, ...]) -> tuple[float, ...]:
-        if not all(BUDGETS[0] <= budget <= BUDGETS[1] for budget in budgets):
-            raise ValueError(f"give budgets from {BUDGETS[0]:g} to {BUDGETS[1]:g} photons")
-        return budgets
-
-    def training_of(self, design: PatchedDesign) -> PatchTraining:
-        """How a design is trained."""
-        own = {**self.training.model_dump(), **self.tuned.get(design, {})}
-        return PatchTraining.model_validate(own)
-
-    def load(self) -> Dataset:
-        """The images."""
-        here = {each.name for each in list_datasets() if each.where != "not here"}
-        name = self.instead if self.data not in here and self.instead in here else self.data
-        return load_dataset(name or self.data, size=self.size, images=self.images)
-
-
-class OvitTrial(BaseModel):
-    """One training and its test, with all that the result depends on."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    job: PatchJob
-    data: str
-    data_hash: str
-    validation: int
-    draws: int
-
-    @property
-    def key(self) -> str:
-        """Content hash that names the record."""
-        return self._hash(exclude={"data"})
-
-    @property
-    def design_key(self) -> str:
-        """Content hash that names the design: of what the training depends on."""
-        return self._hash(exclude={"data", "draws"})
-
-    def _hash(self, exclude: set[str]) -> str:
-        settings = self.model_dump(mode="json", exclude=exclude)
-        whole = {"ovit": SCHEMA, "revision": REVISION, **settings}
-        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def plan(recipe: OvitRecipe, data: Dataset) -> list[OvitTrial]:
-    """All trials, seed by seed, so that what a stopped study has done is whole for some seeds."""
-    return [
-        OvitTrial(
-            job=PatchJob(
-                design=design,
-                photons=photons,
-                patch=recipe.patch,
-                seed=seed,
-                training=recipe.training_of(design),
-            ),
-            data=data.name,
-            data_hash=data.hash,
-            validation=recipe.validation,
-            draws=recipe.draws,
-        )
-        for seed, photons, design in product(range(recipe.trials), recipe.photons, recipe.designs)
-    ]
-
-
-class Bench:
-    """What every trial needs; sent once to each process."""
-
-    def __init__(self, data: Dataset, recipe: OvitRecipe, device: str) -> None:
-        self.data, self.device = data, device
-        self.held_out, self.side = recipe.validation, recipe.patch
-
-    @cached_property
-    def parts(self) -> Dataset:
-        """The data, its validation part as test part."""
-        return self.data.hold_out(self.held_out)
-
-    @cached_property
-    def patches(self) -> Patches:
-        """What is trained on."""
-        return Patches(self.parts, self.side, self.device)
-
-    def __getstate__(self) -> dict[str, Any]:
-        made_there = ("parts", "patches")
-        return {name: value for name, value in vars(self).items() if name not in made_there}
-
-
-Done = tuple[OvitTrial, dict[str, Any], bytes]
-
-
-def work(bench: Bench, trial: OvitTrial, report: Report | None = None) -> Done:
-    """Train and test one design."""
-    job = trial.job
-    tell = report or (lambda share, now: None)
-    design = train(bench.patches, job, lambda share: tell(share, title(trial)))
-    tests = [
-        evaluate(design, data, job.photons, draws=trial.draws, seed=job.seed)
-        for data in (bench.parts, bench.data)
-    ]
-    validation, test = ([result.as_dict() for result in results] for results in tests)
-    record = {
-        "schema": SCHEMA,
-        "key": trial.key,
-        "design": trial.design_key,
-        "trial": trial.model_dump(mode="json"),
-        "validation": validation,
-        "test": test,
-        "info": design.info,
-    }
-    return trial, record, design.to_bytes()
-
-
-def title(trial: OvitTrial) -> str:
-    """What is being trained, in words."""
-    job = trial.job
-    return f"{job.design}, {photons_text(job.photons)} photons, seed {job.seed}"
-
-
-def run_trials(
-    trials: Sequence[OvitTrial], bench: Bench, folder: Path, workers: int | None, report: Report
-) -> list[dict[str, Any]]:
-    """Train and test what the folder does not hold yet; the records, in the order of `trials`.
-
-    May be stopped at any moment and started again; several processes may work on one folder.
-    """
-    records = Records(folder)
-    count = workers or workers_for(find_device(bench.device))
-    finished = 0
-
-    def missing() -> list[OvitTrial]:
-        return [trial for trial in trials if records.read(trial) is None]
-
-    def claimed(wanted: Sequence[OvitTrial]) -> Iterator[OvitTrial]:
-        for trial in wanted:
-            if records.claim([trial]):
-                if records.read(trial) is None:
-                    yield trial
-                else:
-                    records.release([trial])
-
-    def inside(share: float, now: str) -> None:
-        report((finished + share) / len(trials), now)
-
-    try:
-        while todo := missing():
-            before = finished = len(trials) - len(todo)
-            inside(0.0, f"{len(todo)} trainings")
-            if count > 1 and len(todo) > 1:
-                done = processes(work, bench, claimed(todo), min(count, len(todo)))
-            else:
-                done = (work(bench, trial, inside) for trial in claimed(todo))
-            with closing(done) as arriving:
-                for trial, record, design in arriving:
-                    records.write(trial, record, design)
-                    finished += 1
-                    inside(0.0, title(trial))
-            if finished == before:
-                time.sleep(1)  # another process has them
-    finally:
-        records.release_all()
-    return [found for trial in trials if (found := records.read(trial))]
-
-
 @dataclass(frozen=True)
 class PatchExperiment(Experiment):
     """An experiment on patches, with a transformer as classifier."""
 
-    settings: type[BaseModel] = OvitRecipe
+    settings: type[BaseModel] = PatchRecipe
 
     def run(
         self,
@@ -263,18 +63,17 @@ class PatchExperiment(Experiment):
         device: str = "auto",
         workers: int | None = 1,
         ray: str | None = None,
-        report: Report | None = None,
+        report: Report = SILENT,
     ) -> Results:
         """Train and test what the folder does not hold yet, and write the numbers."""
-        if ray is not None:
-            raise InputError(f"{self.name} takes no Ray cluster: use --workers")
         began = time.perf_counter()
         [recipe] = self.recipes(quick, trials).values()
-        tell = report or (lambda share, now: None)
-        tell(0.0, "reading images")
+        report(0.0, "reading images")
         data = recipe.load()
-        bench = Bench(data, recipe, device)
-        records = run_trials(plan(recipe, data), bench, folder, workers, tell)
+        context = PatchContext(data, recipe.validation, recipe.patch, device)
+        records = run_trials(
+            plan_patches(recipe, data), context, folder, Workers(workers, ray), report
+        )
         results = Results(
             revision=1,
             title=f"{data.name}, patch by patch",

@@ -1,0 +1,185 @@
+"""Trials of masks that see whole scenes: batched, trained and tested."""
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import psutil
+import torch
+
+from deepfsi.datasets import Dataset
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.progress import SILENT, Report
+from deepfsi.sweeps.queue import Done
+from deepfsi.sweeps.results import SCHEMA
+from deepfsi.sweeps.trial import Trial
+from deepfsi.training.learning import Diverged, train
+from deepfsi.training.memory import footprint
+from deepfsi.training.training_set import Matrices, TrainingSet
+
+MASKS_AT_ONCE = 2048
+"""Learned masks that a processor trains together: with more its caches lose what batching gains."""
+
+MEMORY = 0.7
+"""Share of the free memory that is planned for."""
+
+Batch = list[Trial]
+"""Trials that are trained together."""
+
+
+class SweepContext:
+    """Work on the trials of a sweep, and what it needs.
+
+    Parameters
+    ----------
+    data : Dataset
+    held_out : int
+        Training scenes that are for validation.
+    device : {"auto", "cpu", "cuda"}
+    matrix : array, shape (m, N), optional
+        Sensing matrix of "custom" designs.
+    """
+
+    def __init__(
+        self, data: Dataset, held_out: int, device: str = "auto", matrix: np.ndarray | None = None
+    ) -> None:
+        self.data, self.held_out, self.device, self.matrix = data, held_out, device, matrix
+        self.matrices: Matrices = {}
+
+    @cached_property
+    def parts(self) -> Dataset:
+        """The data, its validation part as test part."""
+        return self.data.hold_out(self.held_out) if self.held_out else self.data
+
+    @cached_property
+    def training_set(self) -> TrainingSet:
+        """Scenes that are trained on."""
+        return TrainingSet(self.parts, self.device, self.matrices)
+
+    def __getstate__(self) -> dict[str, Any]:
+        made_there = ("parts", "training_set")
+        return {name: value for name, value in vars(self).items() if name not in made_there}
+
+    @property
+    def processor(self) -> torch.device:
+        """Device that trials are trained on here."""
+        return self.training_set.device
+
+    def batches(self, trials: Sequence[Trial], workers: int = 1) -> list[Batch]:
+        """Trials to be trained together, the longest work first, in the free memory."""
+        return self.batches_within(trials, _memory(self.processor) / workers)
+
+    def batches_within(self, trials: Sequence[Trial], limit: float) -> list[Batch]:
+        """Trials to be trained together, the longest work first.
+
+        On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share
+        their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
+        bytes is split.
+        """
+        groups: dict[Any, Batch] = defaultdict(list)
+        for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
+            seed = None if self.processor.type == "cuda" else trial.job.seed
+            groups[(trial.job.companions(self.processor), seed)].append(trial)
+        found: list[Batch] = []
+        for group in groups.values():
+            batch: Batch = []
+            for trial in group:
+                if batch and self._too_much([*batch, trial], limit):
+                    found.append(batch)
+                    batch = []
+                batch.append(trial)
+            found.append(batch)
+        return sorted(found, key=self.effort, reverse=True)
+
+    def _too_much(self, batch: Batch, limit: float) -> bool:
+        job = batch[0].job
+        learned_here = job.code.learned and self.processor.type == "cpu"
+        if learned_here and len(batch) * job.masks > MASKS_AT_ONCE:
+            return True
+        return footprint(self.training_set, [trial.job for trial in batch]) > limit
+
+    def prepare(self, trials: Sequence[Trial]) -> None:
+        """Compute the matrices that trials start from."""
+        for trial in trials:
+            self.training_set.prepare(trial.job.drawn_from)
+
+    def effort(self, batch: Sequence[Trial]) -> float:
+        """Relative cost of training a batch: a constant a step, products and noise."""
+        job = batch[0].job
+        cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
+        return job.training.epochs * job.training.looks * cost * (1 + (job.design == "control"))
+
+    def title(self, batch: Sequence[Trial]) -> str:
+        """Design, masks and number of trials of a batch."""
+        job = batch[0].job
+        return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
+
+    def train(self, batch: Batch, report: Report = SILENT) -> list[Done[Trial]]:
+        """Train and test one batch.
+
+        In parts where this machine would batch otherwise than the one that planned, in halves where
+        a GPU's memory does not hold it whole, and one by one where a trial diverges; that one's
+        record is None.
+        """
+        parts = self.batches_within(batch, math.inf)
+        if len(parts) > 1:
+            return [done for part in parts for done in self.train(part)]
+        own = self.matrix if batch[0].job.design == "custom" else None
+        try:
+            designs = train(self.training_set, [trial.job for trial in batch], own, report)
+        except Diverged:
+            if len(batch) == 1:
+                return [(batch[0], None, None)]
+            return [done for trial in batch for done in self.train([trial])]
+        except torch.OutOfMemoryError:
+            if len(batch) == 1:
+                raise InputError(
+                    f"{self.title(batch)} do not fit the memory of this GPU: use --device cpu"
+                ) from None
+            middle = len(batch) // 2
+            return self.train(batch[:middle]) + self.train(batch[middle:])
+        return [
+            (trial, self.record(trial, design), design.to_bytes())
+            for trial, design in zip(batch, designs, strict=True)
+        ]
+
+    def record(self, trial: Trial, design: Design) -> dict[str, Any]:
+        """Record of a trial whose design is tested now."""
+        return {
+            "schema": SCHEMA,
+            "key": trial.key,
+            "design": trial.design_key,
+            "trial": trial.model_dump(mode="json"),
+            "validation": _tested(trial, design, self.parts) if self.held_out else [],
+            "test": _tested(trial, design, self.data),
+            "info": design.info,
+        }
+
+
+def _memory(device: torch.device) -> float:
+    """Bytes that may be planned for on a device."""
+    if device.type == "cuda":
+        return MEMORY * torch.cuda.mem_get_info(device)[0]
+    return MEMORY * psutil.virtual_memory().available
+
+
+def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:
+    return [
+        {**result.as_dict(), "levels": levels}
+        for levels in trial.test_levels
+        for noise in trial.test_noise
+        for result in evaluate(
+            design.quantised(levels) if levels else design,
+            data,
+            trial.test_photons,
+            noise=noise,
+            sigma=trial.job.sigma,
+            draws=trial.draws,
+            seed=trial.job.seed,
+        )
+    ]

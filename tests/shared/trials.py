@@ -1,0 +1,24 @@
+"""Trials of a sweep, trained."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepfsi.datasets import Dataset
+from deepfsi.sweeps.context import SweepContext
+from deepfsi.sweeps.queue import run_trials
+from deepfsi.sweeps.trial import Trial
+from deepfsi.sweeps.workers import Workers
+
+
+def train_trials(
+    trials: list[Trial],
+    data: Dataset,
+    folder: Path,
+    matrix: np.ndarray | None = None,
+    **workers: Any,
+) -> list[dict[str, Any]]:
+    """Records of trials of one data set, by `Workers(**workers)`."""
+    context = SweepContext(data, trials[0].validation, matrix=matrix)
+    return run_trials(trials, context, folder, Workers(**workers))
