@@ -13,8 +13,8 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import Stopped, stop
 from deepfsi.experiments.experiment import budgets, points
-from deepfsi.statistics.differences import of_trials
 from deepfsi.progress import Report
+from deepfsi.statistics.differences import of_trials
 from deepfsi.sweeps.results import Point, Results
 
 
