@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from deepfsi.experiments.ovit.figures import patch_masks_figure
+from deepfsi.experiments.ovit.measures import LearnedMasks
 
 
 def patch_rows(budgets=(1e2, 1e4, 1e6), masks=9, side=3):
     rng = np.random.default_rng(1)
     return [
-        {"photons": photons, "side": side, "matrix": rng.normal(size=(masks, side**2)) / 20}
+        LearnedMasks(photons, side, [], [], rng.normal(size=(masks, side**2)) / 20)
         for photons in budgets
     ]
 
@@ -22,7 +23,7 @@ def test_all_masks_of_a_patch_brightest_first(budgets):
     figure = patch_masks_figure(rows)
     for ax, row in zip(figure.axes, rows, strict=True):
         (image,) = ax.images
-        end = np.abs(row["matrix"]).max()
+        end = np.abs(row.matrix).max()
         assert image.get_clim() == (-end, end)
         assert f"peak {end:.2g}" == ax.get_xlabel()
         sheet = np.ma.filled(image.get_array(), np.nan)
@@ -31,7 +32,7 @@ def test_all_masks_of_a_patch_brightest_first(budgets):
         tiles = [sheet[i : i + 3, j : j + 3] for i in (0, 4, 8) for j in (0, 4, 8)]
         light = [np.abs(tile).sum() for tile in tiles]
         assert light == sorted(light, reverse=True)
-        assert sorted(light) == pytest.approx(sorted(np.abs(row["matrix"]).sum(axis=1)))
+        assert sorted(light) == pytest.approx(sorted(np.abs(row.matrix).sum(axis=1)))
         assert np.isnan(sheet[3]).all()
 
 

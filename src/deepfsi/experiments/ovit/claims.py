@@ -193,11 +193,7 @@ def _pictures(results: Results, masks: Sequence[LearnedMasks]) -> tuple[Picture,
         ),
         Picture(
             patch_masks_figure(
-                [
-                    {"photons": row.photons, "side": row.side, "matrix": np.asarray(row.matrix)}
-                    for row in masks
-                    if row.photons in SHOWN or len(masks) <= len(SHOWN)
-                ]
+                [row for row in masks if row.photons in SHOWN or len(masks) <= len(SHOWN)]
             ),
             f"The {masks[0].side ** 2} masks of {LABEL}, the brightest first, row by row. Black is "
             "−peak, mid-grey 0, white peak, for each budget its own.",

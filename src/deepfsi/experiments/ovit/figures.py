@@ -6,19 +6,18 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.report.accuracy import Point
+from deepfsi.experiments.ovit.measures import LearnedMasks
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
 from deepfsi.report.style import GREYS, PAGE_WIDTH, power_text, styled
 
 
 @styled
-def patch_masks_figure(rows: Sequence[Point]) -> Figure:
+def patch_masks_figure(rows: Sequence[LearnedMasks]) -> Figure:
     """All masks of image patches, a panel for each budget.
 
     Parameters
     ----------
-    rows : sequence of mapping
-        `photons`, the budget; `side` of a patch; and `matrix`, array (m, side²).
+    rows : sequence of LearnedMasks
 
     Returns
     -------
@@ -30,7 +29,7 @@ def patch_masks_figure(rows: Sequence[Point]) -> Figure:
     figure = Figure(figsize=(width * len(rows), width + 0.5), layout="constrained")
     panels = figure.subplots(1, len(rows), squeeze=False)[0]
     for ax, row in zip(panels, rows, strict=True):
-        matrix, side = signed(row["matrix"]), row["side"]
+        matrix, side = signed(np.asarray(row.matrix)), row.side
         across = math.ceil(math.sqrt(len(matrix)))
         down = -(-len(matrix) // across)
         sheet = np.full((down * (side + 1) - 1, across * (side + 1) - 1), np.nan)
@@ -40,6 +39,6 @@ def patch_masks_figure(rows: Sequence[Point]) -> Figure:
         end = peak(matrix)
         mask_axes(ax, sheet, end, GREYS)
         ax.spines[:].set_visible(False)
-        ax.set_title(f"{power_text(row['photons'])} photons")
+        ax.set_title(f"{power_text(row.photons)} photons")
         ax.set_xlabel(f"peak {end:.2g}", fontsize=8)
     return figure
