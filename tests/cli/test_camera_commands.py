@@ -9,11 +9,9 @@ import pytest
 from PIL import Image
 
 from conftest import quick
-from deepfsi.cli.options import seconds
-from deepfsi.datasets import load_dataset, read_display, write_display
+from deepfsi.datasets import load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import read_patterns
 
 
@@ -178,47 +176,6 @@ def test_a_recording_that_cannot_be_leaves_nothing(call, lab, tmp_path, words, s
     assert code == 2
     assert said in err
     assert [path.name for path in tmp_path.iterdir()] == ["p"]
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("0.01", 0.01), ("10ms", 0.01), ("44us", 44e-6), ("44 µs", 44e-6), ("1e-3s", 1e-3)],
-)
-def test_times_have_units(text, value):
-    assert seconds("dwell", text) == pytest.approx(value)
-
-
-@pytest.mark.parametrize("text", ["", "ms", "-1", "nan", "inf", "1 hour"])
-def test_what_is_no_time_is_refused(text):
-    with pytest.raises(InputError, match="--dwell"):
-        seconds("dwell", text)
-
-
-def test_scenes_are_written_and_read_back(digits, tmp_path):
-    write_display(digits, tmp_path / "images", per_class=2, seed=3)
-    shown = read_display(tmp_path / "images")
-    assert shown.labels == tuple(c for c in digits.classes for _ in range(2))
-    assert shown.x.shape == (20, 8, 8)
-    places = [int(name.split("/")[1].removesuffix(".png")) for name in shown.names]
-    truth = digits.x_test[places].reshape(-1, 8, 8)
-    assert np.abs(shown.x - truth).max() <= 0.5 / 255 + 1e-6
-    assert [digits.classes[k] for k in digits.y_test[places]] == list(shown.labels)
-    again = write_display(digits, tmp_path / "again", per_class=2, seed=3)
-    assert [path.name for path in again] == [name.split("/")[1] for name in shown.names]
-    with pytest.raises(InputError, match="new folder"):
-        write_display(digits, tmp_path / "again", per_class=1)
-
-
-def test_one_picture_or_a_plain_folder_is_read(digits, tmp_path):
-    for number in range(2):
-        Image.fromarray(np.full((4, 6), 51 * number, np.uint8)).save(tmp_path / f"{number}.png")
-    shown = read_display(tmp_path)
-    assert shown.names == ("0.png", "1.png")
-    assert shown.labels is None
-    assert shown.x[1, 0, 0] == pytest.approx(0.2)
-    assert read_display(tmp_path / "1.png").x.shape == (1, 4, 6)
-    with pytest.raises(InputError, match="no picture"):
-        read_display(tmp_path / "2.png")
 
 
 def test_a_camera_is_calibrated_by_files_alone(call, made, tmp_path):

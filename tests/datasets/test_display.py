@@ -1,0 +1,35 @@
+"""Scenes are written as pictures for a display, and pictures read back."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepfsi.datasets import read_display, write_display
+from deepfsi.errors import InputError
+
+
+def test_scenes_are_written_and_read_back(digits, tmp_path):
+    write_display(digits, tmp_path / "images", per_class=2, seed=3)
+    shown = read_display(tmp_path / "images")
+    assert shown.labels == tuple(c for c in digits.classes for _ in range(2))
+    assert shown.x.shape == (20, 8, 8)
+    places = [int(name.split("/")[1].removesuffix(".png")) for name in shown.names]
+    truth = digits.x_test[places].reshape(-1, 8, 8)
+    assert np.abs(shown.x - truth).max() <= 0.5 / 255 + 1e-6
+    assert [digits.classes[k] for k in digits.y_test[places]] == list(shown.labels)
+    again = write_display(digits, tmp_path / "again", per_class=2, seed=3)
+    assert [path.name for path in again] == [name.split("/")[1] for name in shown.names]
+    with pytest.raises(InputError, match="new folder"):
+        write_display(digits, tmp_path / "again", per_class=1)
+
+
+def test_one_picture_or_a_plain_folder_is_read(digits, tmp_path):
+    for number in range(2):
+        Image.fromarray(np.full((4, 6), 51 * number, np.uint8)).save(tmp_path / f"{number}.png")
+    shown = read_display(tmp_path)
+    assert shown.names == ("0.png", "1.png")
+    assert shown.labels is None
+    assert shown.x[1, 0, 0] == pytest.approx(0.2)
+    assert read_display(tmp_path / "1.png").x.shape == (1, 4, 6)
+    with pytest.raises(InputError, match="no picture"):
+        read_display(tmp_path / "2.png")
