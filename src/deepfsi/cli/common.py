@@ -25,7 +25,19 @@ def load(
     view: Path | None = None,
     split: str | None = None,
 ) -> "Dataset":
-    """The data set of that name or path, as a camera of that calibration sees it if given."""
+    """Data set of a name or path.
+
+    Parameters
+    ----------
+    data : str
+        Name or path.
+    size : (int, int), optional
+        Height and width of images.
+    view : Path, optional
+        Folder of a camera's calibration: the scenes are as it sees them.
+    split : str, optional
+        Of a hyperspectral image.
+    """
     from deepfsi.datasets import load_dataset
 
     scenes = load_dataset(data, size=size, split=split)
@@ -111,7 +123,7 @@ def check_writable(folder: Path) -> None:
 
 
 def command_line() -> str:
-    """What was typed, for records and pages."""
+    """Command as it was typed, for records and pages."""
     return shlex.join(["deepfsi", *sys.argv[1:]])
 
 
@@ -121,7 +133,15 @@ def print_json(value: Any) -> None:
 
 
 def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table whose first column is words."""
+    """Print a table whose first column is words.
+
+    Parameters
+    ----------
+    title : str
+    heads : sequence of str
+    rows : sequence of sequence of str
+        As long as the heads.
+    """
     from rich.console import Console
     from rich.table import Table
 

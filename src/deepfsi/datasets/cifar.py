@@ -49,16 +49,21 @@ HASHES = {
 }
 UNPACKED = "cifar-10-batches-bin"
 BATCHES = (*(f"data_batch_{i}" for i in range(1, 6)), "test_batch")
-BATCH = 10_000  # images in each
+BATCH = 10_000
+"""Images in a batch."""
+
 SIDE = 32
-RECORD = 1 + 3 * SIDE * SIDE  # bytes: label, red, green, blue
+"""Height and width of an image, pixels."""
+
+RECORD = 1 + 3 * SIDE * SIDE
+"""Bytes of a binary record: label, red, green, blue."""
 
 JPEG_FILE = "cifar10-jpeg.zip"
 JPEG_NAME = "JPEG-decoded CIFAR-10"
 
 
 def where(name: str) -> Path | None:
-    """Find the archive, the unpacked folder, or the zip file of JPEG images."""
+    """Path of the archive, the unpacked folder, or the zip file of JPEG images."""
     wanted = (JPEG_FILE,) if name == "cifar10-jpeg" else (UNPACKED, *HASHES)
     root = data_root()
     folders = candidates("cifar10") if root is None else [*candidates("cifar10"), root]
@@ -72,7 +77,14 @@ def where(name: str) -> Path | None:
 def load(
     name: str, size: int | Shape | None, seed: int, rescale: Range | None, images: int | None
 ) -> Dataset:
-    """Load `cifar10` or `cifar10-jpeg`, grey, in its own split; the training part is shuffled."""
+    """Load grey CIFAR-10 in its own split; the training part is shuffled.
+
+    Parameters
+    ----------
+    name : {"cifar10", "cifar10-jpeg"}
+    size, seed, rescale, images
+        As in `load_dataset`.
+    """
     shape = as_shape(size)
     if shape is not None:
         check_total(6 * BATCH, shape)
@@ -107,7 +119,7 @@ def _grey(pixels: npt.NDArray[np.uint8], shape: Shape | None) -> npt.NDArray[np.
 
 
 def download(name: str) -> Path:
-    """Make sure that the files are here and whole; give their path."""
+    """Path of the files, downloaded where they are missing, all whole."""
     found = where(name)
     if name == "cifar10-jpeg":
         return _jpeg_path()

@@ -1,6 +1,6 @@
-"""Scenes as a camera has them: with stray light on them, and not quite in place.
+"""Conditions of a camera: stray light on the scenes, and scenes out of place.
 
-Train on them what is to work there.
+Designs that are to work under them are trained on such scenes.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ def ambient(data: Dataset, share: float) -> Dataset:
 
     Parameters
     ----------
-    data
-    share
+    data : Dataset
+    share : float
         Stray light over the training scenes' mean light, at least 0.
 
     Returns
@@ -52,14 +52,14 @@ def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> 
 
     Parameters
     ----------
-    data
+    data : Dataset
         Images.
-    shift
+    shift : float
         Standard deviation of the shift along each axis, pixels, at least 0.
-    turn
+    turn : float
         Standard deviation of a turn about the centre, degrees, at least 0.
-    seed
-        Of the displacements.
+    seed : int
+        Draws the displacements.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Read a hyperspectral image and its label map from ``.mat``, ``.npy`` or ENVI files."""
+"""Hyperspectral images and their label maps from ``.mat``, ``.npy`` or ENVI files."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ def read_cube(
 
     Parameters
     ----------
-    path
+    path : Path
         The cube, (H, W, B): a ``.mat`` file up to version 7 with one three-dimensional variable,
         an ``.npy`` file, or the ``.hdr`` header of an ENVI file (needs the package ``spectral``).
-    labels
+    labels : Path, optional
         The label map, (H, W) integers with 0 for no label, in any of the three. By default
         the file beside the cube that is named as it is with ``_gt`` added, or put in place of
         ``_corrected``: ``Salinas_gt.mat`` for ``Salinas_corrected.mat``.
-    variables
+    variables : (str or None, str or None)
         Names of the cube's and the label map's variable in ``.mat`` files; by default the only
         one of that many dimensions.
-    name, classes, wavelengths, origin
+    name, classes, wavelengths, origin : optional
         As in `SpectralImage`; by default the file's name, and what an ENVI header says.
 
     Returns

@@ -23,21 +23,21 @@ class Dataset:
 
     Attributes
     ----------
-    name
-        What the data set is called in tables and records.
-    x_train, x_test
-        Reflectance after preprocessing, dimensionless in [0, 1], (n, N) float32.
-    y_train, y_test
-        Class of each scene, 0 .. C-1, (n,) int64.
-    image_shape
+    name : str
+        Name in tables and records.
+    x_train, x_test : array, shape (n, N), float32
+        Reflectance after preprocessing, dimensionless in [0, 1].
+    y_train, y_test : array, shape (n,), int64
+        Class of each scene, 0 .. C-1.
+    image_shape : tuple of int
         (H, W) for images, (B,) for spectra of B bands; its product is N.
-    classes
+    classes : tuple of str
         The C class names, in the order of the labels.
-    preprocessing
-        What was done to the source's values, in one sentence.
-    wavelengths
-        For spectra whose bands are known: centre of each band in nm, (N,) float64, NaN for the
-        dark bands of a padding. It describes and is not part of the hash.
+    preprocessing : str
+        Changes made to the source's values, in one sentence.
+    wavelengths : array, shape (N,), float64, or None
+        For spectra whose bands are known: centre of each band in nm, NaN for the dark bands of a
+        padding. It describes and is not part of the hash.
 
     Examples
     --------
@@ -79,8 +79,8 @@ class Dataset:
 
         Parameters
         ----------
-        count
-            How many training scenes to set aside, at least 1; by default one sixth of them
+        count : int, optional
+            Training scenes to set aside, at least 1; by default one sixth of them
             (10 000 of MNIST's 60 000). To hold nothing out, use the data set itself.
 
         Returns

@@ -23,12 +23,12 @@ class Display(NamedTuple):
 
     Attributes
     ----------
-    names
-        Of their files.
-    labels
+    names : tuple of str
+        Names of their files.
+    labels : tuple of str or None
         Class of each, if there is a folder for each class.
-    x
-        Reflectance in [0, 1], (S, H, W) float32.
+    x : array, shape (S, H, W), float32
+        Reflectance in [0, 1].
     """
 
     names: tuple[str, ...]
@@ -41,7 +41,7 @@ def read_display(path: str | os.PathLike[str]) -> Display:
 
     Parameters
     ----------
-    path
+    path : str or path
         Pictures have 8 bits and one size; colours are turned to grey.
 
     Raises
@@ -72,14 +72,14 @@ def write_display(
 
     Parameters
     ----------
-    data
+    data : Dataset
         Images.
-    folder
+    folder : str or path
         New or empty.
-    per_class
+    per_class : int
         Scenes of each class, drawn without repetition.
-    seed
-        Of the draw.
+    seed : int
+        Draws them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""MNIST and its like: the original gzipped idx files, checked by their hashes."""
+"""MNIST and Fashion-MNIST: the original gzipped idx files, checked by their hashes."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def read_idx(path: Path, dimensions: int) -> npt.NDArray[np.uint8]:
 
 
 def where(name: str) -> Path | None:
-    """Find the first folder that has all four files."""
+    """First folder that has all four files."""
     for folder in candidates(name):
         if all((folder / file).is_file() for file in IDX_FILES):
             return folder
@@ -130,7 +130,7 @@ def check(name: str) -> list[FileCheck]:
 
 
 def download(name: str) -> Path:
-    """Make sure that the four files are here and whole; give their folder."""
+    """Folder of the four files, downloaded where they are missing, all whole."""
     folder = where(name)
     if folder is not None and folder != cache(name):
         for file, ok, detail in check(name):

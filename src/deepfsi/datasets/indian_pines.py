@@ -25,10 +25,18 @@ FOLDER = "indian_pines"
 LABELS_FILE = "Indian_pines_gt.mat"
 BANDS_FILE = "92AV3C.spc"
 SURROGATE = "indian-pines-surrogate"
-BANDS = 256  # after padding
+BANDS = 256
+"""Bands after padding."""
+
 SIDE = 145
-SCENE_SEED = 1992  # of the surrogate: one scene, whatever the seed of its split
-WATER = np.r_[103:108, 149:163, 219]  # bands, from 0, that the corrected file lacks
+"""Height and width of the scene, pixels."""
+
+SCENE_SEED = 1992
+"""Seed of the surrogate: one scene, whatever the seed of its split."""
+
+WATER = np.r_[103:108, 149:163, 219]
+"""Bands, counted from 0, that the corrected file lacks."""
+
 CLASSES = (
     "Alfalfa",
     "Corn-notill",
@@ -50,7 +58,7 @@ CLASSES = (
 
 
 class Source(NamedTuple):
-    """The files that a name needs, and how many bands are in them."""
+    """Files that a name needs, and the number of their bands."""
 
     files: tuple[str, ...]
     bands: int
@@ -125,7 +133,7 @@ def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
 
 
 def where(name: str) -> Path | None:
-    """Find the first folder that has all files of a name."""
+    """First folder that has all files of a name."""
     for folder in candidates(FOLDER):
         if all((folder / file).is_file() for file in SOURCES[name].files):
             return folder
@@ -133,7 +141,7 @@ def where(name: str) -> Path | None:
 
 
 def download(name: str) -> Path:
-    """Give the folder of the files; they are not to be downloaded."""
+    """Folder of the files; they are not to be downloaded."""
     folder = where(name)
     if folder is None:
         files = " and ".join(SOURCES[name].files)

@@ -1,4 +1,4 @@
-"""Read the pickles of CIFAR-10's Python archive, and nothing that a pickle could do besides.
+"""Pickles of CIFAR-10's Python archive, read without calling anything that they name.
 
 Such a pickle holds a dict of bytes, lists, integers and one array of bytes. The few names that it
 refers to are replaced by stand-ins; any other name is an error, so that nothing is ever called.
@@ -63,15 +63,15 @@ def read_batch(content: bytes, where: str) -> tuple[npt.NDArray[np.uint8], list[
 
     Parameters
     ----------
-    content
+    content : bytes
         The pickle.
-    where
-        What it is called in messages.
+    where : str
+        Its name in messages.
 
     Returns
     -------
-    tuple
-        Pixels, (n, 3072) uint8, and the n labels.
+    pixels : array, shape (n, 3072), uint8
+    labels : list of int
 
     Raises
     ------

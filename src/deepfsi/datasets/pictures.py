@@ -1,4 +1,4 @@
-"""Folders and zip files of images become a `Dataset`.
+"""Images in folders and zip files.
 
 Both hold one folder for each class, or such folders within their own ``train/`` and ``test/``. A
 zip file is read in place, never unpacked. It may come from anywhere, so that its names, the sizes
@@ -28,8 +28,11 @@ if TYPE_CHECKING:
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
-MAX_FILE = 2**28  # bytes of one image in a zip file
-MAX_PIXELS = 2**30  # pixels of all images together: 4.3 GB as float32
+MAX_FILE = 2**28
+"""Bytes at most of one image in a zip file."""
+
+MAX_PIXELS = 2**30
+"""Pixels at most of all images together: 4.3 GB as float32."""
 
 Shape = tuple[int, int]
 
@@ -53,16 +56,16 @@ def load_pictures(
 
     Parameters
     ----------
-    path
+    path : Path
         The folder or zip file.
-    size
+    size : int or (int, int), optional
         Side or (H, W) in pixels to which images are brought by averaging over areas.
-    seed
+    seed : int
         Draws the test part where there is none, the order, and the `images` to keep.
-    rescale
-        (low, high) to which [0, 1] is mapped; by default no change.
-    images
-        How many training images to keep; only where there is a test part.
+    rescale : (float, float), optional
+        Low and high, to which [0, 1] is mapped.
+    images : int, optional
+        Training images to keep; only where there is a test part.
 
     Raises
     ------
@@ -91,7 +94,19 @@ def from_listings(
     images: int | None = None,
     bilinear: bool = False,
 ) -> Dataset:
-    """Read the images of one part, or of a training and a test part."""
+    """Data set of the images of one part, or of a training and a test part.
+
+    Parameters
+    ----------
+    listings : list of list of Picture
+        Of one part, or of the training and the test part.
+    shape : (int, int), optional
+        Height and width to which images are brought.
+    name, seed, rescale, images
+        As in `load_pictures`.
+    bilinear : bool
+        Resize bilinearly instead of averaging over areas.
+    """
     train, *test = listings
     if images is not None:
         if not test:
@@ -116,7 +131,17 @@ def from_listings(
 
 
 def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
-    """Say what was done to the images."""
+    """Preprocessing of images, as the beginning of a sentence.
+
+    Parameters
+    ----------
+    shape : (int, int) or None
+        Height and width to which they were brought.
+    bilinear : bool
+        Resized bilinearly instead of averaged over areas.
+    images : int or None
+        Number of training images that were drawn.
+    """
     how = "resized bilinearly" if bilinear else "averaged"
     resized = "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels,"
     drawn = "" if images is None else f"{images} training images drawn by class; "
@@ -125,7 +150,7 @@ def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
 
 
 def as_shape(size: int | Shape | None) -> Shape | None:
-    """One side or (H, W) as (H, W)."""
+    """Height and width of a size that is one side or both."""
     if size is None:
         return None
     shape = size if isinstance(size, tuple) else (size, size)
@@ -135,7 +160,7 @@ def as_shape(size: int | Shape | None) -> Shape | None:
 
 
 def check_total(images: int, shape: tuple[int, ...]) -> None:
-    """Refuse more pixels than memory is likely to hold."""
+    """Raise `InputError` for more pixels than memory is likely to hold."""
     height, width = shape
     if images * height * width > MAX_PIXELS:
         raise InputError(
@@ -149,7 +174,7 @@ def check_total(images: int, shape: tuple[int, ...]) -> None:
 
 @contextmanager
 def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
-    """List the images of a folder or zip file: of one part, or of its training and test part."""
+    """Images of a folder or zip file: of one part, or of its training and test part."""
     if path.is_dir():
         yield list_folder(path)
         return
@@ -178,7 +203,7 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
 
 
 def opener(path: Path) -> Callable[[], IO[bytes]]:
-    """What opens a file."""
+    """Function that opens a file."""
     return lambda: path.open("rb")
 
 
@@ -261,7 +286,7 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
 
 
 def is_image(name: str) -> bool:
-    """Whether a file's name is that of an image."""
+    """True for names of image files."""
     return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
@@ -269,7 +294,16 @@ def is_image(name: str) -> bool:
 
 
 def read_all(pictures: list[Picture], shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
-    """Grey images, (n, H, W), all of one shape."""
+    """Grey images (n, H, W), all of one shape.
+
+    Parameters
+    ----------
+    pictures : list of Picture
+    shape : (int, int) or None
+        Height and width to which they are brought; without it they must agree.
+    bilinear : bool
+        Resize bilinearly instead of averaging over areas.
+    """
     from PIL import Image
 
     if shape is not None:
@@ -314,7 +348,16 @@ def _read_grey(picture: Picture, shape: Shape | None, bilinear: bool) -> npt.NDA
 
 
 def resized(grey: PillowImage, shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
-    """Grey image of Pillow's, brought to (H, W) where that is given."""
+    """Levels of one of Pillow's grey images, resized where a shape is given.
+
+    Parameters
+    ----------
+    grey : PIL.Image.Image
+    shape : (int, int) or None
+        Height and width.
+    bilinear : bool
+        Resize bilinearly instead of averaging over areas.
+    """
     from PIL import Image
 
     if shape is not None:

@@ -1,4 +1,4 @@
-"""Spectra as scenes: a hyperspectral image and its label map become a `Dataset`.
+"""Spectra as scenes: data sets of a hyperspectral image and its label map.
 
 Each labelled pixel is one scene whose "pixels" are its N bands, so that a mask weighs wavelengths.
 Neighbouring pixels of one field resemble each other. A random split therefore tests on pixels whose
@@ -19,15 +19,22 @@ from deepfsi.datasets.arrays import Range, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.errors import InputError, closest
 
-__all__ = ["SPLITS", "SpectralImage"]
-
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
 SPLITS = ("random", "blocks")
-TEST_SHARE = 5  # one scene in five is for testing, as wherever this package draws a test part
-BLOCK = 9  # pixels: side of the square blocks
-TRIES = 6  # shuffles of the blocks, each giving five choices of a fifth
-GUARD = 1  # pixels: no training scene so near to a test scene
+"""Ways to divide the pixels for testing."""
+
+TEST_SHARE = 5
+"""One scene in so many is for testing, as wherever this package draws a test part."""
+
+BLOCK = 9
+"""Side of the square blocks, pixels."""
+
+TRIES = 6
+"""Shuffles of the blocks, each giving five choices of a fifth."""
+
+GUARD = 1
+"""Distance from a test scene at which no training scene is, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,20 +43,20 @@ class SpectralImage:
 
     Attributes
     ----------
-    name
-        What it is called in tables and records.
-    cube
-        Value of each pixel in each band, (H, W, B), integers or floats. Floats in [0, 1] are
+    name : str
+        Name in tables and records.
+    cube : array, shape (H, W, B)
+        Value of each pixel in each band, integers or floats. Floats in [0, 1] are
         reflectance; any other cube is mapped linearly from its lowest and highest value to [0, 1].
-    labels
-        Class of each pixel, (H, W) integers, 0 where it has none.
-    classes
+    labels : array, shape (H, W)
+        Class of each pixel, an integer, 0 where it has none.
+    classes : sequence of str, optional
         Names of the classes 1, 2, ..; by default the labels themselves. Those without a pixel are
         left out.
-    wavelengths
-        Centre of each band in nm, (B,), where it is known.
-    origin
-        What the values are, in a few words, for `Dataset.preprocessing`.
+    wavelengths : array, shape (B,), optional
+        Centre of each band in nm.
+    origin : str
+        Kind of the values, in a few words, for `Dataset.preprocessing`.
 
     Raises
     ------
@@ -113,7 +120,7 @@ class SpectralImage:
 
         Parameters
         ----------
-        bands
+        bands : int, optional
             N, to which the spectra are padded with darkness; by default as many as there are.
 
         Returns
@@ -142,18 +149,18 @@ class SpectralImage:
 
         Parameters
         ----------
-        split
+        split : {"random", "blocks"}
             ``"random"``: a stratified fifth is for testing. ``"blocks"``: so are the pixels of
             about a fifth of the 9x9 blocks into which the image is cut: of thirty draws the one
             with the most classes in both parts. Training pixels that touch a test pixel are left
             out. A class that lies in one block is not tested.
-        seed
+        seed : int
             Draws the fifth, 0 .. 2**32 - 1.
 
         Returns
         -------
-        tuple
-            Where the training and where the test pixels are, (H, W) bool each.
+        train, test : array, shape (H, W), bool
+            Where their pixels are.
 
         Raises
         ------
@@ -225,11 +232,10 @@ class SpectralImage:
         ----------
         split, seed
             As in `parts`. The seed draws the order of the training scenes, too.
-        bands
+        bands : int, optional
             N, to which the spectra are padded with darkness; by default as many as there are.
-        rescale
-            (low, high) to which [0, 1] is mapped; by default no change. The padding stays dark
-            only without.
+        rescale : (float, float), optional
+            Low and high, to which [0, 1] is mapped. The padding stays dark only without.
 
         Returns
         -------

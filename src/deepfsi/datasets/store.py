@@ -1,4 +1,4 @@
-"""Where the files of named data sets lie: ``$DEEPFSI_DATA``, the cache, and how they get there."""
+"""Files of named data sets, in ``$DEEPFSI_DATA`` and the cache, and their download."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepfsi.errors import InputError
 
 
 class FileCheck(NamedTuple):
-    """What a check of one file found."""
+    """Result of the check of one file."""
 
     file: str
     ok: bool
@@ -39,7 +39,7 @@ def data_root() -> Path | None:
 
 
 def candidates(name: str) -> list[Path]:
-    """List the folders where the files of a data set may be, first come first."""
+    """Folders where the files of a data set may be, the first before the second."""
     root = data_root()
     return [cache(name)] if root is None else [root / name, cache(name)]
 
@@ -58,7 +58,18 @@ def check_file(path: Path, known_hash: str) -> FileCheck:
 
 
 def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) -> None:
-    """Bring one file into the cache, unless it is there whole, from the first mirror that can."""
+    """Bring one file into the cache, unless it is there whole, from the first mirror that can.
+
+    Parameters
+    ----------
+    name : str
+        Data set.
+    file : str
+    known_hash : str
+        "algorithm:hex".
+    mirrors : tuple of str
+        Addresses before the name of the file.
+    """
     import pooch
 
     pooch.get_logger().setLevel("WARNING")

@@ -22,8 +22,9 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 
 Floats = npt.NDArray[np.float64]
 
-# shares of the cover, then chlorophyll and leaf water relative to a lush leaf
 ENDMEMBERS = ("vegetation", "residue", "soil", "stone", "metal", "shade")
+"""Covers of the ground, of which a pixel is a mixture."""
+
 CLASSES: dict[str, tuple[float, ...]] = {
     "Alfalfa": (0.78, 0.03, 0.12, 0.002, 0.001, 0.07, 1.15, 1.10),
     "Corn-notill": (0.20, 0.40, 0.36, 0.002, 0.001, 0.04, 0.82, 0.80),
@@ -43,28 +44,41 @@ CLASSES: dict[str, tuple[float, ...]] = {
     "Stone-Steel-Towers": (0.08, 0.10, 0.20, 0.36, 0.20, 0.05, 0.80, 0.70),
 }
 
-FIELD = 0.35  # standard deviation of the logarithm of a share between fields of one class
-WITHIN = 0.33  # the same for the smooth variation within a field
-SCATTER = 0.17  # the same from pixel to pixel
-LEAF = 0.5  # leaf chemistry varies by this share of the three above
-SMOOTH = 5.0  # pixels: standard deviation of the kernel of the smooth variation
-SOIL_PATCH = 12.0  # pixels: the same of soil brightness, which knows no fields
-OPTICS = 0.5  # pixels: standard deviation of the point spread
+FIELD = 0.35
+"""Standard deviation of the logarithm of a share between fields of one class."""
+
+WITHIN = 0.33
+"""Standard deviation of the logarithm of a share within a field, varying smoothly."""
+
+SCATTER = 0.17
+"""Standard deviation of the logarithm of a share from pixel to pixel."""
+
+LEAF = 0.5
+"""Variation of leaf chemistry, as a share of the three above."""
+
+SMOOTH = 5.0
+"""Standard deviation of the kernel of the smooth variation, pixels."""
+
+SOIL_PATCH = 12.0
+"""Standard deviation of the kernel of soil brightness, which heeds no fields, pixels."""
+
+OPTICS = 0.5
+"""Standard deviation of the point spread, pixels."""
 
 
 def simulate(
     labels: npt.NDArray[np.integer], wavelengths: Floats, seed: int
 ) -> npt.NDArray[np.uint16]:
-    """Simulate what an imaging spectrometer reads over a label map.
+    """Simulate the readings of an imaging spectrometer over a label map.
 
     Parameters
     ----------
-    labels
-        Class of each pixel in the order of `CLASSES` from 1, (H, W), 0 for none. Pixels without
+    labels : array, shape (H, W)
+        Class of each pixel in the order of `CLASSES` from 1, 0 for none. Pixels without
         a class continue the nearest field with more scatter.
-    wavelengths
-        Centre of each band in nm, (B,).
-    seed
+    wavelengths : array, shape (B,)
+        Centre of each band in nm.
+    seed : int
         Draws everything that varies.
 
     Returns
