@@ -24,7 +24,14 @@ from deepfsi.datasets.store import FileCheck
 from deepfsi.errors import InputError, closest
 
 CIFAR = ("cifar10", "cifar10-jpeg")
-NAMES = ("digits", *idx.ORIGINALS, *CIFAR, *indian_pines.SOURCES)
+FILES = (
+    dict.fromkeys(idx.ORIGINALS, idx)
+    | dict.fromkeys(CIFAR, cifar)
+    | dict.fromkeys(indian_pines.SOURCES, indian_pines)
+)
+"""Module that finds, downloads and checks the files of each name."""
+
+NAMES = ("digits", *FILES)
 
 
 class DatasetInfo(NamedTuple):
@@ -41,23 +48,19 @@ class DatasetInfo(NamedTuple):
 
 
 def list_datasets() -> list[DatasetInfo]:
-    """List the data sets that have a name. Files are looked for, but not opened."""
+    """Data sets that have a name. Files are looked for, but not opened."""
+    sizes = (
+        dict.fromkeys(idx.ORIGINALS, (70_000, 1024, 10))
+        | dict.fromkeys(CIFAR, (60_000, 1024, 10))
+        | dict.fromkeys(indian_pines.SOURCES, (10_249, indian_pines.BANDS, 16))
+    )
     return [
         DatasetInfo("digits", 1797, 64, 10, "embedded"),
         *(
-            DatasetInfo(name, 70_000, 1024, len(original.classes), _shown(idx.where(name)))
-            for name, original in idx.ORIGINALS.items()
-        ),
-        *(DatasetInfo(name, 60_000, 1024, 10, _shown(cifar.where(name))) for name in CIFAR),
-        *(
-            DatasetInfo(name, 10_249, indian_pines.BANDS, 16, _shown(indian_pines.where(name)))
-            for name in indian_pines.SOURCES
+            DatasetInfo(name, *sizes[name], str(files.where(name) or "not here"))
+            for name, files in FILES.items()
         ),
     ]
-
-
-def _shown(path: Path | None) -> str:
-    return "not here" if path is None else str(path)
 
 
 def download(name: str) -> Path:
@@ -88,11 +91,7 @@ def download(name: str) -> Path:
             "digits is embedded in scikit-learn: there is nothing to download, load it"
         )
     _check_name(name)
-    if name in CIFAR:
-        return cifar.download(name)
-    if name in indian_pines.SOURCES:
-        return indian_pines.download(name)
-    return idx.download(name)
+    return FILES[name].download(name)
 
 
 def check(name: str) -> list[FileCheck]:
@@ -117,11 +116,7 @@ def check(name: str) -> list[FileCheck]:
     _check_name(name)
     if name == "digits":
         return [FileCheck("digits", True, "embedded in scikit-learn")]
-    if name in CIFAR:
-        return cifar.check(name)
-    if name in indian_pines.SOURCES:
-        return indian_pines.check(name)
-    return idx.check(name)
+    return FILES[name].check(name)
 
 
 def _check_name(name: str) -> None:
