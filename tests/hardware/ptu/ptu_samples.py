@@ -14,7 +14,7 @@ T2 = GENERIC_T2
 
 
 def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
-    """What each record is, its time, and its input or marker bits."""
+    """Records by name, each with its time and its input or marker bits."""
     wraps, out = 0, []
     for word in words:
         top = word >> 28

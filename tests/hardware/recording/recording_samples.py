@@ -87,7 +87,7 @@ def train(
 
 @dataclass
 class Trouble:
-    """What happens to a marker train."""
+    """Fault put into a marker train."""
 
     kind: str
     scene: int
@@ -114,7 +114,7 @@ class Trouble:
 
 
 def unseen(markers: np.ndarray, true: np.ndarray) -> bool:
-    """Whether a pass left no marker and a later one did: nobody can tell which it was."""
+    """True if a pass left no marker and a later one did: nobody can tell which it was."""
     left = np.isin(true, markers).any(axis=1)
     return bool((np.diff(left.astype(int)) > 0).any())
 

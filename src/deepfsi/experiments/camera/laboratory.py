@@ -22,7 +22,11 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.experiments.camera.measures import DigitTest, Measures, RunTime, Views
 from deepfsi.hardware.calibration import fit
-from deepfsi.hardware.calibration.background import black_rates, subtract_background
+from deepfsi.hardware.calibration.background import (
+    black_rates,
+    expected_background,
+    subtract_background,
+)
 from deepfsi.hardware.calibration.calibration_file import Calibration
 from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -218,7 +222,7 @@ def classify(
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s
     on, off = (detector.draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
-    signal = subtract_background(counts, mounted.patterns, exposure_s, off)
+    signal = subtract_background(counts, expected_background(mounted.patterns, exposure_s, off))
     chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)
 

@@ -70,23 +70,14 @@ def expected_background(
     return out
 
 
-def subtract_background(
-    counts: np.ndarray,
-    patterns: Patterns,
-    exposure_s: float,
-    dark: float | np.ndarray,
-    ambient: float | np.ndarray = 0.0,
-) -> np.ndarray:
-    """Counts (..., rails, m) less their expected background, whose noise stays.
-
-    The parameters are those of `expected_background`.
+def subtract_background(counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Counts (..., rails, m) less what `expected_background` gives; its noise stays.
 
     Raises
     ------
     InputError
         If the counts are not those of the patterns.
     """
-    expected = expected_background(patterns, exposure_s, dark, ambient)
     if np.shape(counts)[-2:] != expected.shape:
         raise InputError(
             f"counts of shape {np.shape(counts)} are not of these patterns: give "

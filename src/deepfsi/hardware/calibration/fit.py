@@ -141,16 +141,7 @@ def calibrate(
     """
     scenes, pictures = np.asarray(scenes, dtype=float), np.asarray(pictures, dtype=float)
     cells = (grid.down, grid.across)
-    if scenes.ndim != 3 or pictures.shape != (len(scenes), *cells):
-        raise InputError(
-            f"scenes of shape {scenes.shape} and pictures of shape {pictures.shape}: give one "
-            f"picture of {cells[0]} x {cells[1]} cells for each displayed image"
-        )
-    for name, picture in (("white", white), ("black", black)):
-        if picture is not None and np.shape(picture) != cells:
-            raise InputError(
-                f"the {name} picture has shape {np.shape(picture)}: give {cells[0]} x {cells[1]}"
-            )
+    _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
     shown, measured = _centroids(scenes), find_spots(pictures)
@@ -167,6 +158,25 @@ def calibrate(
         dark=dark,
         ambient=ambient,
     )
+
+
+def _check_shapes(
+    scenes: np.ndarray,
+    pictures: np.ndarray,
+    uniform: Mapping[str, np.ndarray | None],
+    cells: tuple[int, int],
+) -> None:
+    """Raise `InputError` unless there is a picture of each scene, all of these cells."""
+    if scenes.ndim != 3 or pictures.shape != (len(scenes), *cells):
+        raise InputError(
+            f"scenes of shape {scenes.shape} and pictures of shape {pictures.shape}: give one "
+            f"picture of {cells[0]} x {cells[1]} cells for each displayed image"
+        )
+    for name, picture in uniform.items():
+        if picture is not None and np.shape(picture) != cells:
+            raise InputError(
+                f"the {name} picture has shape {np.shape(picture)}: give {cells[0]} x {cells[1]}"
+            )
 
 
 def calibrate_run(

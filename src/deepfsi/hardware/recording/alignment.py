@@ -24,11 +24,12 @@ from deepfsi.hardware.recording.faults import Fault, name_faults
 from deepfsi.hardware.recording.passes import (
     MOST_DRIFT,
     MOST_SHIFT,
+    Markers,
     Pass,
     Schedule,
     follow_passes,
     overlapping,
-    spare_markers,
+    spare_times,
     take_whole,
     walk,
 )
@@ -105,19 +106,20 @@ def align(
             f"{scenes} scenes of {schedule.frames} frames are more than {MOST_FRAMES} frames: "
             "split the acquisition"
         )
-    whole = take_whole(times, schedule, scenes)
+    markers = Markers(times, schedule, scenes)
+    whole = take_whole(markers)
     if whole is not None:
         return Alignment(whole, ())
-    passes = follow_passes(times, schedule, scenes)
-    doubtful = _find_doubts(passes, times, schedule)
+    passes = follow_passes(markers)
+    doubtful = _find_doubts(passes, markers)
     shifts = _find_shifts(passes, doubtful, schedule, counter)
     for place, shift in shifts.items():
         if shift:
             start = passes[place].expected[0] + shift * schedule.step
-            passes[place] = walk(times, start, schedule)
+            passes[place] = walk(markers, start)
     if shifts and overlapping(passes, schedule) >= {len(passes) - 1}:
         passes.pop()  # made of markers that a shifted pass has now
-    return Alignment(*name_faults(passes, doubtful - set(shifts), times, schedule, scenes))
+    return Alignment(*name_faults(passes, doubtful - set(shifts), markers))
 
 
 def find_steps(
@@ -155,14 +157,15 @@ def find_steps(
     return ~usable | ~(less & clear | falls), clear
 
 
-def _find_doubts(passes: list[Pass], times: np.ndarray, schedule: Schedule) -> set[int]:
+def _find_doubts(passes: list[Pass], markers: Markers) -> set[int]:
     """Passes that may be shifted by whole frames, as far as times tell.
 
     These are passes that lack half of their markers, or the first or last, or have a marker beside
     them that could be of one of their frames, and all passes that follow or precede them without a
     pause that is long enough to tell.
     """
-    spare = spare_markers(passes, times)
+    schedule = markers.schedule
+    spare = spare_times(passes, markers.times)
     reach = (MOST_SHIFT + 0.5) * schedule.step
     beyond = np.arange(1, MOST_SHIFT + 1) * schedule.step
     doubts = set()

@@ -53,11 +53,6 @@ def count(
     report : Report
         Given the share that is done.
 
-    Returns
-    -------
-    Counts
-        As written.
-
     Raises
     ------
     InputError
@@ -80,15 +75,10 @@ def count(
         header, opens, windows.length, acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
-    fits = np.array([_shows_ends(*each) for each in zip(photons[..., 0], spent, strict=True)])
+    fits = _show_ends(header, photons[..., 0], spent)
     for scene in np.flatnonzero(whole)[~fits].tolist():
         detail = "its first and last frames are not the brightest and darkest: it may be shifted"
         faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
-    if not fits.any():
-        raise InputError(
-            f"{header.path} has no pass that begins and ends with a bright and a dark frame: give "
-            "the patterns that were shown, and the input that the detector is wired to"
-        )
     whole[whole] = fits
     spent = np.where(spent > 0, spent, np.nan)
     rates = photons[fits] / spent[fits, :, None]
@@ -198,15 +188,25 @@ def _count_windows(
     return found.reshape(*opens.shape, len(inputs)), seconds.reshape(opens.shape)
 
 
-def _shows_ends(photons: np.ndarray, seconds: np.ndarray) -> bool:
-    """True if a pass's first and last two frames are all ON and all OFF, as far as photons tell.
+def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Passes whose first and last two frames are all ON and all OFF, as far as photons tell.
 
-    At least one of each must have been recorded.
+    From photons and seconds (S, F). At least one of each must have been recorded.
     """
-    if not (seconds[[0, -2]].any() and seconds[[1, -1]].any()):
-        return False
-    fits, _ = find_steps(photons, seconds)
-    return bool(fits[0] and fits[-1])
+    fits = np.array(
+        [
+            each[1][[0, -2]].any()
+            and each[1][[1, -1]].any()
+            and find_steps(*each)[0][[0, -1]].all()
+            for each in zip(photons, seconds, strict=True)
+        ]
+    )
+    if not fits.any():
+        raise InputError(
+            f"{header.path} has no pass that begins and ends with a bright and a dark frame: give "
+            "the patterns that were shown, and the input that the detector is wired to"
+        )
+    return fits
 
 
 def _assemble(

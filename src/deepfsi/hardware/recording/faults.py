@@ -7,7 +7,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.recording.passes import Pass, Schedule, nearest, overlapping, spare_markers
+from deepfsi.hardware.recording.passes import (
+    Markers,
+    Pass,
+    Schedule,
+    nearest,
+    overlapping,
+    spare_times,
+)
 
 MOST_RESTORED = 3
 """Missing markers in a row that are restored; after more it is not sure that frames were shown."""
@@ -47,9 +54,7 @@ class Fault(BaseModel):
 def name_faults(
     passes: list[Pass],
     unknown: set[int],
-    times: np.ndarray,
-    schedule: Schedule,
-    scenes: int,
+    markers: Markers,
 ) -> tuple[np.ndarray, tuple[Fault, ...]]:
     """Times of frames, and every fault of their markers.
 
@@ -59,12 +64,8 @@ def name_faults(
         In their order.
     unknown : set of int
         Passes whose place is not certain.
-    times : array, shape (n,)
-        When the markers came, seconds.
-    schedule : Schedule
-        Of each pass.
-    scenes : int
-        S, passes that there should be.
+    markers : Markers
+        Of the recording.
 
     Returns
     -------
@@ -78,8 +79,9 @@ def name_faults(
     InputError
         If so much is wrong that scenes cannot be told.
     """
-    spare = spare_markers(passes, times)
-    _check_certain(passes, times, spare, schedule, scenes)
+    times, schedule, scenes = markers.times, markers.schedule, markers.scenes
+    spare = spare_times(passes, times)
+    _check_certain(passes, markers, spare)
     unknown = unknown | overlapping(passes, schedule)
     end = times[-1] + schedule.tolerance
     late = _find_late(passes, spare, schedule)
@@ -108,10 +110,9 @@ def name_faults(
     return starts, tuple(faults)
 
 
-def _check_certain(
-    passes: list[Pass], times: np.ndarray, spare: np.ndarray, schedule: Schedule, scenes: int
-) -> None:
+def _check_certain(passes: list[Pass], markers: Markers, spare: np.ndarray) -> None:
     """Raise `InputError` unless it is certain which pass is of which scene."""
+    times, schedule, scenes = markers.times, markers.schedule, markers.scenes
     if len(spare) > min(MOST_FAULTS, len(times) / 2):
         raise InputError(
             f"{len(spare)} of {len(times)} markers do not follow the schedule: give the patterns "

@@ -69,13 +69,32 @@ class Schedule:
 
     @cached_property
     def locks(self) -> bool:
-        """Whether frames differ so much that a shifted pass cannot fit."""
+        """True if frames differ so much that a shifted pass cannot fit."""
         for shift in range(1, min(MOST_SHIFT, self.frames - 1) + 1):
             apart = self.starts[shift:] - self.starts[:-shift]
             off = np.abs(apart - np.median(apart))
             if np.mean(off > 4 * self.tolerance + MOST_DRIFT * apart.max()) < 0.5:
                 return False
         return True
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Markers of a recording, and what they should follow.
+
+    Attributes
+    ----------
+    times : array, shape (n,)
+        When they came, seconds, rising.
+    schedule : Schedule
+        Of each pass.
+    scenes : int
+        S, passes that there should be.
+    """
+
+    times: np.ndarray
+    schedule: Schedule
+    scenes: int
 
 
 @dataclass(frozen=True)
@@ -104,18 +123,9 @@ class Pass:
         return int(self.places.max())
 
 
-def take_whole(times: np.ndarray, schedule: Schedule, scenes: int) -> np.ndarray | None:
-    """Starts (S, F) if each marker is where it should be, else None.
-
-    Parameters
-    ----------
-    times : array, shape (n,)
-        When the markers came, seconds.
-    schedule : Schedule
-        Of each pass.
-    scenes : int
-        Passes.
-    """
+def take_whole(markers: Markers) -> np.ndarray | None:
+    """Starts (S, F) if each marker is where it should be, else None."""
+    times, schedule, scenes = markers.times, markers.schedule, markers.scenes
     if len(times) != scenes * schedule.frames:
         return None
     starts = times.reshape(scenes, schedule.frames)
@@ -132,27 +142,19 @@ def take_whole(times: np.ndarray, schedule: Schedule, scenes: int) -> np.ndarray
     return starts
 
 
-def follow_passes(times: np.ndarray, schedule: Schedule, scenes: int) -> list[Pass]:
+def follow_passes(markers: Markers) -> list[Pass]:
     """Passes one after another, each from the first marker that those before leave.
-
-    Parameters
-    ----------
-    times : array, shape (n,)
-        When the markers came, seconds.
-    schedule : Schedule
-        Of each pass.
-    scenes : int
-        Passes at most.
 
     Raises
     ------
     InputError
         If markers do not follow the schedule, or many follow the last pass.
     """
+    times, scenes = markers.times, markers.scenes
     passes: list[Pass] = []
     first = extra = 0
     while first < len(times) and len(passes) < scenes:
-        found = _next_pass(times, first, schedule)
+        found = _next_pass(markers, first)
         if found is None:
             first, extra = first + 1, extra + 1
             if extra > 100 + scenes:
@@ -168,7 +170,7 @@ def follow_passes(times: np.ndarray, schedule: Schedule, scenes: int) -> list[Pa
             f"none of {len(times)} markers follow the schedule: give the patterns that were shown"
         )
     left = len(times) - first
-    if left > schedule.frames / 2:
+    if left > markers.schedule.frames / 2:
         raise InputError(
             f"{left} markers follow the last of {scenes} passes: give as many scenes as were "
             "recorded"
@@ -176,15 +178,16 @@ def follow_passes(times: np.ndarray, schedule: Schedule, scenes: int) -> list[Pa
     return passes
 
 
-def _next_pass(times: np.ndarray, first: int, schedule: Schedule) -> Pass | None:
+def _next_pass(markers: Markers, first: int) -> Pass | None:
     """Pass that begins at a marker or soon after, whose own first markers may be missing."""
+    times, schedule = markers.times, markers.schedule
     best, most = None, 0
     tries = range(MOST_SHIFT + 1)
     for skipped, absent in sorted(((i, j) for i in tries for j in tries), key=sum):
         if first + skipped >= len(times) or absent >= schedule.frames:
             continue
         start = times[first + skipped] - schedule.starts[absent]
-        found = walk(times, start, schedule, first + skipped)
+        found = walk(markers, start, first + skipped)
         if found.matched - skipped > most:
             best, most = found, found.matched - skipped
         if found.matched == schedule.frames:
@@ -196,25 +199,19 @@ def _next_pass(times: np.ndarray, first: int, schedule: Schedule) -> Pass | None
     return best if best.matched >= max(2, inside / 2) else None
 
 
-def walk(times: np.ndarray, start: float, schedule: Schedule, first: int = 0) -> Pass:
+def walk(markers: Markers, start: float, first: int = 0) -> Pass:
     """Follow the schedule from a time of frame 0, with the clock's drift as markers show it.
 
     Parameters
     ----------
-    times : array, shape (n,)
-        When the markers came, seconds.
+    markers : Markers
+        Of the recording.
     start : float
         When frame 0 began, seconds.
-    schedule : Schedule
-        Of the pass.
     first : int
         First marker that may be of the pass.
-
-    Returns
-    -------
-    Pass
-        With the markers that are found.
     """
+    times, schedule = markers.times, markers.schedule
     frames, starts, tolerance = schedule.frames, schedule.starts, schedule.tolerance
     widest = 0.4 * float(schedule.pictures.min())
     expected, places = np.empty(frames), np.full(frames, -1)
@@ -259,11 +256,6 @@ def nearest(times: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndarr
         When they are sought, seconds.
     first : int
         First marker that may be taken.
-
-    Returns
-    -------
-    places, distances : arrays, shape (k,)
-        Markers, and seconds.
     """
     after = np.clip(np.searchsorted(times, wanted), first, len(times) - 1)
     before = np.maximum(after - 1, first)
@@ -282,7 +274,7 @@ def overlapping(passes: list[Pass], schedule: Schedule) -> set[int]:
     return out
 
 
-def spare_markers(passes: list[Pass], times: np.ndarray) -> np.ndarray:
+def spare_times(passes: list[Pass], times: np.ndarray) -> np.ndarray:
     """Times of the markers that start no frame of any pass."""
     spare = np.ones(len(times), bool)
     for each in passes:
