@@ -84,6 +84,11 @@ class Conditioning(ExposureKind):
         kept = np.hstack([weight[:, :masks], weight[:, -2:-1]])
         return kept, bias + weight[:, -1] * np.float32(masks / self.masks), self.level
 
+    @property
+    def chances(self) -> Tensor:
+        """Chance of each number of masks 1 .. m to be shown in training, shape (m,)."""
+        return chances(self.masks, self.nested)
+
     def fewest_masks(self, masks: int) -> int:
         """Fewest first masks, of m, that do by themselves."""
         return self.nested or masks

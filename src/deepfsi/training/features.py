@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deepfsi.design.adaptive import expose
 from deepfsi.design.classifiers import Replicas
-from deepfsi.design.conditioning import Conditioning, chances, first
+from deepfsi.design.conditioning import Conditioning, first
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
 from deepfsi.optics.feature_noise import FeatureNoise
@@ -172,18 +172,26 @@ class ConditionedFeatures(Features):
     masks : Fixed or Learned
     x : tensor, shape (n + 1, N)
         As for `LearnedFeatures`.
-    job : Job
-        One of them.
+    conditioning : Conditioning
+        Of the lowest budget.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    scale : {"each", "common"}
     """
 
-    def __init__(self, streams: Streams, masks: Fixed | Learned, x: Tensor, job: Job) -> None:
+    def __init__(
+        self,
+        streams: Streams,
+        masks: Fixed | Learned,
+        x: Tensor,
+        conditioning: Conditioning,
+        light: Light,
+        scale: Scale,
+    ) -> None:
         self.streams, self.masks, self.x = streams, masks, x
-        self.light: Light = job.optics[0]
-        self.span, self.scale = job.training.span, job.training.scale
-        self.conditioning = Conditioning(job.photons, self.span, job.masks)
-        self.chances = chances(job.masks, job.training.nested).to(x.device)
+        self.conditioning, self.light, self.scale = conditioning, light, scale
+        self.chances = conditioning.chances.to(x.device)
         # masks that learn are brightened at their end, see `job_masks.final_masks`
-        self.brightened = job.training.nested > 0 and isinstance(masks, Learned)
+        self.brightened = conditioning.nested > 0 and isinstance(masks, Learned)
 
     def at(self, step: int) -> Tensor:
         """Features and conditioning inputs (B, R, m + 2)."""
@@ -194,7 +202,7 @@ class ConditionedFeatures(Features):
         used = used if self.brightened else used / whole
         parts, ratios, counts = [], [], []
         for stream in self.streams:
-            budget, shown = stream.exposures(self.span, self.chances)
+            budget, shown = stream.exposures(self.conditioning.span, self.chances)
             ratio = budget / stream.part(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
             parts.append(
                 measure(
@@ -291,18 +299,16 @@ def features_of(
     choose : Replicas
         Networks that choose dwells, for several looks.
     """
-    settings = job.training
-    several = settings.looks > 1
-    if isinstance(masks, Fixed) and not several and not settings.conditioned:
-        return FixedFeatures(streams, masks, training_set.full, noise, settings.scale)
+    looks, scale, conditioning = job.training.looks, job.training.scale, job.conditioning
+    if isinstance(masks, Fixed) and looks == 1 and not conditioning:
+        return FixedFeatures(streams, masks, training_set.full, noise, scale)
     # fixed masks see every pixel
     light: Light = job.optics[0] if isinstance(masks, Learned) else "two-arm"
     x = training_set.centred(light, product_dtype(job, training_set.device))
-    if several:
-        scale = settings.scale
-        return AdaptiveFeatures(streams, masks, x, choose, settings.looks, noise.gain, scale)
-    if settings.conditioned:
-        return ConditionedFeatures(streams, masks, x, job)
+    if looks > 1:
+        return AdaptiveFeatures(streams, masks, x, choose, looks, noise.gain, scale)
+    if conditioning:
+        return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale)
     assert isinstance(masks, Learned)
     kinds = {"ml_gauss": MlGaussFeatures, "poisson": CountedFeatures}
-    return kinds.get(job.noise, ReadNoiseFeatures)(streams, masks, x, settings.scale)
+    return kinds.get(job.noise, ReadNoiseFeatures)(streams, masks, x, scale)

@@ -13,6 +13,7 @@ from pydantic import (
 )
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.conditioning import Conditioning
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS
@@ -142,6 +143,14 @@ class Job(BaseModel):
     rails: Rails = "dual"
     seed: int = Field(0, ge=0, lt=2**32)
     training: TrainingSettings = TrainingSettings()
+
+    @property
+    def conditioning(self) -> Conditioning | None:
+        """Conditioning inputs of the classifier, if it has any."""
+        settings = self.training
+        if not settings.conditioned:
+            return None
+        return Conditioning(self.photons, settings.span, self.masks, settings.nested)
 
     @property
     def code(self) -> codes.Code:

@@ -14,7 +14,10 @@ from deepfsi.training.training_set import TrainingSet
 
 
 def initial_masks(
-    training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    matrix: np.ndarray | None = None,
+    learned: Tensor | None = None,
 ) -> Fixed | Learned:
     """Masks before training: of R replicas, or of one where all share them.
 
@@ -22,9 +25,13 @@ def initial_masks(
     ----------
     training_set : TrainingSet
     jobs : sequence of Job
-    matrix : array, shape (m, N), or None
+    matrix : array, shape (m, N), optional
         Of "custom" designs.
+    learned : tensor, shape (R, 2 or 1, m, N), optional
+        Rails of the control group, learned before.
     """
+    if learned is not None:
+        return Fixed(learned)
     job = jobs[0]
     light, rails = job.optics
     levels, several = job.training.levels, job.training.looks > 1

@@ -12,8 +12,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design, provenance
 from deepfsi.design.classifiers import Mlp
-from deepfsi.design.conditioning import Conditioning, chances
-from deepfsi.design.exposure import ExposureKind, FixedDwells
+from deepfsi.design.exposure import FixedDwells
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import constraints
 from deepfsi.optics.feature_noise import FeatureNoise
@@ -119,13 +118,12 @@ def train(
         [job.seed for job in jobs],
         device,
     )
-    masks: Fixed | Learned
+    learned = None
     if first.design == "control":
         sources = [job.masks_from() for job in jobs]
-        learned = train(training_set, sources, report=report.part(0.0, 0.5))
-        masks, report = Fixed(torch.stack([each.rails for each in learned])), report.part(0.5, 1.0)
-    else:
-        masks = initial_masks(training_set, jobs, matrix).to(device)
+        optimised = train(training_set, sources, report=report.part(0.0, 0.5))
+        learned, report = torch.stack([each.rails for each in optimised]), report.part(0.5, 1.0)
+    masks = initial_masks(training_set, jobs, matrix, learned).to(device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report)
     if isinstance(masks, Learned):
         masks = final_masks(masks, training_set, first)
@@ -150,17 +148,14 @@ def _designs(
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""
     light, s = jobs[0].optics[0], training_set.summed_reflectance
-    settings = jobs[0].training
     rails = constraints.separate(*masks())
-    exposures = None
-    if settings.conditioned:
+    exposures, conditioning = None, jobs[0].conditioning
+    if conditioning:
         used = constraints.used(rails, light)
-        exposures = mean_over_exposures(
-            used, settings.span, chances(jobs[0].masks, settings.nested).to(used)
-        )
+        exposures = mean_over_exposures(used, conditioning.span, conditioning.chances.to(used))
     with torch.no_grad():
         mean, std, counts = feature_statistics(
-            training_set.full, masks, noise, settings.scale, exposures
+            training_set.full, masks, noise, jobs[0].training.scale, exposures
         )
     designs = [
         Design(
@@ -174,7 +169,7 @@ def _designs(
             light=light,
             image_shape=training_set.data.image_shape,
             classes=training_set.data.classes,
-            exposure=schedules[r] if schedules else _exposure(job),
+            exposure=schedules[r] if schedules else job.conditioning or FixedDwells(),
         )
         for r, job in enumerate(jobs)
     ]
@@ -184,16 +179,8 @@ def _designs(
     return designs
 
 
-def _exposure(job: Job) -> ExposureKind:
-    """Exposure of a design of one look."""
-    settings = job.training
-    if not settings.conditioned:
-        return FixedDwells()
-    return Conditioning(job.photons, settings.span, job.masks, settings.nested)
-
-
 def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
-    """Share of the budget (m,) that each mask counts, in the mean over training training_set."""
+    """Share of the budget (m,) that each mask counts, in the mean over training scenes."""
     scanner = design.scanner()
     generator = torch.Generator(training_set.device).manual_seed(job.seed)
     shares = torch.zeros_like(design.mean)
