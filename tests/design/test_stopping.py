@@ -206,12 +206,12 @@ def test_counts_of_too_few_masks_are_refused(nested, stopped):
 def test_features_are_those_of_evaluate(nested, digits):
     """Over more scenes than are exposed at once."""
     x = np.tile(digits.x_test, (4, 1))
-    logits = answers.logits_at_stops(nested, x, 1e3, (10,), 2, 3)
+    logits = answers.logits_at_stops(nested, x, 1e3, 2, 3)
     draw, scanner = generator(3), nested.scanner()
     head = scanner.rates(torch.from_numpy(x)[:1024] / nested.summed_reflectance) * 1e3
     with torch.no_grad():
         drawn = (subtract(scanner.read(head, draw)) for _ in range(2))
         first, second = (nested.logits(features, 1e3).numpy() for features in drawn)
-    assert np.array_equal(logits[0, 0:2048:2], first)
-    assert np.array_equal(logits[0, 1:2048:2], second)
-    assert logits.shape == (1, 8 * len(digits.x_test), 10)
+    assert np.array_equal(logits[-1, 0:2048:2], first)
+    assert np.array_equal(logits[-1, 1:2048:2], second)
+    assert logits.shape == (9, 8 * len(digits.x_test), 10)

@@ -216,6 +216,9 @@ def test_probabilities_of_one_exposure(data, learned):
         lambda header: header.pop("exposure"),
         lambda header: header["classifier"].update(width=32),
         lambda header: header["classifier"].update(heads=5),
+        lambda header: header["classifier"].update(patches=4),
+        lambda header: header["exposure"].update(side=2),
+        lambda header: header.update(exposure={"kind": "fixed"}),
         lambda header: header.update(light="sunlight"),
     ],
 )

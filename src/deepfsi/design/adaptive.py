@@ -20,8 +20,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
-from deepfsi.design.classifiers import STRICT, Mlp, MlpShape
-from deepfsi.design.exposure import Exposure, ExposureKind, Read, Show
+from deepfsi.design.classifiers import Mlp, restored
+from deepfsi.design.exposure import STRICT, Exposure, ExposureKind, Read, Show
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
@@ -105,7 +105,6 @@ class AdaptiveDwells(ExposureKind):
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails (1, m, N) have equal dwells on one device."""
-        super().check(rails, light, image_shape)
         equal = constraints.excess(rails, "equal-dwell") < constraints.SLACK
         if not (equal and light == "free-dwell" and len(rails) == 1):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
@@ -136,10 +135,6 @@ class AdaptiveDwells(ExposureKind):
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
-
-    def at_stops(self, looks: Sequence[Exposure], after: Sequence[int]) -> list[Exposure]:
-        """Exposures at each stop, from those after each look."""
-        return [looks[look - 1] for look in after]
 
     def check_fixed(self) -> None:
         """Raise `InputError`: dwells are not fixed."""
@@ -182,5 +177,5 @@ class AdaptiveShape:
 
     def restored(self, weights: dict[str, Tensor], masks: int) -> AdaptiveDwells:
         """The exposure of m masks, with its network's weights from a design file."""
-        network = MlpShape(self.hidden).restored(weights, 2 * masks + 1, masks)
-        return AdaptiveDwells(network, self.looks)
+        sizes = {"inputs": 2 * masks + 1, "classes": masks, "hidden": self.hidden}
+        return AdaptiveDwells(restored(Mlp, weights, **sizes), self.looks)

@@ -35,7 +35,6 @@ def logits_at_stops(
     design: Design,
     x: np.ndarray,
     photons: float,
-    after: Sequence[int],
     draws: int,
     seed: int,
 ) -> np.ndarray:
@@ -48,8 +47,6 @@ def logits_at_stops(
         Scenes.
     photons : float
         Budget Φ of a whole exposure.
-    after : sequence of int
-        Some of `ExposureKind.stops`.
     draws : int
         Noise draws of each scene: E is n times as many.
     seed : int
@@ -63,8 +60,7 @@ def logits_at_stops(
             rates = design.rates(scanner, torch.from_numpy(x[rows]))
             several = []
             for _ in range(draws):
-                looks = list(design.expose(scanner, rates, generator, photons))
-                seen = design.exposure.at_stops(looks, after)
+                seen = design.expose(scanner, rates, generator, photons)
                 several.append(torch.stack([design.logits_of(each, photons) for each in seen]))
             chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
     return torch.cat(chunks, dim=-2).cpu().numpy()

@@ -352,7 +352,7 @@ class Design:
             image_shape=self.image_shape,
             classes=self.classes,
             exposure=self.exposure.header(),
-            classifier=self.classifier.shape,
+            classifier=self.classifier.header,  # type: ignore[arg-type]
             info=self.info,
         )
         tensors = {name: getattr(self, name) for name in ("rails", *STATISTICS)}
@@ -376,7 +376,7 @@ class Design:
 def provenance(
     job: BaseModel, data: Dataset, device: torch.device, seconds: float
 ) -> dict[str, Any]:
-    """How a design was trained: `Design.info`."""
+    """Provenance of a trained design, for `Design.info`."""
     return {
         "job": job.model_dump(mode="json"),
         "data": {"name": data.name, "hash": data.hash},

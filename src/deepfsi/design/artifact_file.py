@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -15,9 +15,9 @@ from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
 from deepfsi.design.adaptive import AdaptiveShape
-from deepfsi.design.classifiers import MlpShape, VitShape
+from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.conditioning import Conditioning
-from deepfsi.design.exposure import FixedDwells
+from deepfsi.design.exposure import STRICT, FixedDwells
 from deepfsi.design.patchwise import PatchExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
@@ -25,6 +25,32 @@ from deepfsi.optics.constraints import Light
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class MlpSize(BaseModel):
+    """Entry of the header for an `Mlp`: its parameters of the same names."""
+
+    model_config = STRICT
+
+    kind: Literal["mlp"]
+    hidden: tuple[Count, ...]
+    dropout: float = Field(ge=0, lt=1)
+    patches: ClassVar = 1
+
+
+class VitSize(BaseModel):
+    """Entry of the header for a `Vit`: its parameters of the same names."""
+
+    model_config = STRICT
+
+    kind: Literal["vit"]
+    patches: Count
+    width: Count
+    depth: Count
+    heads: Count
+    hidden: Count
 
 
 class Header(BaseModel):
@@ -49,12 +75,12 @@ class Header(BaseModel):
     name: str
     light: Light
     summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
-    image_shape: tuple[Annotated[int, Field(ge=1)], ...]
+    image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     exposure: Annotated[
         FixedDwells | Conditioning | AdaptiveShape | PatchExposure, Field(discriminator="kind")
     ]
-    classifier: Annotated[MlpShape | VitShape, Field(discriminator="kind")]
+    classifier: Annotated[MlpSize | VitSize, Field(discriminator="kind")]
     info: dict[str, Any]
 
     @model_validator(mode="after")
@@ -113,11 +139,14 @@ def restore(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     constraints.check(rails, header.light)
     exposure = header.exposure.restored(weights_of(tensors, "exposure."), masks)
     exposure.check(rails, header.light, header.image_shape)
-    classifier = header.classifier.restored(
+    if math.prod(header.image_shape) != rails.shape[2] * header.classifier.patches:
+        raise ValueError("images have other pixels than masks on all patches")
+    classifier = restored(
+        {"mlp": Mlp, "vit": Vit}[header.classifier.kind],
         weights_of(tensors, "classifier."),
-        exposure.input_count(masks),
-        len(header.classes),
-        math.prod(header.image_shape) // rails.shape[2],
+        inputs=exposure.input_count(masks),
+        classes=len(header.classes),
+        **header.classifier.model_dump(exclude={"kind"}),
     )
     kept = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
     fields = {name: getattr(header, name) for name in kept}

@@ -2,21 +2,13 @@
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import field
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import torch
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as validated
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
-
-STRICT = ConfigDict(extra="forbid", strict=True)
-"""Configuration of what a design file's header holds: no further fields, no conversions."""
-
-Width = Annotated[int, Field(ge=1)]
 
 
 class Mlp(nn.Module):
@@ -63,9 +55,9 @@ class Mlp(nn.Module):
             self.layers.append(layer)
 
     @property
-    def shape(self) -> "MlpShape":
-        """Entry of the design file's header, of which `restored` makes such a network again."""
-        return MlpShape(self.hidden, self.dropout)
+    def header(self) -> dict[str, Any]:
+        """Entry of a design file's header: kind, and parameters but inputs and classes."""
+        return {"kind": "mlp", "hidden": self.hidden, "dropout": self.dropout}
 
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., m)."""
@@ -136,7 +128,8 @@ class Vit(nn.Module):
         super().__init__()
         if width % heads:
             raise InputError(f"{heads} heads cannot share a width of {width}: give a multiple")
-        self.shape = VitShape(width, depth, heads, hidden)
+        self.header = {"kind": "vit", "patches": patches, "width": width}
+        self.header |= {"depth": depth, "heads": heads, "hidden": hidden}
         with torch.device("meta"):  # torch would draw weights from its global generator
             layer = nn.TransformerEncoderLayer(
                 width, heads, hidden, 0.0, "gelu", batch_first=True, norm_first=True
@@ -162,58 +155,24 @@ class Vit(nn.Module):
         return self.head(tokens.mean(dim=1))
 
 
-@validated(frozen=True, config=STRICT)
-class MlpShape:
-    """Entry of a design file's header for an `Mlp`, with its attributes."""
-
-    hidden: tuple[Width, ...]
-    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    kind: Literal["mlp"] = field(default="mlp", kw_only=True)
-
-    def restored(
-        self, weights: dict[str, Tensor], inputs: int, classes: int, patches: int = 1
-    ) -> Mlp:
-        """The network with weights from a design file.
-
-        Parameters
-        ----------
-        weights : dict of tensor
-            Its state.
-        inputs, classes : int
-            Number of its inputs and outputs.
-        patches : int
-            Not used.
-        """
-        network = Mlp(inputs, classes, self.hidden, self.dropout, torch.Generator())
-        network.load_state_dict(weights)
-        network.generator = None
-        return network.eval()
+Network = TypeVar("Network", Mlp, Vit)
 
 
-@validated(frozen=True, config=STRICT)
-class VitShape:
-    """Entry of a design file's header for a `Vit`, with its parameters of the same names."""
+def restored(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:
+    """A network of a design file.
 
-    width: Width
-    depth: Width
-    heads: Width
-    hidden: Width
-    kind: Literal["vit"] = field(default="vit", kw_only=True)
-
-    def restored(self, weights: dict[str, Tensor], inputs: int, classes: int, patches: int) -> Vit:
-        """The network with weights from a design file.
-
-        Parameters
-        ----------
-        weights : dict of tensor
-            Its state.
-        inputs, classes, patches : int
-            As for `Vit`.
-        """
-        size = (self.width, self.depth, self.heads, self.hidden)
-        network = Vit(inputs, patches, classes, *size, torch.Generator())
-        network.load_state_dict(weights)
-        return network.eval()
+    Parameters
+    ----------
+    kind : type
+    weights : mapping of tensor
+        State of the network.
+    **sizes
+        Parameters of its class.
+    """
+    with torch.random.fork_rng(devices=[]):
+        network = kind(**sizes)
+    network.load_state_dict(weights)
+    return network.eval()
 
 
 class Replicas(nn.Module):

@@ -1,4 +1,4 @@
-"""How well a design does: accuracy over budgets, with intervals that say what they cover."""
+"""Accuracy of a design over budgets, with intervals that say what they cover."""
 
 import math
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.noise import check_noise
+from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import SILENT, Report
 from deepfsi.statistics.intervals import wilson
 
@@ -40,10 +41,19 @@ class Result:
     confusion : list of list of int
         Rows true classes, columns predicted ones, over all draws.
     throughput : float
-        Share of the budget that the detectors count, in the training mean; where a schedule
-        chooses dwells, at the training's budget.
+        Share of the budget that the detectors count, in the training mean; where dwells are
+        chosen, at the training's budget.
     photons_per_mask : list of float
         Expected counts of each mask's rails together, in the training mean.
+
+    Examples
+    --------
+    >>> from deepfsi import evaluate, learn, load_dataset
+    >>> digits = load_dataset("digits")
+    >>> design = learn(digits, photons=1e4, masks=6, design="pca", epochs=1, device="cpu")
+    >>> [result] = evaluate(design, digits, 1e4, draws=2)
+    >>> result.images * result.draws == sum(map(sum, result.confusion))
+    True
     """
 
     photons: float
@@ -119,6 +129,23 @@ def evaluate(
     check_draws(draws, seed)
     design.exposure.check_noise(noise)
     scanner = design.scanner(check_noise(noise), sigma)
+    confusions = _confusions(design, data, scanner, budgets, draws, seed, report)
+    return [
+        _result(budget, noise, confusion, draws, design.shares.tolist())
+        for budget, confusion in zip(budgets, confusions, strict=True)
+    ]
+
+
+def _confusions(
+    design: Design,
+    data: Dataset,
+    scanner: Scanner,
+    budgets: Sequence[float],
+    draws: int,
+    seed: int,
+    report: Report,
+) -> np.ndarray:
+    """Confusion matrix (budgets, C, C) of each budget over all draws."""
     generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     chunks = torch.arange(len(data.x_test)).split(1024)
@@ -132,10 +159,7 @@ def evaluate(
                     guess = design.logits_of(seen, budget).argmax(dim=-1)
                     np.add.at(confusion, (truth, guess.cpu().numpy()), 1)
             report(done / len(chunks))
-    return [
-        _result(budget, noise, confusion, draws, design.shares.tolist())
-        for budget, confusion in zip(budgets, confusions, strict=True)
-    ]
+    return confusions
 
 
 def check_data(design: Design, data: Dataset) -> None:

@@ -10,12 +10,16 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
+from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
-from deepfsi.design.classifiers import STRICT, Mlp
+from deepfsi.design.classifiers import Mlp
 from deepfsi.errors import InputError
 from deepfsi.optics.constraints import Light
+
+STRICT = ConfigDict(extra="forbid", strict=True)
+"""Configuration of what a design file's header holds: no further fields, no conversions."""
 
 Read = Callable[[Tensor], Tensor]
 """From expected counts (..., rails, m) to features y⁺ − y⁻ (..., m) in counts."""
@@ -101,8 +105,6 @@ class ExposureKind:
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails (2 or 1, m, N) can be exposed so."""
-        if np.prod(image_shape) != rails.shape[-1]:
-            raise ValueError("masks have other pixels than images")
 
     def input_count(self, masks: int) -> int:
         """Number of the classifier's inputs for m masks."""
@@ -140,7 +142,7 @@ class ExposureKind:
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
     ) -> Iterator[Exposure]:
-        """Exposures after each look.
+        """Exposures at each stop: after each number of masks that do, or after each look.
 
         Parameters
         ----------
@@ -153,7 +155,9 @@ class ExposureKind:
         mean, std : tensor, shape (m,)
             Of the features.
         """
-        yield Exposure(read(rates * photons) / photons)
+        features, masks = read(rates * photons) / photons, rates.shape[-1]
+        for shown in range(self.fewest_masks(masks), masks + 1):
+            yield Exposure(features[..., :shown])
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
         """Exposures after each look at a camera, which shows what is asked for.
@@ -195,10 +199,6 @@ class ExposureKind:
             "this design needs all its masks for an answer: learn nested ones with --nested, or "
             "several looks with --looks"
         )
-
-    def at_stops(self, looks: Sequence[Exposure], after: Sequence[int]) -> list[Exposure]:
-        """Exposures at each stop, from those after each look."""
-        return [Exposure(looks[0].features[..., :masks]) for masks in after]
 
     def check_fixed(self) -> None:
         """Raise `InputError` unless a fixed sequence of patterns, or one graph, can expose so."""

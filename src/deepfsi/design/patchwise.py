@@ -7,8 +7,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
-from deepfsi.design.classifiers import STRICT
-from deepfsi.design.exposure import ExposureKind
+from deepfsi.design.exposure import STRICT, ExposureKind
 from deepfsi.errors import InputError
 from deepfsi.optics.constraints import Light
 

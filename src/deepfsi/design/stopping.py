@@ -224,13 +224,13 @@ def stop(
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
     kept = _held_out(design, data, held_out)
-    logits = logits_at_stops(design, kept.x_test, budget, after, draws, seed ^ 2**31)
+    logits = logits_at_stops(design, kept.x_test, budget, draws, seed ^ 2**31)
     halves, half = _temperatures(logits, kept.y_test, seed)
     choice = Answers(logits, kept.y_test, [np.where(half, b, a)[:, None] for a, b in halves])
     if threshold is None:
         threshold = choice.least_threshold(used)
     rule = StoppingRule(after, tuple(np.sqrt(halves.prod(axis=1)).tolist()), float(threshold))
-    tested = logits_at_stops(design, data.x_test, budget, after, draws, seed)
+    tested = logits_at_stops(design, data.x_test, budget, draws, seed)
     return _stopped(rule, Answers(tested, data.y_test, rule.temperatures), choice, used, budget)
 
 
