@@ -62,6 +62,7 @@ def test_a_camera_by_files_alone(tmp_path, monkeypatch, capsys):
     assert "Generic T2" in printed["inspect"]
 
 
+@pytest.mark.slow
 def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
     """On digits, small, in one process; the cluster's line is for `test_cluster`."""
     from test_experiments import EVERY, experiment, tiny

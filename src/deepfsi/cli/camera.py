@@ -140,7 +140,7 @@ def camera_simulate(
     from deepfsi.datasets import read_display
     from deepfsi.hardware.virtual.camera import RecordingSettings, record
 
-    how = RecordingSettings(
+    recording = RecordingSettings(
         _camera(settings),
         flux,
         options.seconds("exposure", exposure),
@@ -151,7 +151,7 @@ def camera_simulate(
     images = read_display(scene)
     check_writable(out.parent)
     with progress("photons", quiet=as_json) as report:
-        made = record(patterns, images.x, images.names, images.labels, out, how, report)
+        made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
         print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
         return
