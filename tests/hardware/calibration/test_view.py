@@ -28,11 +28,11 @@ def slow_view(scene, view, shape, blur=(0.0, 0.0), flat=1.0, points=40):
     h, w = scene.shape
     inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
     rows, columns = (np.clip((p * n).astype(int), 0, n - 1) for p, n in ((v, h), (u, w)))
-    light = np.where(inside, scene[rows, columns], 0).reshape(x.shape)
+    seen = np.where(inside, scene[rows, columns], 0).reshape(x.shape)
     sigma = [b * n * points for b, n in zip(blur, shape, strict=True)]
-    light = ndimage.gaussian_filter(light, sigma, mode="constant", truncate=4)
-    light = light[edge[0] : edge[0] + shape[0] * points, edge[1] : edge[1] + shape[1] * points]
-    return flat * light.reshape(shape[0], points, shape[1], points).mean(axis=(1, 3))
+    seen = ndimage.gaussian_filter(seen, sigma, mode="constant", truncate=4)
+    seen = seen[edge[0] : edge[0] + shape[0] * points, edge[1] : edge[1] + shape[1] * points]
+    return flat * seen.reshape(shape[0], points, shape[1], points).mean(axis=(1, 3))
 
 
 @pytest.mark.parametrize("blur", [(0.0, 0.0), (0.04, 0.02)])
@@ -136,8 +136,8 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
         grid.left : grid.left + grid.across * grid.width,
     ]
     cells = kept.reshape(3, grid.down, grid.height, grid.across, grid.width).sum(axis=(2, 4))
-    spread = blur / (grid.down * grid.height), blur / (grid.across * grid.width)
-    calibration = calibration_of(VIEW, spread, vignette(shape, 0.3))
+    sigma = blur / (grid.down * grid.height), blur / (grid.across * grid.width)
+    calibration = calibration_of(VIEW, sigma, vignette(shape, 0.3))
     seen = camera_view(scenes.reshape(3, -1), (16, 16), calibration, shape)
     np.testing.assert_allclose(seen.reshape(cells.shape), cells, atol=tolerance)
     assert cells.std() > 0.1

@@ -188,11 +188,11 @@ def record(
 def shining(patterns: Patterns, scenes: int, arms: int = 1, dark: int = 3) -> np.ndarray:
     """Photons (S, F, arms) of random scenes; at all ON some 1000."""
     rng = np.random.default_rng(9)
-    light = rng.uniform(100, 200, (scenes, patterns.on.shape[1]))
+    bright = rng.uniform(100, 200, (scenes, patterns.on.shape[1]))
     part = np.zeros((len(patterns.manifest.frames), patterns.on.shape[1]))
     part[[0, -2]] = 1
     part[patterns.manifest.shown] = patterns.fractions
-    both = np.stack([light @ part.T, light @ (1 - part.T)], axis=-1)[..., :arms]
+    both = np.stack([bright @ part.T, bright @ (1 - part.T)], axis=-1)[..., :arms]
     return np.rint(both).astype(int) + dark
 
 

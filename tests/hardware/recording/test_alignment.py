@@ -26,8 +26,8 @@ def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> Counter:
     )
     edges = np.concatenate([starts, starts + length], axis=1)
     edges = np.stack([starts, starts + length], axis=-1).ravel()
-    light = np.stack([rates, np.zeros_like(rates)], axis=-1).ravel() + 1e3
-    total = np.concatenate([[0.0], np.cumsum(np.diff(edges) * light[:-1])])
+    rate = np.stack([rates, np.zeros_like(rates)], axis=-1).ravel() + 1e3
+    total = np.concatenate([[0.0], np.cumsum(np.diff(edges) * rate[:-1])])
 
     def counter(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
         def until(t: np.ndarray) -> np.ndarray:

@@ -249,17 +249,17 @@ def find_spots(pictures: np.ndarray) -> np.ndarray:
         top = np.unravel_index(smooth.argmax(), smooth.shape)
         if not smooth[top] > LEAST_PEAK_STD * noise:
             continue
-        centre = np.array(top, dtype=float)
+        spot = np.array(top, dtype=float)
         for _ in range(50):  # a Gaussian window follows the spot, which undoes its own pull
-            offset = np.array([down - centre[0], across - centre[1]])
+            offset = np.array([down - spot[0], across - spot[1]])
             weight = excess * np.exp(-(offset**2).sum(axis=0) / (2 * WINDOW_CELLS**2))
             step = 2 * (weight * offset).sum(axis=(1, 2)) / max(weight.sum(), 1e-300)
-            centre += np.clip(step, -1, 1)
+            spot += np.clip(step, -1, 1)
             if np.abs(step).max() < 1e-6:
                 break
-        inside = (centre > -0.5).all() and (centre < np.array(smooth.shape) - 0.5).all()
+        inside = (spot > -0.5).all() and (spot < np.array(smooth.shape) - 0.5).all()
         if inside:
-            out[place] = (centre[::-1] + 0.5) / smooth.shape[::-1]
+            out[place] = (spot[::-1] + 0.5) / smooth.shape[::-1]
     return out
 
 

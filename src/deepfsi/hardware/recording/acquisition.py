@@ -30,7 +30,6 @@ MOST_READOUTS = 2**21
 LARGEST_JSON = 2**24
 """Bytes of acquisition.json at most."""
 
-
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Finite number above 0."""
 

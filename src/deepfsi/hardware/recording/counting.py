@@ -195,10 +195,10 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
     """
     fits = np.array(
         [
-            each[1][[0, -2]].any()
-            and each[1][[1, -1]].any()
-            and find_steps(*each)[0][[0, -1]].all()
-            for each in zip(photons, seconds, strict=True)
+            spent[[0, -2]].any()
+            and spent[[1, -1]].any()
+            and find_steps(found, spent)[0][[0, -1]].all()
+            for found, spent in zip(photons, seconds, strict=True)
         ]
     )
     if not fits.any():

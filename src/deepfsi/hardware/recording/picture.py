@@ -25,7 +25,7 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     array, shape (S, *image_shape)
         float64, NaN for a scene without a valid exposure. If the acquisition gives the flux, it is
         the reflectance times the detector's efficiency. Otherwise the budget is estimated from
-        the all-ON frames, so that the scenes have the training scenes' mean light.
+        the all-ON frames, so that the scenes have the training scenes' summed reflectance.
 
     Raises
     ------
