@@ -66,13 +66,13 @@ def add_cube(home):
     savemat(home / "Indian_pines.mat", {"indian_pines": cube})
 
 
-def run(folder, patch, trials):
+def run(folder, patch, trials, photons=(1e2, 1e4)):
     """Run the study on a grid of a moment."""
     whole = experiment.Experiment.recipes
 
     def recipes(self, quick, trials=None):
         how = {"epochs": (1,), "batch": (100,), "hidden": ((8,),)}
-        changes = {"photons": (1e2, 1e4), "ratios": (0.02,), "training": how, "draws": 1}
+        changes = {"photons": photons, "ratios": (0.02,), "training": how, "draws": 1}
         coarse = whole(self, True, trials)
         return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
 
@@ -150,7 +150,7 @@ def test_the_real_scene_is_used_where_it_is_at_hand(home, tmp_path, monkeypatch)
     add_cube(home)
     assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines"
     (home / "92AV3C.spc").unlink()
-    _, section = run(tmp_path / "out", monkeypatch, trials=1)
+    _, section = run(tmp_path / "out", monkeypatch, trials=1, photons=(1e4,))
     said = json.dumps([section.title, section.found, *(p.caption for p in section.pictures)])
     assert "simulated" not in said
     assert "surrogate" not in said
@@ -215,7 +215,7 @@ def answers(recall=(0.9, 0.8), **changed):
         for design, level in LEVEL.items():
             level = 0.7 if (design, noise) == ("deepfsi", "gaussian") else level
             level = changed.get(f"{split}|{noise}|{design}|{photons:g}", level)
-            spread = -0.001 if (split, design) == ("random", "deepfsi") else 0.001
+            step = -0.001 if (split, design) == ("random", "deepfsi") else 0.001
             points.append(
                 a_point(
                     level,
@@ -226,7 +226,7 @@ def answers(recall=(0.9, 0.8), **changed):
                     design=design,
                     masks=3,
                     specific=design in ("pca", "deepfsi", "control"),
-                    accuracies=(level - spread, level, level + spread),
+                    accuracies=(level - step, level, level + step),
                 )
             )
     results = some_results(

@@ -47,6 +47,8 @@ from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 
 OURS = "deepfsi"
+"""Name of DeepFSI with equal dwells."""
+
 BRIGHT = tuple(exposure for exposure in EXPOSURES if exposure >= 1e-3)
 """Exposures at which DeepFSI is to be first, seconds."""
 

@@ -347,16 +347,16 @@ def _heat_picture(results: Results, prefixes: Iterable[Prefix]) -> Picture:
     photons = points(results, recipe="nested")[0].photons
     members = _counts(results, photons)
     both = [p for p in prefixes if p.recipe == "both"]
-    lights = [p for p in budgets(members) if p in set(budgets(both))]
+    tested = [p for p in budgets(members) if p in set(budgets(both))]
     apart = {f"{p.ratio:.0%}": p.ratio for p in both}  # rows that read alike are one
     ratios = sorted(apart.values())
     grids = {
-        point.title: accuracy_grid([p for p in members if p.design == point.design], lights, ratios)
+        point.title: accuracy_grid([p for p in members if p.design == point.design], tested, ratios)
         for point in members
     }
-    grids["one design for all"] = accuracy_grid(both, lights, ratios)
+    grids["one design for all"] = accuracy_grid(both, tested, ratios)
     return Picture(
-        heat_figure(grids, lights, ratios),
+        heat_figure(grids, tested, ratios),
         "Accuracy by budget of the test and compression ratio. The last panel is one design, "
         f"nested and for all budgets; each row of the others is a design of its own, trained at "
         f"{photons_text(photons)} photons.",

@@ -99,7 +99,7 @@ def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
 
 @styled
 def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
-    """What stopping early saves, when exposures stop, and what rejection gives.
+    """Accuracy against photons used, times of stopping, and accuracy under rejection.
 
     Parameters
     ----------

@@ -93,16 +93,16 @@ def _prefixes(results: Results, recipe: str, data: Dataset, folder: Path) -> Ite
     """First masks of a part's designs, in the numbers for which others were trained."""
     members = points(results, recipe=recipe)
     designs = _load(folder, members[0])
-    lights = budgets(members)
+    tested = budgets(members)
     others = [*points(results, recipe="budgets"), *points(results, recipe="counts")]
     for masks in sorted({point.masks for point in others}):
         if not designs[0].fewest_masks <= masks <= designs[0].masks:
             continue
         tests = [
-            evaluate(design.first(masks), data, lights, draws=1, seed=seed)
+            evaluate(design.first(masks), data, tested, draws=1, seed=seed)
             for seed, design in enumerate(designs)
         ]
-        for photons, *trials in zip(lights, *tests, strict=True):
+        for photons, *trials in zip(tested, *tests, strict=True):
             accuracies = [test.accuracy for test in trials]
             mean = of_trials(accuracies)
             ends = mean.interval() if len(trials) > 1 else (trials[0].low, trials[0].high)

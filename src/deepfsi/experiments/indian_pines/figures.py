@@ -29,6 +29,8 @@ from deepfsi.report.style import (
 )
 
 NO_CLASS = "#e9ecef"
+"""Colour of pixels without a label."""
+
 CLASS_COLOURS = (
     "#ff0000", "#0000ff", "#bfea15", "#15bfaa", "#552a00", "#80aaff", "#95aa55", "#005555",
     "#556aff", "#004080", "#558055", "#80eaaa", "#40eaff", "#1515aa", "#6a80aa", "#bfea6a",
@@ -44,18 +46,20 @@ USES = (
     ("#cc5500", "test"),
     (ON_LIGHT, "left out beside test"),
 )
+"""Colour and name of each use of a pixel, in the order of their numbers."""
+
 USE_MAP = ListedColormap([colour for colour, _ in USES])
 
 MAPS_WIDTH = 9.6
 """Width of the class maps, inches."""
 
-CURVES: tuple[dict[str, Any], ...] = (
+LOOKS: tuple[dict[str, Any], ...] = (
     {"color": COLOURS["pca"], "linestyle": "-"},
     {"color": COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
     {"color": INK, "linestyle": (0, (1.2, 1.2))},
     {"color": COLOURS["truncated-hadamard"], "linestyle": (0, (6, 1.6, 1.2, 1.6))},
 )
-PAIR: tuple[dict[str, Any], ...] = (CURVES[0], CURVES[1])
+"""Colours and dashes of spectra and of spectral masks."""
 
 
 @styled
@@ -171,11 +175,11 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
         for ax, noise in zip(line, AXIS_NOISES, strict=True):
             curves, masks = np.array(kinds[noise][0]), kinds[noise][1]
             x, order = _bands(scene.wavelengths, curves.shape[1])
-            for mask, look in zip(curves, CURVES, strict=False):
+            for mask, look in zip(curves, LOOKS, strict=False):
                 ax.plot(x, mask[order], linewidth=1.1, **look)
             ax.axhline(0, color=MUTED, linewidth=0.6)
             _shade(ax, scene.water)
-            count = min(len(curves), len(CURVES))
+            count = min(len(curves), len(LOOKS))
             ax.set_title(
                 f"{photons_text(row.photons)} photons, {noise_text(noise)}: "
                 f"{count} of {masks} masks",
@@ -207,7 +211,7 @@ def _count_pixels(ax: Axes, labels: np.ndarray, names: Sequence[str]) -> None:
 def _draw_spectra(ax: Axes, scene: Overview) -> None:
     """Draw the median spectrum of some classes, and the range of most pixels."""
     x, order = _bands(scene.wavelengths, scene.bands)
-    for (name, percentiles), look in zip(scene.spectra.items(), PAIR, strict=False):
+    for (name, percentiles), look in zip(scene.spectra.items(), LOOKS, strict=False):
         low, middle, high = np.array(percentiles)[:, order]
         ax.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0)
         ax.plot(x, middle, label=name, linewidth=1.2, **look)

@@ -30,7 +30,7 @@ MAPPED = (1e2, 1e4, 1e6)
 SHOWN = (1e2, 1e4, 1e8)
 """Budgets of the spectral masks, photons."""
 
-CURVES = 4
+CURVE_COUNT = 4
 """Spectral masks that are drawn of each noise and budget."""
 
 BAND = 12
@@ -65,7 +65,7 @@ def pack(values: np.ndarray) -> Packed:
 
 @dataclass(frozen=True)
 class Overview:
-    """The scene itself.
+    """Hyperspectral scene: its classes, one band and some spectra.
 
     Attributes
     ----------
@@ -263,7 +263,7 @@ def _spectral_masks(
             for own in chosen.values():
                 point = own[("deepfsi", photons)]
                 rails = read_masks(designs / f"{point.keys[0]}.safetensors")[0]
-                masks = (rails[0] - rails[1])[brightest(rails, CURVES), :bands]
+                masks = (rails[0] - rails[1])[brightest(rails, CURVE_COUNT), :bands]
                 row += [masks.round(6).tolist(), point.masks]
             yield SpectralMasks(photons, *row)
 

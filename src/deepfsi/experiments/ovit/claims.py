@@ -33,8 +33,14 @@ from deepfsi.sweeps.summary import facts_of, point, provenance_of
 from deepfsi.sweeps.workers import Workers
 
 LABEL = "OViT"
+"""Label of the learned design."""
+
 RIVALS = ("raster", "hadamard", "pca")
+"""Designs that it is to surpass."""
+
 SHOWN = (1e2, 1e4, 1e6)
+"""Budgets whose masks are drawn, photons."""
+
 NOTICED = 0.01
 """Difference of two shares of light that counts as one."""
 
@@ -170,7 +176,7 @@ def _mask_claims(masks: Sequence[LearnedMasks]) -> list[Claim]:
     return [
         grows(
             f"{LABEL} counts less light where photons are few, by {NOTICED} or more",
-            [(row.photons, row.light) for row in (masks[0], masks[-1])],
+            [(row.photons, row.throughput) for row in (masks[0], masks[-1])],
             NOTICED,
             "With light split freely among readouts, what is not wanted may go to readouts that "
             "the classifier disregards: leaving it out gains nothing.",
@@ -222,7 +228,7 @@ def _tables(results: Results, masks: Sequence[LearnedMasks]) -> tuple[Table, Tab
             f"{LABEL}'s masks, at {ends} and between",
             ("photons", "share of the light counted", "independent directions"),
             tuple(
-                (row.photons, float(np.mean(row.light)), float(np.mean(row.directions)))
+                (row.photons, float(np.mean(row.throughput)), float(np.mean(row.directions)))
                 for row in masks
             ),
         ),

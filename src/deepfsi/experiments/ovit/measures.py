@@ -24,15 +24,15 @@ class LearnedMasks:
     photons : float
     side : int
         Of a patch, pixels.
-    light, directions : sequence of float
-        Share of the light counted, and independent directions, of each trial's masks.
+    throughput, directions : sequence of float
+        Share of the budget counted, and independent directions, of each trial's masks.
     matrix : array, shape (m, side²)
         Masks of the first trial.
     """
 
     photons: float
     side: int
-    light: Sequence[float]
+    throughput: Sequence[float]
     directions: Sequence[float]
     matrix: Sequence[Sequence[float]]
 
@@ -45,7 +45,7 @@ class Measures:
 
 
 def measure_masks(records: Sequence[Mapping[str, Any]], designs: Path) -> Measures:
-    """Light and directions of the learned masks of every trial, and the first trial's masks."""
+    """Throughput and directions of every trial's learned masks, and the masks of the first."""
     trials = defaultdict(list)
     for record in records:
         if record["trial"]["job"]["design"] == LEARNED:
@@ -58,7 +58,7 @@ def measure_masks(records: Sequence[Mapping[str, Any]], designs: Path) -> Measur
             LearnedMasks(
                 photons,
                 side=members[0]["trial"]["job"]["patch"],
-                light=[record["test"][0]["throughput"] for record in members],
+                throughput=[record["test"][0]["throughput"] for record in members],
                 directions=[effective_directions(matrix) for matrix in matrices],
                 matrix=np.round(matrices[0], 6).tolist(),
             )
