@@ -131,6 +131,18 @@ def call(monkeypatch, capsys) -> Callable[..., tuple[object, str, str]]:
     return run
 
 
+@pytest.fixture
+def done(call) -> Callable[..., str]:
+    """Run a command line that ends well; gives what it printed."""
+
+    def run(*words):
+        code, out, errors = call(*words)
+        assert code == 0, errors
+        return out
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def digits() -> Dataset:
     return _digits()

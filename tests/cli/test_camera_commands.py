@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
+from typer.testing import CliRunner
 
 from conftest import quick
+from deepfsi.cli import app
 from deepfsi.datasets import load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
@@ -30,16 +32,22 @@ def lab(tmp_path_factory, made):
     return folder
 
 
-def exported(call, lab, out, *words):
-    return call("dmd", "export", lab / "design.safetensors", "--device", "64x48", "-o", out, *words)
+def export(lab, *words):
+    return ["dmd", "export", lab / "design.safetensors", "--device", "64x48", *words]
 
 
-def test_patterns_are_exported_and_checked(call, lab, tmp_path):
-    code, out, _ = exported(call, lab, tmp_path / "p", "--json")
-    said = json.loads(out)
-    assert code == 0
+@pytest.fixture(scope="module")
+def patterns(lab):
+    """Patterns of the design on a small device."""
+    words = export(lab, "-o", lab / "patterns")
+    assert CliRunner().invoke(app, [str(word) for word in words]).exit_code == 0
+    return lab / "patterns"
+
+
+def test_patterns_are_exported_and_checked(call, done, lab, tmp_path):
+    said = json.loads(done(*export(lab, "-o", tmp_path / "p", "--json")))
     assert said["mask_frames"] + 4 == said["frames"]
-    assert call("dmd", "check", tmp_path / "p")[0] == 0
+    done("dmd", "check", tmp_path / "p")
     frames = bytearray((tmp_path / "p" / "frames.npy").read_bytes())
     frames[-1000] ^= 1
     (tmp_path / "p" / "frames.npy").write_bytes(frames)
@@ -48,25 +56,20 @@ def test_patterns_are_exported_and_checked(call, lab, tmp_path):
     assert "frame" in err
 
 
-def test_patterns_are_evaluated_as_they_are_realised(call, lab, tmp_path, digits):
-    exported(call, lab, tmp_path / "p")
-    code, out, _ = call("evaluate", tmp_path / "p", "--photons", "1e4", "--json")
-    assert code == 0
-    design = Design.load(lab / "design.safetensors").as_shown(
-        *read_patterns(tmp_path / "p").realised
-    )
+def test_patterns_are_evaluated_as_they_are_realised(done, lab, patterns, digits):
+    out = done("evaluate", patterns, "--photons", "1e4", "--json")
+    design = Design.load(lab / "design.safetensors").as_shown(*read_patterns(patterns).realised)
     expected = evaluate(design, digits, 1e4)[0].accuracy
     assert json.loads(out)["results"][0]["accuracy"] == expected
 
 
-def test_a_dimmed_design_reads_its_own_counts(made, lab, tmp_path, call, digits):
+def test_a_dimmed_design_reads_its_own_counts(made, tmp_path, done):
     """One device shows a column design with less light: as if at so much smaller a budget."""
     column = made("deepfsi", "column", "dual")
     column.save(tmp_path / "column.safetensors")
-    code, out, _ = call(
+    out = done(
         "dmd", "export", tmp_path / "column.safetensors", "--device", "64x48", "-o", tmp_path / "p"
     )
-    assert code == 0
     assert "cost" in out
     patterns = read_patterns(tmp_path / "p")
     dimmed = patterns.manifest.dimmed
@@ -78,37 +81,35 @@ def test_a_dimmed_design_reads_its_own_counts(made, lab, tmp_path, call, digits)
     np.testing.assert_allclose(shown.rails.sum(), dimmed * column.rails.sum(), rtol=0.01)
 
 
-def test_from_photons_to_classes(call, lab, tmp_path):
-    exported(call, lab, tmp_path / "p")
+def test_from_photons_to_classes(done, lab, patterns, tmp_path):
     run = tmp_path / "run"
-    code, out, _ = call(
-        "camera", "simulate", tmp_path / "p", "--scene", lab / "images", "--flux", 1e7,
+    out = done(
+        "camera", "simulate", patterns, "--scene", lab / "images", "--flux", 1e7,
         "--exposure", "5ms", "--camera", "ideal", "-o", run, "--json",
     )  # fmt: skip
-    assert code == 0
     assert len(json.loads(out)["acquisition"]["scenes"]) == 3
-    code, out, _ = call("camera", "count", run, "--exposure", "1ms", "--json")
+    out = done("camera", "count", run, "--exposure", "1ms", "--json")
     counted = json.loads(out)
-    assert code == 0
     assert np.shape(counted["counts"])[0] == 3
     assert counted["faults"] == []
     assert counted["photons"] == pytest.approx(1e4, rel=0.1)
-    code, out, _ = call("camera", "classify", lab / "design.safetensors", run, "--json")
+    out = done("camera", "classify", lab / "design.safetensors", run, "--json")
     scenes = json.loads(out)["scenes"]
     assert [scene["label"] for scene in scenes] == ["0", "3", "7"]
     assert all(scene["exposures"] == np.shape(counted["counts"])[1] for scene in scenes)
-    assert call("camera", "image", run)[0] == 0
+    done("camera", "image", run)
     with Image.open(run / "picture.png") as picture:
         assert picture.width > 200
-    code, out, _ = call("camera", "inspect", run / "photons.ptu", "--json")
+    out = done("camera", "inspect", run / "photons.ptu", "--json")
     contents = json.loads(out)
-    assert contents["markers"]["1"] == 3 * len(read_patterns(tmp_path / "p").manifest.frames)
+    assert contents["markers"]["1"] == 3 * len(read_patterns(patterns).manifest.frames)
 
 
-def test_another_design_is_not_taken_for_the_one_that_was_shown(call, lab, tmp_path, digits):
-    exported(call, lab, tmp_path / "p")
+def test_another_design_is_not_taken_for_the_one_that_was_shown(
+    call, lab, patterns, tmp_path, digits
+):
     words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
-    call("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    call("camera", "simulate", patterns, *words, "-o", tmp_path / "run")
     call("camera", "count", tmp_path / "run")
     quick(digits, light="equal-dwell", seed=1).save(tmp_path / "other.safetensors")
     code, out, err = call("camera", "classify", tmp_path / "other.safetensors", tmp_path / "run")
@@ -117,12 +118,11 @@ def test_another_design_is_not_taken_for_the_one_that_was_shown(call, lab, tmp_p
     assert not out
 
 
-def test_the_cost_in_time_is_stated(call, lab, tmp_path):
-    code, out, _ = exported(call, lab, tmp_path / "p", "--dwell", "44us", "--json")
-    said = json.loads(out)
+def test_the_cost_in_time_is_stated(done, lab, tmp_path):
+    words = export(lab, "-o", tmp_path / "p", "--dwell", "44us", "--json")
+    said = json.loads(done(*words))
     manifest = read_patterns(tmp_path / "p").manifest
     counted = said["longest_exposure_s"] * manifest.shares.sum() / said["pass_s"]
-    assert code == 0
     assert sum(said["uncounted"].values()) == pytest.approx(1 - counted)
     assert said["uncounted"]["settling"] == pytest.approx(
         10e-6 * said["mask_frames"] / said["pass_s"]
@@ -166,19 +166,18 @@ def test_bad_input_is_one_line(call, lab, tmp_path, monkeypatch, words, said):
         (["--exposure", "1ms", "--scene", "nothing.png"], "nothing.png"),
     ],
 )
-def test_a_recording_that_cannot_be_leaves_nothing(call, lab, tmp_path, words, said):
-    exported(call, lab, tmp_path / "p")
+def test_a_recording_that_cannot_be_leaves_nothing(call, lab, patterns, tmp_path, words, said):
     given = {"--flux": 1e6, "--scene": lab / "images"} | dict(
         zip(words[::2], words[1::2], strict=True)
     )
     options = [word for pair in given.items() for word in pair]
-    code, _, err = call("camera", "simulate", tmp_path / "p", *options, "-o", tmp_path / "run")
+    code, _, err = call("camera", "simulate", patterns, *options, "-o", tmp_path / "run")
     assert code == 2
     assert said in err
-    assert [path.name for path in tmp_path.iterdir()] == ["p"]
+    assert not list(tmp_path.iterdir())
 
 
-def test_a_camera_is_calibrated_by_files_alone(call, made, tmp_path):
+def test_a_camera_is_calibrated_by_files_alone(done, made, tmp_path):
     """A tilted view is found to a third of a cell with 8 x 8 of them, and trained on."""
     made("hadamard", "equal-dwell", "dual").save(tmp_path / "hadamard.safetensors")
     camera = tmp_path / "tilted.toml"
@@ -187,20 +186,15 @@ def test_a_camera_is_calibrated_by_files_alone(call, made, tmp_path):
     )
     spots, run, out = tmp_path / "spots", tmp_path / "run", tmp_path / "calibration"
     device = ["--device", "64x64", "--dwell", "20ms"]
-    assert (
-        call("dmd", "export", tmp_path / "hadamard.safetensors", *device, "-o", tmp_path / "p")[0]
-        == 0
-    )
-    assert call("camera", "spots", "--size", "32x32", "-o", spots)[0] == 0
-    code, _, _ = call(
+    done("dmd", "export", tmp_path / "hadamard.safetensors", *device, "-o", tmp_path / "p")
+    done("camera", "spots", "--size", "32x32", "-o", spots)
+    done(
         "camera", "simulate", tmp_path / "p", "--scene", spots, "--flux", 1e7, "--exposure", "2s",
         "--repeats", 1, "--camera", camera, "-o", run,
     )  # fmt: skip
-    assert code == 0
-    assert call("camera", "count", run)[0] == 0
-    code, text, _ = call("camera", "calibrate", run, "--spots", spots, "-o", out, "--json")
+    done("camera", "count", run)
+    text = done("camera", "calibrate", run, "--spots", spots, "-o", out, "--json")
     found = json.loads(text)
-    assert code == 0
     assert found["spots"] >= 16  # the others fall between the large cells or beside them
     truth = np.array([[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]])
     for corner in ((0.2, 0.2, 1), (0.8, 0.2, 1), (0.5, 0.5, 1), (0.8, 0.8, 1)):
@@ -208,18 +202,15 @@ def test_a_camera_is_calibrated_by_files_alone(call, made, tmp_path):
         assert np.abs(ours[:2] / ours[2] - theirs[:2] / theirs[2]).max() < 1 / 3 / 8
     assert found["dark"] == pytest.approx(1e3, rel=0.5)
     words = ["--photons", "1e4", "--masks", 4, "--epochs", 1, "--view", out]
-    assert call("design", *words, "-o", tmp_path / "seen.safetensors")[0] == 0
+    done("design", *words, "-o", tmp_path / "seen.safetensors")
     design = Design.load(tmp_path / "seen.safetensors")
     assert "calibration" in design.info["preprocessing"]
-    assert (
-        call("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)[0] == 0
-    )
+    done("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)
 
 
-def test_a_run_of_other_pictures_does_not_calibrate(call, lab, tmp_path):
-    exported(call, lab, tmp_path / "p")
+def test_a_run_of_other_pictures_does_not_calibrate(call, lab, patterns, tmp_path):
     words = ["--scene", lab / "images", "--flux", 1e6, "--exposure", "1ms", "--camera", "ideal"]
-    call("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    call("camera", "simulate", patterns, *words, "-o", tmp_path / "run")
     call("camera", "count", tmp_path / "run")
     call("camera", "spots", "-o", tmp_path / "spots")
     words = [tmp_path / "run", "--spots", tmp_path / "spots", "-o", tmp_path / "c"]

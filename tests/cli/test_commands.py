@@ -49,9 +49,8 @@ def design_file(tmp_path_factory):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_help_with_an_example(call, command):
-    code, out, _ = call(*command.split(), "--help")
-    assert code == 0
+def test_every_command_has_help_with_an_example(done, command):
+    out = done(*command.split(), "--help")
     assert f"Example: deepfsi {command}" in " ".join(out.split())
 
 
@@ -72,50 +71,44 @@ def test_module_is_the_command():
     assert b"compare" in done.stdout
 
 
-def test_design_evaluate_show(call, tmp_path):
+def test_design_evaluate_show(done, tmp_path):
     file, picture = tmp_path / "one.safetensors", tmp_path / "masks.png"
-    code, out, _ = call("design", "--photons", "1e3", "--masks", 5, "--epochs", 2, "-o", file)
-    assert code == 0
+    out = done("design", "--photons", "1e3", "--masks", 5, "--epochs", 2, "-o", file)
     assert "accuracy" in out
-    code, out, _ = call("evaluate", file, "--photons", "1e2,1e3", "--json")
-    assert code == 0
+    out = done("evaluate", file, "--photons", "1e2,1e3", "--json")
     assert [result["photons"] for result in json.loads(out)["results"]] == [100, 1000]
-    code, out, _ = call("evaluate", file, "--photons", "1e2,1e3")
+    out = done("evaluate", file, "--photons", "1e2,1e3")
     assert "95 % interval" in out
-    assert call("show", file, "-o", picture)[0] == 0
+    done("show", file, "-o", picture)
     with Image.open(picture) as image:
         assert image.width > 200
 
 
-def test_one_dmd_design(call, tmp_path):
+def test_one_dmd_design(done, tmp_path):
     file = tmp_path / "one-dmd.safetensors"
     words = ["--light", "free-dwell", "--rails", "single", "--epochs", 2, "--masks", 6]
-    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    done("design", "--photons", "1e3", *words, "-o", file)
     design = Design.load(file)
     assert design.light == "free-dwell"
     assert design.rails.shape == (1, 6, 64)
 
 
-def test_a_flexible_design(call, tmp_path):
+def test_a_flexible_design(done, tmp_path):
     file = tmp_path / "nested.safetensors"
     words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
     words += ["--light", "equal-dwell", "--rails", "single", "--hold-out", 300, "-o", file]
-    code, out, _ = call("design", *words, "--json")
-    assert code == 0
+    out = done("design", *words, "--json")
     made = json.loads(out)
     assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
     training = made["info"]["job"]["training"]
     assert [training[key] for key in ("span", "nested", "levels")] == [1e3, 2, 2]
     assert [len(frame.unique()) for frame in Design.load(file).rails[0]] == [2] * 6
-    code, out, _ = call("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
-    assert code == 0
+    out = done("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
     assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
-    code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--json")
-    assert code == 0
+    out = done("stop", file, "--photons", "1e5", "--hold-out", 300, "--json")
     found = json.loads(out)
     assert found["rule"]["after"] == [2, 3, 4, 5, 6]
-    code, out, _ = call("stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1)
-    assert code == 0
+    out = done("stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1)
     assert "1.0000" in out
     assert "the surest 90 %" in " ".join(out.split())
 
@@ -143,46 +136,44 @@ def test_a_plain_design_cannot_stop(call, design_file):
     assert "--nested" in err
 
 
-def test_compare_writes_report_and_json(call, tmp_path):
+def test_compare_writes_report_and_json(done, tmp_path):
     words = ["--designs", "pca,raster", "--photons", "1e3", "--masks", "4", "--trials", "1"]
     words += ["--epochs", 2, "--workers", 1, "-o", tmp_path]
-    code, out, _ = call("compare", *words)
-    assert code == 0
+    out = done("compare", *words)
     assert "raster scan (RS)" in out
     assert "<svg" in (tmp_path / "report.html").read_text()
-    code, out, _ = call("compare", *words, "--json")
+    out = done("compare", *words, "--json")
     assert json.loads(out) == json.loads((tmp_path / "results.json").read_text())
 
 
-def test_options_override_a_recipe(call, tmp_path):
+def test_options_override_a_recipe(done, tmp_path):
     recipe = tmp_path / "own.toml"
     recipe.write_text(
         'data = "digits"\ndesigns = "raster"\nphotons = 1e3\n[training]\nepochs = 9\n'
     )
     out = tmp_path / "out"
-    code, text, _ = call(
+    text = done(
         "compare", "--recipe", recipe, "--designs", "pca", "--masks", 2, "--epochs", 1, "-o", out,
         "--json",
     )  # fmt: skip
     used = json.loads(text)["recipe"]
-    assert code == 0
     assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": [1]})
 
 
-def test_own_matrix(call, tmp_path):
+def test_own_matrix(done, tmp_path):
     np.save(tmp_path / "m.npy", np.eye(64)[:8] / 8)
     words = ["--matrix", tmp_path / "m.npy", "--epochs", 1, "-o", tmp_path / "own.safetensors"]
-    assert call("design", "--photons", "1e3", *words)[0] == 0
+    done("design", "--photons", "1e3", *words)
     assert np.allclose(Design.load(tmp_path / "own.safetensors").matrix, np.eye(64)[:8] / 8)
 
 
-def test_own_masks_as_images(call, tmp_path):
+def test_own_masks_as_images(done, tmp_path):
     masks = np.random.default_rng(0).integers(0, 256, (4, 8, 8), dtype=np.uint8)
     pages = [Image.fromarray(mask) for mask in masks]
     pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
     words = ["--matrix", tmp_path / "m.tif", "--epochs", 1, "--light", "free-dwell"]
     file = tmp_path / "own.safetensors"
-    assert call("design", "--photons", "1e3", *words, "-o", file)[0] == 0
+    done("design", "--photons", "1e3", *words, "-o", file)
     assert np.allclose(Design.load(file).matrix, masks.reshape(4, 64) / 255 / 4)
 
 
@@ -332,10 +323,9 @@ def recipe(tmp_path):
     return path
 
 
-def test_a_dry_run_says_what_it_would_cost_and_does_nothing(call, recipe, tmp_path):
+def test_a_dry_run_says_what_it_would_cost_and_does_nothing(call, done, recipe, tmp_path):
     out = tmp_path / "out"
-    code, text, _ = call("sweep", recipe, "-o", out, "--dry-run", "--json")
-    assert code == 0
+    text = done("sweep", recipe, "-o", out, "--dry-run", "--json")
     assert json.loads(text)["trials"] == 2
     code, text, _ = call("sweep", recipe, "-o", out, "--dry-run")
     assert (code, out.exists()) == (0, False)
