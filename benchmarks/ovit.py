@@ -24,6 +24,7 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.experiments import find
+from deepfsi.progress import Report
 from deepfsi.training.patches import Patches, PatchJob, PatchTraining, precision, train
 
 BUDGET, CLASSES = 1e4, 10
@@ -39,7 +40,7 @@ class Plain(nn.Module):
         self.unit = float(np.sqrt(np.mean(start**2)))
         self.masks = nn.Parameter(torch.tensor(start / self.unit, dtype=torch.float32))
         self.side, self.shape = patches.side, patches.data.image_shape
-        self.light = patches.light
+        self.light = patches.summed_reflectance
         tokens, pixels = patches.x.shape[1:]
         self.norm = nn.BatchNorm1d(1, affine=False)
         self.vit = Vit(pixels, tokens, CLASSES, how.width, how.depth, how.heads, how.hidden)
@@ -95,12 +96,12 @@ def our_epochs(patches: Patches, how: PatchTraining) -> list[float]:
     """Seconds of each epoch."""
     ticks: list[float] = []
 
-    def tick(share: float) -> None:
+    def tick(share: float, what: str) -> None:
         if patches.device.type == "cuda":
             torch.cuda.synchronize()
         ticks.append(time.perf_counter())
 
-    train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=how), tick)
+    train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=how), Report(tick))
     return [stop - start for start, stop in itertools.pairwise(ticks)]
 
 

@@ -67,9 +67,9 @@ def test_spectra_have_no_patches():
 @every_design
 def test_all_readouts_together_count_at_most_the_images_light(patches, design):
     masks = patches.masks(design)
-    rates = Scanner(masks).rates(photons_per_pixel(patches.x, BUDGET, patches.light))
+    rates = Scanner(masks).rates(photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance))
     counted = rates.sum(dim=(1, 2, 3))
-    light = photons_per_pixel(patches.x, BUDGET, patches.light).sum(dim=(1, 2))
+    light = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance).sum(dim=(1, 2))
     assert (counted <= light * (1 + FLOAT32)).all()
     assert light.mean() == pytest.approx(BUDGET, rel=1e-5)
     whole = 1 / 16 if design == "raster" else 1.0
@@ -90,7 +90,7 @@ def test_each_patch_gets_its_own_light(patches, design):
 @pytest.mark.parametrize("noise", ["poisson", "ml_gauss"])
 def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
     draws, place = 20_000, (5, 3)
-    x = photons_per_pixel(patches.x[place[0] : place[0] + 1], BUDGET, patches.light)
+    x = photons_per_pixel(patches.x[place[0] : place[0] + 1], BUDGET, patches.summed_reflectance)
     scanner = Scanner(patches.masks(design), noise)
     with torch.no_grad():
         rates = scanner.rates(x)[0, place[1]].double()
@@ -107,7 +107,7 @@ def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
 def test_masks_follow_the_gradient_of_the_loss(patches):
     masks = patches.masks("deepfsi")
     assert isinstance(masks, Learned)
-    x = photons_per_pixel(patches.x, BUDGET, patches.light)
+    x = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance)
     Scanner(masks, "ml_gauss")(x, generator()).square().mean().backward()
     slope = masks.weight.grad
     assert torch.isfinite(slope).all()
@@ -131,7 +131,7 @@ def test_principal_components_are_those_of_the_patches(data, patches):
 @every_design
 def test_features_are_standardised_as_they_were_in_training(patches, design):
     made = train(patches, PatchJob(design=design, photons=BUDGET, patch=4, training=SMALL))
-    x = photons_per_pixel(patches.x.flatten(1), BUDGET, patches.light)
+    x = photons_per_pixel(patches.x.flatten(1), BUDGET, patches.summed_reflectance)
     # flattened patches are not images: only what the statistics are of matters here
     scanner = made.scanner("ml_gauss")
     features = scanner(x.view_as(patches.x), generator(4))

@@ -51,8 +51,8 @@ def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Ten
         Of the features in a common scale; equal unless given.
     """
     if scale == "common":
-        weights = torch.ones_like(power[0]) if weights is None else weights
-        common = (power * weights).sum(dim=-1, keepdim=True) / weights.sum()
+        weights = torch.ones_like(power) if weights is None else weights
+        common = (power * weights).sum(dim=-1, keepdim=True) / weights.sum(dim=-1, keepdim=True)
         power = common.expand_as(power)
     return torch.where(power > 0, power, 1.0).sqrt()
 

@@ -18,6 +18,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.standardisation import Scale
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
@@ -67,7 +68,7 @@ class TrainingSettings(BaseModel):
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
     hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
     dropout: float = Field(0.0, ge=0, lt=1)
-    scale: Literal["each", "common"] = Field("common", description="spread of features")
+    scale: Scale = Field("common", description="standard deviation of features")
     decay: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
     )

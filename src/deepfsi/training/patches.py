@@ -9,11 +9,10 @@ the training set's mean summed reflectance of whole images.
 """
 
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -28,23 +27,26 @@ from deepfsi.design.patchwise import PatchExposure, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS, summed_reflectance
+from deepfsi.optics.feature_noise import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned
-from deepfsi.optics.noise import variance
-from deepfsi.optics.scanner import Scanner, lit, project
+from deepfsi.optics.scanner import Scanner, project
+from deepfsi.optics.standardisation import Scale, deviation, feature_statistics
+from deepfsi.progress import SILENT, Report
+from deepfsi.training.draws import SeedStream
 from deepfsi.training.job import BFLOAT16_COUNTS, LearningRate, Precision
+from deepfsi.training.learning import Diverged
+from deepfsi.training.loop import descend, parameter_group
 from deepfsi.training.training_set import find_device
 
 REVISION = 1
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
-CHUNK = 1024
-"""Images whose patches are multiplied at once outside the steps."""
-
 PatchedDesign = Literal["impulse", "raster", "hadamard", "pca", "deepfsi"]
+"""Name of a design that patches can be shown with."""
 
 
 class PatchTraining(BaseModel):
-    """How masks and transformer are trained."""
+    """Settings of the training of masks and transformer."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -53,7 +55,7 @@ class PatchTraining(BaseModel):
     lr: LearningRate = Field(2e-3, description="peak of the one-cycle schedule")
     mask_lr: LearningRate = Field(2e-2, description="the same for masks, relative to their rms")
     decay: float = Field(0.05, ge=0, allow_inf_nan=False, description="of the transformer")
-    scale: Literal["each", "common"] = Field("common", description="spread of features")
+    scale: Scale = Field("common", description="standard deviation of features")
     width: int = Field(64, ge=1)
     depth: int = Field(2, ge=1)
     heads: int = Field(4, ge=1)
@@ -96,7 +98,7 @@ class Patches:
             raise InputError(f"{data.name} holds no images: patches need two sides")
         self.data, self.side = data, side
         self.device = find_device(device)
-        self.light = summed_reflectance(data.x_train)
+        self.summed_reflectance = summed_reflectance(data.x_train)
         self.labels = torch.from_numpy(data.y_train).to(self.device)
         images = torch.from_numpy(data.x_train)
         self.x = cut(images, data.image_shape, side).to(self.device)
@@ -153,9 +155,7 @@ def precision(job: PatchJob, patches: Patches) -> torch.dtype:
     return torch.bfloat16 if gpu and dim else torch.float32
 
 
-def train(
-    patches: Patches, job: PatchJob, progress: Callable[[float], None] | None = None
-) -> Design:
+def train(patches: Patches, job: PatchJob, report: Report = SILENT) -> Design:
     """Train the transformer of one design, and its masks where they learn.
 
     Training noise is MLGauss. A seed fixes the order of images, the initial weights and the noise,
@@ -165,102 +165,74 @@ def train(
     ----------
     patches : Patches
     job : PatchJob
-    progress : callable, optional
-        Called with the share of the work that is done.
+    report : Report
 
     Raises
     ------
-    InputError
-        If training diverged.
+    Diverged
+        If training ended in numbers that are not finite.
     """
     began = time.perf_counter()
-    how, device = job.training, patches.device
-    count, tokens, pixels = patches.x.shape
+    settings, labels = job.training, patches.labels
     masks = patches.masks(job.design)
-    scanner = Scanner(masks, "ml_gauss")
-    vit = Vit(
-        pixels,
-        tokens,
-        len(patches.data.classes),
-        how.width,
-        how.depth,
-        how.heads,
-        how.hidden,
-        torch.Generator(device).manual_seed(job.seed),
-    )
-    generator = torch.Generator(device).manual_seed(job.seed)
-    groups: list[dict[str, Any]] = [
-        {"params": list(vit.parameters()), "lr": how.lr, "weight_decay": how.decay}
-    ]
-    if isinstance(masks, Learned):
-        groups.append({"params": list(masks.parameters()), "lr": how.mask_lr, "weight_decay": 0.0})
-    optimiser = torch.optim.AdamW(groups, fused=True)
-    batch = min(how.batch, count)
-    steps = count // batch
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, [group["lr"] for group in groups], total_steps=how.epochs * steps
-    )
-    photons = job.photons / patches.light
+    photons = job.photons / patches.summed_reflectance
+    noise = FeatureNoise.of("ml_gauss", [photons], [1.0], [job.seed], labels.device)
+    batch = min(settings.batch, len(labels))
+    stream = SeedStream(job.seed, slice(0, 1), noise, labels, batch)
+    scanner, vit = Scanner(masks, "ml_gauss"), _transformer(patches, job)
     kind = precision(job, patches)
-    tell = progress or (lambda share: None)
-    tell(0.0)
-    for epoch in range(how.epochs):
-        order = torch.randperm(count, generator=generator, device=device)
-        for rows in order[: steps * batch].view(steps, batch):
-            counts = scanner(patches.x[rows] * photons, generator) / photons
-            features = standardise(counts - project(patches.mean, masks()[0]), how.scale)
-            with nullcontext() if kind == torch.float32 else torch.autocast(device.type, kind):
-                logits = vit(features)
-            functional.cross_entropy(logits.float(), patches.labels[rows]).backward()
-            optimiser.step()
-            optimiser.zero_grad(set_to_none=True)
-            schedule.step()
-        tell((epoch + 1) / how.epochs)
+    over = (0, 1) if settings.scale == "each" else (0, 1, 2)
+
+    def loss(step: int) -> Tensor:
+        scenes = patches.x[stream.rows[step]] * photons
+        counts = scanner(scenes, stream.generator) / photons
+        features = counts - project(patches.mean, masks()[0])
+        std = deviation(features.square().mean(dim=over), "each")
+        with nullcontext() if kind == torch.float32 else torch.autocast(labels.device.type, kind):
+            logits = vit(features / std)
+        return functional.cross_entropy(logits.float(), stream.labels(step).squeeze(1))
+
+    groups = [parameter_group(vit, settings.lr, settings.decay)]
+    if isinstance(masks, Learned):
+        groups.append(parameter_group(masks, settings.mask_lr))
+    descend(groups, settings.epochs, len(labels) // batch, stream.shuffle, loss, report)
+    numbers = [*masks(), *vit.parameters()]
+    if not all(bool(torch.isfinite(part).all()) for part in numbers):
+        raise Diverged(f"training of {job.design} on patches diverged: lower lr and mask_lr")
+    design = _design(patches, job, masks, noise, vit.eval())
+    seconds = time.perf_counter() - began
+    design.info = provenance(job, patches.data, labels.device, seconds)
+    return design
+
+
+def _transformer(patches: Patches, job: PatchJob) -> Vit:
+    """Transformer of a job, untrained."""
+    _, tokens, pixels = patches.x.shape
+    size = job.training.model_dump(include={"width", "depth", "heads", "hidden"})
+    generator = torch.Generator(patches.device).manual_seed(job.seed)
+    return Vit(pixels, tokens, len(patches.data.classes), **size, generator=generator)
+
+
+def _design(
+    patches: Patches, job: PatchJob, masks: Fixed | Learned, noise: FeatureNoise, vit: Vit
+) -> Design:
+    """Design of trained masks and transformer, with the statistics of its features."""
+    s = patches.summed_reflectance
     with torch.no_grad():
         rails = constraints.separate(*masks())
-        centre, spread, shares = statistics(patches, masks, photons, how.scale)
-    if not all(bool(torch.isfinite(part).all()) for part in [rails, *vit.parameters()]):
-        raise InputError(f"training of {job.design} on patches diverged: lower lr and mask_lr")
+        scenes = patches.x.flatten(0, 1)
+        statistics = feature_statistics(scenes, masks, noise, job.training.scale)
+    mean, std, counts = (each.squeeze(0) / s for each in statistics)
     return Design(
         name=job.design,
         rails=constraints.check(rails, "column"),
-        classifier=vit.eval(),
-        mean=centre / patches.light,
-        std=spread / patches.light,
-        shares=shares * tokens / patches.light,
-        summed_reflectance=patches.light,
+        classifier=vit,
+        mean=mean,
+        std=std,
+        shares=counts * patches.x.shape[1],
+        summed_reflectance=s,
         light="column",
         image_shape=patches.data.image_shape,
         classes=patches.data.classes,
         exposure=PatchExposure(patches.side),
-        info=provenance(job, patches.data, device, time.perf_counter() - began),
     )
-
-
-def standardise(features: Tensor, scale: str) -> Tensor:
-    """Scale centred features (B, P, m) with the spread of their batch."""
-    over = (0, 1) if scale == "each" else (0, 1, 2)
-    power = features.square().mean(dim=over)
-    return features / torch.where(power > 0, power, 1.0).sqrt()
-
-
-def statistics(
-    patches: Patches,
-    masks: Fixed | Learned,
-    photons: float,
-    scale: str,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean and spread of the features over all training patches and their noise, and mean light.
-
-    Each (m,), in units of one fully reflecting pixel's photons, `photons` of them.
-    """
-    difference, total = masks()
-    centre, light = project(patches.mean, difference), project(patches.mean, total)
-    power = torch.zeros_like(centre)
-    for x in patches.x.split(CHUNK):
-        power += (project(x, difference) - centre).square().sum(dim=(0, 1))
-    noise = variance(light * photons, lit(difference, total), "ml_gauss") / photons**2
-    power = power / (len(patches.x) * patches.x.shape[1]) + noise
-    if scale == "common":
-        power = power.mean().expand_as(power)
-    return centre, torch.where(power > 0, power, 1.0).sqrt(), light
