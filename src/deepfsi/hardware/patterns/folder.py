@@ -232,7 +232,7 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> P
         wanted = next(masks) if frame.role == "mask" else grid.mirrors * (frame.role == "on")
         mirrors = unpack(packed, manifest.device)
         on = recount(mirrors, grid)
-        if (on != wanted).any() or mirrors.sum() != on.sum():
+        if (on != wanted).any() or np.count_nonzero(mirrors) != on.sum():
             raise InputError(
                 f"{name} does not show what manifest.json and mirrors.npy say: export the "
                 "patterns again"
