@@ -1,7 +1,7 @@
 """Virtual projector and photon counter: the virtual camera behind the two protocols of drivers.
 
 The projector notes what the display shows whenever a pass starts; the counter writes, when it is
-stopped, the photon file of these passes, as `camera.record` would.
+stopped, the photon file of these passes, as `record` would.
 """
 
 from collections.abc import Callable
