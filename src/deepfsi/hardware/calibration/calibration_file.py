@@ -14,9 +14,16 @@ FILE = "calibration.json"
 """Name of the file in its folder."""
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+"""Finite number."""
+
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+"""Number from 0 to 1."""
+
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Finite number from 0 on."""
+
 Row = tuple[Number, Number, Number]
+"""Row of a homography."""
 
 
 class Calibration(BaseModel):

@@ -52,8 +52,13 @@ def _hydra(name: str, code: int, mode: Literal["T2", "T3"], *, old: bool = False
 
 
 PICOHARP_T2 = Kind("PicoHarp 300 T2", 0x00010203, "T2", 28, 28, 210_698_240, False, 0, 5)
+"""Record of a PicoHarp 300 in T2 mode."""
+
 PICOHARP_T3 = Kind("PicoHarp 300 T3", 0x00010303, "T3", 28, 16, 65_536, False, 1, 4)
+"""Record of a PicoHarp 300 in T3 mode."""
+
 GENERIC_T2 = _hydra("Generic", 0x00010207, "T2")
+"""Record of a recent device in T2 mode."""
 
 KINDS = {
     kind.code: kind

@@ -98,6 +98,11 @@ class Acquisition(BaseModel):
             raise ValueError("two arms need two inputs")
         return self
 
+    @property
+    def digest(self) -> str:
+        """Hash of the settings."""
+        return sha256(self.model_dump_json().encode()).hexdigest()
+
 
 def prepare(
     folder: str | os.PathLike[str],

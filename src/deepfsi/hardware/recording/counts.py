@@ -7,7 +7,6 @@ import os
 import struct
 import zipfile
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,6 @@ LARGEST_COUNTS = 2**27
 
 NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
-
 
 _ARRAYS = {
     "counts": "<i8",
@@ -142,7 +140,7 @@ def save_counts(path: Path, counts: Counts, acquisition: Acquisition) -> None:
         Of what; its hash is written.
     """
     about = {
-        "acquisition": _digest(acquisition),
+        "acquisition": acquisition.digest,
         "repeats": counts.counts.shape[1],
         "exposure_s": counts.exposure_s,
         "settle_s": counts.settle_s,
@@ -179,7 +177,7 @@ def load_counts(path: Path, acquisition: Acquisition, manifest: Manifest) -> Cou
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             about = _About.model_validate_json(_member(archive, "about", "|u1", None).tobytes())
-            if about.acquisition != _digest(acquisition):
+            if about.acquisition != acquisition.digest:
                 raise InputError(
                     f"{path} is of another acquisition than acquisition.json: count again with "
                     "`deepfsi camera count`"
@@ -243,8 +241,3 @@ def _member(
     if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
         raise ValueError(name)
     return np.frombuffer(content, kind, offset=len(held)).reshape(shape).copy()
-
-
-def _digest(acquisition: Acquisition) -> str:
-    """Hash of an acquisition's settings."""
-    return sha256(acquisition.model_dump_json().encode()).hexdigest()
