@@ -7,30 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.hardware.patterns.folder import (
-    DesignRails,
-    export_patterns,
-)
-from deepfsi.hardware.patterns.sequence import (
-    FrameSettings,
-    find_device,
-)
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
 from deepfsi.progress import SILENT
 
 FORMATS = ("npy", "png", "raw")
 
-
 SMALL = find_device("67x50")
 """Not whole bytes across, and cells of 8 x 8 leave margins."""
-
 
 UNEQUAL = np.array([0.999, 0.001])[None, :, None].repeat(16, axis=2)
 """Two masks of very different shares, rails (1, 2, 16)."""
 
-
 every_format = pytest.mark.parametrize("form", FORMATS)
-
-
 every_selection = pytest.mark.parametrize("selection", ["ordered", "random"])
 
 

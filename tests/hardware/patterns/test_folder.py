@@ -21,17 +21,9 @@ from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import (
-    check_patterns,
-    read_frames,
-    read_patterns,
-)
+from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames, unpack
-from deepfsi.hardware.patterns.sequence import (
-    DEVICES,
-    Device,
-    find_device,
-)
+from deepfsi.hardware.patterns.sequence import DEVICES, Device, find_device
 from deepfsi.optics import constraints
 from deepfsi.progress import Report
 

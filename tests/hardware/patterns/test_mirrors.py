@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 from pattern_samples import SMALL
 
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
-from deepfsi.hardware.patterns.sequence import (
-    Device,
-    find_grid,
-)
+from deepfsi.hardware.patterns.sequence import Device, find_grid
 
 
 @settings(max_examples=150, deadline=None)

@@ -9,20 +9,16 @@ from pattern_samples import export, grey
 from deepfsi.hardware.patterns.gates import find_gates
 
 
-def test_equal_dwell_holds_every_frame_as_long(tmp_path):
-    manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=7e-4).manifest
-    assert {frame.picture_us for frame in manifest.frames} == {700}
-
-
-@pytest.mark.parametrize(("dwell", "us"), [(123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001)])
-def test_pictures_last_whole_microseconds_rounded_up_but_not_by_floating_point(tmp_path, dwell, us):
+@pytest.mark.parametrize(
+    ("dwell", "us"),
+    [(7e-4, 700), (123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001), (1e-6, 44)],
+)
+def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_can(
+    tmp_path, dwell, us
+):
+    """Rounded up, but not by floating point."""
     manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
     assert {frame.picture_us for frame in manifest.frames} == {us}
-
-
-def test_no_picture_is_shorter_than_the_device_can_show(tmp_path):
-    manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=1e-6).manifest
-    assert {frame.picture_us for frame in manifest.frames} == {44}
 
 
 def test_pictures_share_out_what_is_left_beyond_settling(tmp_path):
