@@ -17,7 +17,7 @@ from deepfsi.experiments.camera import claims as camera_study
 from deepfsi.experiments.camera import laboratory
 from deepfsi.experiments.flexible import claims as flexible
 from deepfsi.experiments.indian_pines import claims as indian_pines
-from deepfsi.experiments.mnist import claims as mnist
+from deepfsi.experiments.mnist import accuracy as mnist
 from deepfsi.statistics import differences
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
@@ -222,7 +222,7 @@ def answers(**changed):
         values[(noise, design, float(photons))] = accuracy
     results = comparison(values)
     photon, read = (experiment.best(results, noise=noise) for noise in ("poisson", "gaussian"))
-    return [claim.holds for claim in (*mnist._photon_claims(photon), *mnist._read_claims(read))]
+    return [claim.holds for claim in (*mnist.photon_claims(photon), *mnist.read_claims(read))]
 
 
 def test_claims_hold_where_the_numbers_are_the_papers():

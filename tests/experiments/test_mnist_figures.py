@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from matplotlib.text import Annotation
 
 from deepfsi.errors import InputError
 from deepfsi.experiments.mnist import figures
+from deepfsi.experiments.mnist.figures import LearnedMasks, Measure, Start
 from deepfsi.optics import codes
 from deepfsi.optics.budget import impulse_imaging_error
 from deepfsi.report.style import COLOURS, svg
@@ -56,52 +58,50 @@ def results_of(noises=("poisson", "gaussian"), budgets=BUDGETS, designs=DESIGNS,
 def mask_rows(budgets=(1e3, 1e5, 1e8), shape=(6, 4), counts=(9, 7)):
     rng = np.random.default_rng(0)
     return [
-        {
-            "photons": photons,
-            "image_shape": shape,
-            "gaussian": rng.normal(size=(counts[0], math.prod(shape))) / 7,
-            "poisson": rng.normal(size=(counts[1], math.prod(shape))) ** 3 / 50,
-        }
+        LearnedMasks(
+            photons,
+            shape,
+            gaussian=rng.normal(size=(counts[0], math.prod(shape))) / 7,
+            poisson=rng.normal(size=(counts[1], math.prod(shape))) ** 3 / 50,
+        )
         for photons in budgets
     ]
 
 
 def measure_rows(budgets=BUDGETS):
-    rows = []
-    for photons in budgets:
-        for series, value in (("gaussian", 0.9), ("poisson", 0.4)):
-            point = {"series": series, "photons": photons}
-            rows.append({**point, "measure": "light throughput", "value": value})
-            rows.append({**point, "measure": "effective number of directions", "value": 30 * value})
-        for series, value in (("AGN with PN", 0.6), ("random masks", 0.04)):
-            point = {"series": series, "photons": photons}
-            rows.append({**point, "measure": "subspace similarity", "value": value})
-    return [{**row, "low": 0.9 * row["value"], "high": 1.1 * row["value"]} for row in rows]
+    values = {
+        ("light throughput", "gaussian"): 0.9,
+        ("effective number of directions", "gaussian"): 30 * 0.9,
+        ("light throughput", "poisson"): 0.4,
+        ("effective number of directions", "poisson"): 30 * 0.4,
+        ("subspace similarity", "AGN with PN"): 0.6,
+        ("subspace similarity", "random masks"): 0.04,
+    }
+    return [
+        Measure(measure, series, photons, value, 0.9 * value, 1.1 * value)
+        for photons in budgets
+        for (measure, series), value in values.items()
+    ]
 
 
 def starts_of(noises=("poisson",), budgets=BUDGETS, ends=True):
     starts = {"pca": 0.0, "truncated-hadamard": -0.01, "random": -0.06}
-    points, differences = [], []
+    accuracies, differences = [], []
     for noise, photons, (start, loss) in itertools.product(noises, budgets, starts.items()):
-        accuracy = 0.2 + 0.09 * math.log10(photons) + loss
-        at = {"noise": noise, "photons": photons, "start": start}
-        points.append({**at, "accuracy": accuracy, "low": accuracy - 0.01, "high": accuracy + 0.01})
+        value = 0.2 + 0.09 * math.log10(photons) + loss
+        accuracies.append(Start(noise, start, photons, value, value - 0.01, value + 0.01))
         if loss:
             low, high = (loss - 0.004, loss + 0.004) if ends else (None, None)
-            differences.append({**at, "difference": loss, "low": low, "high": high})
-    return {
-        "points": points,
-        "differences": differences,
-        "data": {"classes": [str(k) for k in range(10)]},
-    }
+            differences.append(Start(noise, start, photons, loss, low, high))
+    return accuracies, differences, 0.1
 
 
 FIGURES = {
     "error": lambda: figures.error_figure(results_of()),
     "masks": lambda: figures.masks_table_figure(mask_rows()),
     "measures": lambda: figures.measures_figure(measure_rows()),
-    "starts": lambda: figures.starts_figure(starts_of()),
-    "both starts": lambda: figures.starts_figure(starts_of(("gaussian", "poisson"))),
+    "starts": lambda: figures.starts_figure(*starts_of()),
+    "both starts": lambda: figures.starts_figure(*starts_of(("gaussian", "poisson"))),
 }
 
 
@@ -200,7 +200,7 @@ def test_six_masks_of_each_noise_and_budget_on_their_own_scale():
     for place, row in enumerate(rows):
         for half, noise in enumerate(("gaussian", "poisson")):
             shown = images[12 * place + 6 * half :][:6]
-            end = np.abs(row[noise]).max()
+            end = np.abs(row.under(noise)).max()
             assert {image.get_clim() for image in shown} == {(-end, end)}
             light = [np.abs(image.get_array()).sum() for image in shown]
             assert light == sorted(light, reverse=True)
@@ -230,11 +230,9 @@ def test_distributions_hold_every_value_of_both_noises():
 
 def test_rails_few_masks_and_dark_ones():
     rows = mask_rows(budgets=(30.0,), counts=(2, 1))
-    rows[0]["gaussian"] = np.stack(
-        [rows[0]["gaussian"].clip(0), -rows[0]["gaussian"].clip(None, 0)]
-    )
-    rows[0]["poisson"] = rows[0]["poisson"] * 0
-    figure = figures.masks_table_figure(rows)
+    matrix, dark = rows[0].gaussian, rows[0].poisson * 0
+    rails = np.stack([matrix.clip(0), -matrix.clip(None, 0)])
+    figure = figures.masks_table_figure([replace(rows[0], gaussian=rails, poisson=dark)])
     assert len([ax for ax in figure.axes if ax.images]) == 3
     assert_legible(figure)
 
@@ -251,14 +249,12 @@ def test_each_measure_has_a_panel_and_each_series_a_look():
         heading = ax.get_title(loc="left").replace("\n", " ")
         assert ax.get_ylim()[0] == 0
         drawn = [bars.lines[0].get_ydata().tolist() for bars in ax.containers]
-        kept = [row for row in rows if row["measure"] == heading]
-        names = list(dict.fromkeys(row["series"] for row in kept))
-        assert drawn == [[r["value"] for r in kept if r["series"] == name] for name in names]
+        kept = [row for row in rows if row.measure == heading]
+        names = list(dict.fromkeys(row.series for row in kept))
+        assert drawn == [[r.value for r in kept if r.series == name] for name in names]
         for bars, name in zip(ax.containers, names, strict=True):
             ends = [segment[:, 1].tolist() for segment in bars.lines[2][0].get_segments()]
-            np.testing.assert_allclose(
-                ends, [[r["low"], r["high"]] for r in kept if r["series"] == name]
-            )
+            np.testing.assert_allclose(ends, [[r.low, r.high] for r in kept if r.series == name])
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["Gaussian read noise", "photon noise", "AGN with PN", "random masks"]
     looks = {
@@ -269,14 +265,14 @@ def test_each_measure_has_a_panel_and_each_series_a_look():
 
 
 def test_measures_of_one_budget_without_intervals():
-    rows = [{**row, "low": None, "high": None} for row in measure_rows([1e4])]
+    rows = [replace(row, low=None, high=None) for row in measure_rows([1e4])]
     assert_legible(figures.measures_figure(rows))
-    assert_legible(figures.measures_figure([r for r in rows if r["measure"] == "light throughput"]))
+    assert_legible(figures.measures_figure([r for r in rows if r.measure == "light throughput"]))
 
 
 def test_starts_are_drawn_beside_their_paired_differences():
     results = starts_of(("gaussian", "poisson"))
-    figure = figures.starts_figure(results)
+    figure = figures.starts_figure(*results)
     assert len(figure.axes) == 4
     left, right = figure.axes[2:]
     assert len(left.containers) == 3
@@ -295,4 +291,4 @@ def test_starts_are_drawn_beside_their_paired_differences():
 
 @pytest.mark.parametrize("case", [{"budgets": [1e4]}, {"ends": False}, {"budgets": [30.0, 300.0]}])
 def test_starts_of_one_budget_or_one_trial(case):
-    assert_legible(figures.starts_figure(starts_of(**case)))
+    assert_legible(figures.starts_figure(*starts_of(**case)))

@@ -201,7 +201,7 @@ def test_accuracies_share_a_scale_and_the_difference_is_symmetric():
 
 @pytest.mark.parametrize("largest", [0, 1e-4, 0.012, 0.0225, 0.1, 0.47, 1])
 def test_levels_of_differences_hold_all_and_never_magnify_noise(largest):
-    levels = maps._difference_levels(np.array([[largest, np.nan], [-largest / 2, 0.0]]))
+    levels = maps.difference_levels(np.array([[largest, np.nan], [-largest / 2, 0.0]]))
     np.testing.assert_allclose(levels, -levels[::-1], atol=1e-12)
     assert levels[-1] >= max(largest, 0.0125)
     assert levels[-1] <= max(2.5 * largest, 0.0125)

@@ -9,8 +9,7 @@ from deepfsi.experiments.camera import claims as camera_study
 from deepfsi.experiments.experiment import Experiment
 from deepfsi.experiments.flexible import claims as flexible
 from deepfsi.experiments.indian_pines import claims as indian_pines
-from deepfsi.experiments.mnist import claims as mnist
-from deepfsi.experiments.mnist import masks, starts
+from deepfsi.experiments.mnist import accuracy, masks, starts
 from deepfsi.experiments.ovit import claims as ovit
 from deepfsi.files import write_atomically
 from deepfsi.report.study_page import write_study
@@ -18,7 +17,7 @@ from deepfsi.report.study_page import write_study
 __all__ = ["STUDIES", "Experiment", "find", "is_study", "page"]
 
 STUDIES: dict[str, tuple[Experiment, ...]] = {
-    "mnist": (mnist.EXPERIMENT, masks.EXPERIMENT, starts.EXPERIMENT),
+    "mnist": (accuracy.EXPERIMENT, masks.EXPERIMENT, starts.EXPERIMENT),
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),

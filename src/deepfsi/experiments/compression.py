@@ -1,5 +1,7 @@
 """How much a wrong number of masks costs, and a wrong budget."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
@@ -7,7 +9,7 @@ from deepfsi.report.maps import accuracy_grid, heat_figure
 from deepfsi.report.section import Claim, Picture
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point, Results
 
 ROBUST = 0.02
 """Loss of accuracy above the training budget that still counts as robust."""
@@ -22,11 +24,11 @@ PAPER = (
 
 def show(results: Results) -> Finding:
     """Heat maps of three designs, and the falls that the paper speaks of."""
-    trained_at = results["points"][0]["trained_at"]
-    designs = list(dict.fromkeys(point["design"] for point in results["points"]))
-    titles = {point["design"]: point["title"] for point in results["points"]}
-    lights = budgets(results["points"])
-    ratios = sorted({point["ratio"] for point in results["points"]})
+    trained_at = results.points[0].trained_at
+    designs = list(dict.fromkeys(point.design for point in results.points))
+    titles = {point.design: point.title for point in results.points}
+    lights = budgets(results.points)
+    ratios = sorted({point.ratio for point in results.points})
     grids = {
         titles[design]: accuracy_grid(points(results, design=design), lights, ratios)
         for design in designs
@@ -68,10 +70,11 @@ def show(results: Results) -> Finding:
     return Finding(found, (picture,), claims)
 
 
-def _falls(at_one_budget: list) -> list[float]:  # type: ignore[type-arg]
+def _falls(at_one_budget: Iterable[Point]) -> list[float]:
     """Best less worst accuracy over ratios, for each trial."""
-    values = np.array([point["accuracies"] for point in at_one_budget])
-    return (values.max(axis=0) - values.min(axis=0)).tolist()
+    values = np.array([point.accuracies for point in at_one_budget])
+    falls: list[float] = (values.max(axis=0) - values.min(axis=0)).tolist()
+    return falls
 
 
 def _less(first: list[float], second: list[float]) -> Difference:
@@ -82,11 +85,11 @@ def _changes(
     results: Results, trained_at: float, up: bool
 ) -> dict[tuple[str, float, float], Difference]:
     """Change of accuracy from the training budget to each beyond it, by design and ratio."""
-    own = {(p["design"], p["ratio"]): p for p in points(results, photons=trained_at)}
+    own = {(p.design, p.ratio): p for p in points(results, photons=trained_at)}
     return {
-        (p["design"], p["ratio"], p["photons"]): difference(p, own[(p["design"], p["ratio"])])
-        for p in results["points"]
-        if p["photons"] != trained_at and (p["photons"] > trained_at) == up
+        (p.design, p.ratio, p.photons): difference(p, own[(p.design, p.ratio)])
+        for p in results.points
+        if p.photons != trained_at and (p.photons > trained_at) == up
     }
 
 

@@ -15,6 +15,7 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.progress import SILENT, Report
+from deepfsi.report.maps import Cell
 from deepfsi.report.section import Claim, Picture, Section, Table
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts
@@ -190,7 +191,7 @@ def _load(recipe: Recipe) -> Dataset:
     return replace(data, name=f"{data.name}, {recipe.split} split") if recipe.split else data
 
 
-def points(results: Results, **fields: Any) -> list[Any]:
+def points(results: Results, **fields: Any) -> list[Point]:
     """Points of results that have these values."""
     return [
         point
@@ -199,11 +200,11 @@ def points(results: Results, **fields: Any) -> list[Any]:
     ]
 
 
-def best(results: Results, **fields: Any) -> dict[tuple[str, float], Any]:
+def best(results: Results, **fields: Any) -> dict[tuple[str, float], Point]:
     """Points at their chosen number of masks, by design and budget."""
     return {(point.design, point.photons): point for point in points(results, best=True, **fields)}
 
 
-def budgets(chosen: Iterable[Any]) -> list[float]:
+def budgets(chosen: Iterable[Cell]) -> list[float]:
     """Budgets of points, rising."""
     return sorted({point.photons for point in chosen})

@@ -23,7 +23,7 @@ PAPER = (
 def show(results: Results) -> Finding:
     """Contour maps of both tests and of their difference."""
     both = pair(results, "noise", "ml_gauss", "poisson")
-    pixels = round(results["points"][0]["masks"] / results["points"][0]["ratio"])
+    pixels = round(results.points[0].masks / results.points[0].ratio)
     large = {place: each for place, each in both.differences.items() if abs(each.mean) > NOTICED}
     bright = {
         place: each

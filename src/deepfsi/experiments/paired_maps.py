@@ -58,17 +58,15 @@ class Pair:
 def pair(results: Results, axis: str, first: object, second: object) -> Pair:
     """Tests that differ in the field `axis`: the second less the first."""
     one, other = (points(results, **{axis: value}) for value in (first, second))
-    lights, ratios = budgets(one), sorted({point["ratio"] for point in one})
-    there = {(point["ratio"], point["photons"]): point for point in one}
+    lights, ratios = budgets(one), sorted({point.ratio for point in one})
+    there = {(point.ratio, point.photons): point for point in one}
     return Pair(
         lights,
         ratios,
         accuracy_grid(one, lights, ratios),
         accuracy_grid(other, lights, ratios),
         {
-            (point["ratio"], point["photons"]): difference(
-                point, there[(point["ratio"], point["photons"])]
-            )
+            (point.ratio, point.photons): difference(point, there[(point.ratio, point.photons)])
             for point in other
         },
     )

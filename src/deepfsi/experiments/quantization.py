@@ -18,7 +18,7 @@ PAPER = (
 
 def show(results: Results) -> Finding:
     """Contour maps with continuous masks, with quantised ones, and their difference."""
-    levels = max(point["levels"] for point in results["points"])
+    levels = max(point.levels for point in results.points)
     both = pair(results, "levels", 0, levels)
     loss = _mean_loss(results, levels)
     most, where = both.largest
@@ -44,7 +44,7 @@ def show(results: Results) -> Finding:
 def _mean_loss(results: Results, levels: int) -> Difference:
     """Loss averaged over the grid, for each trial."""
     one, other = (
-        np.array([point["accuracies"] for point in points(results, levels=level)])
+        np.array([point.accuracies for point in points(results, levels=level)])
         for level in (0, levels)
     )
     values = (one - other).mean(axis=0).tolist()

@@ -1,8 +1,9 @@
 """Accuracy against photons and against the number of masks."""
 
 import math
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,11 +21,38 @@ from deepfsi.report.style import (
     photons_text,
     styled,
 )
+from deepfsi.sweeps.results import Results
 
-Point = Any
+T = TypeVar("T")
+M = TypeVar("M", bound="Measured")
 
 
-Results = Any
+class Measured(Protocol):
+    """Accuracy of a design, with its interval."""
+
+    @property
+    def design(self) -> str:
+        """Name of the design."""
+
+    @property
+    def label(self) -> str:
+        """Its short name."""
+
+    @property
+    def specific(self) -> bool:
+        """Whether it depends on the task."""
+
+    @property
+    def accuracy(self) -> float:
+        """Mean over trials."""
+
+    @property
+    def low(self) -> float:
+        """Lower end of its interval."""
+
+    @property
+    def high(self) -> float:
+        """Upper end of its interval."""
 
 
 LINE_HEIGHT = 0.06  # of a name at the right edge, in parts of the axis
@@ -38,14 +66,14 @@ CHOSEN: Fields = ("design", "light", "rails")
 
 def series_axes(results: Results) -> Fields:
     """Fields that tell series apart, of those in which points differ beside noise and budget."""
-    points = results["points"]
-    apart = [axis for axis in ("variant", "levels") if len({p.get(axis) for p in points}) > 1]
-    if any(p.get("trained_at", p["photons"]) != p["photons"] for p in points):
+    points = results.points
+    apart = [axis for axis in ("variant", "levels") if len({getattr(p, axis) for p in points}) > 1]
+    if any(p.trained_at != p.photons for p in points):
         apart.append("trained_at")
-    pairs = {(p["noise"], p.get("trained_under")) for p in points}
+    pairs = {(p.noise, p.trained_under) for p in points}
     if len(pairs) > len({noise for noise, _ in pairs}):
         apart.append("trained_under")
-    if results["chosen_on"] == "nothing":
+    if results.chosen_on == "nothing":
         apart.append("masks")
     return (*CHOSEN, *apart)
 
@@ -59,16 +87,16 @@ def axis_text(axis: str, value: Any) -> str:
     return f"from {value}" if axis == "trained_under" else str(value)
 
 
-def series(points: Iterable[Point], axes: Fields) -> dict[tuple[str, ...], list[Point]]:
+def series(points: Iterable[T], axes: Fields) -> dict[tuple[str, ...], list[T]]:
     """Points by the fields `axes`, the design first, in the order in which they appear."""
-    found: dict[tuple[str, ...], list[Point]] = {}
+    found: dict[tuple[str, ...], list[T]] = {}
     for point in points:
-        found.setdefault(tuple(str(point[axis]) for axis in axes), []).append(point)
+        found.setdefault(tuple(str(getattr(point, axis)) for axis in axes), []).append(point)
     return found
 
 
 def series_names(
-    points: Iterable[Point], axes: Fields, field: str = "label"
+    points: Iterable[Measured], axes: Fields, field: str = "label"
 ) -> dict[tuple[str, ...], str]:
     """Name of each series: the design's, and the other axes where these tell two apart."""
     rows = list(series(points, axes).items())
@@ -76,17 +104,17 @@ def series_names(
     for key, members in rows:
         kin = [other for other, _ in rows if other[0] == key[0]]
         apart = [
-            axis_text(axes[i], members[0][axes[i]])
+            axis_text(axes[i], getattr(members[0], axes[i]))
             for i in range(1, len(axes))
             if len({other[i] for other in kin}) > 1
         ]
-        names[key] = " ".join([members[0][field], *apart])
+        names[key] = " ".join([getattr(members[0], field), *apart])
     return names
 
 
 def noises(results: Results) -> list[str]:
     """Noise models of a comparison, in the order in which they appear."""
-    return list(dict.fromkeys(point["noise"] for point in results["points"]))
+    return list(dict.fromkeys(point.noise for point in results.points))
 
 
 @styled
@@ -95,8 +123,7 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
 
     Parameters
     ----------
-    results : mapping
-        Content of a `results.json`.
+    results : Results
     top : float
         End of the axis of accuracy, above the highest point.
 
@@ -109,10 +136,11 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     figure = Figure(figsize=(4.8 * len(panels), PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
-        points = [p for p in results["points"] if p["noise"] == noise and p["best"]]
-        accuracy_axes(ax, results, points, series_axes(results), "photons", top=top)
+        points = [p for p in results.points if p.noise == noise and p.best]
+        chance = 1 / len(results.data.classes)
+        accuracy_axes(ax, points, series_axes(results), attrgetter("photons"), chance, top=top)
         ax.set_xlabel("photon budget Φ")
-        budgets = sorted({p["photons"] for p in points})
+        budgets = sorted({p.photons for p in points})
         short = all(len(photons_text(budget)) <= 4 for budget in budgets)
         ax.xaxis.set_major_locator(
             FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
@@ -132,7 +160,7 @@ def count_figure(results: Results) -> Figure:
     panels = [
         (noise, photons)
         for noise in noises(results)
-        for photons in sorted({p["photons"] for p in results["points"] if p["noise"] == noise})
+        for photons in sorted({p.photons for p in results.points if p.noise == noise})
     ]
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
@@ -140,9 +168,10 @@ def count_figure(results: Results) -> Figure:
     axes = figure.subplots(rows, columns, squeeze=False).flat
     several = len(noises(results)) > 1
     for ax, (noise, photons) in zip(axes, panels, strict=False):
-        points = [p for p in results["points"] if (p["noise"], p["photons"]) == (noise, photons)]
-        axes_but_masks = tuple(axis for axis in series_axes(results) if axis != "masks")
-        accuracy_axes(ax, results, points, axes_but_masks, "masks")
+        points = [p for p in results.points if (p.noise, p.photons) == (noise, photons)]
+        apart = tuple(axis for axis in series_axes(results) if axis != "masks")
+        chance = 1 / len(results.data.classes)
+        accuracy_axes(ax, points, apart, attrgetter("masks"), chance, filled=attrgetter("best"))
         ax.set_xlabel("number of masks m")
         ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -156,69 +185,96 @@ def count_figure(results: Results) -> Figure:
 
 def accuracy_axes(
     ax: Axes,
-    results: Results,
-    points: list[Point],
+    points: Iterable[M],
     axes: Fields,
-    across: str,
+    across: Callable[[M], float],
+    chance: float,
     *,
-    values: Iterable[float] = (),
-    falling: bool = False,
+    span: tuple[float, float] | None = None,
+    filled: Callable[[M], bool] | None = None,
     top: float = 1.0,
 ) -> None:
-    """Draw one line per series over the field `across`, named at the right edge.
+    """Draw accuracies over a quantity, one line for each series, named at the right edge.
 
-    Panels that share an axis are given all of its `values`; a `falling` axis has the largest left.
+    Parameters
+    ----------
+    ax : Axes
+    points : iterable
+        Measured accuracies.
+    axes : tuple of str
+        Fields that tell series apart, the design first.
+    across : callable
+        Quantity of a point.
+    chance : float
+        Accuracy of guessing.
+    span : tuple of float, optional
+        Quantity at the left and at the right, where panels share an axis; it may fall.
+    filled : callable, optional
+        Points whose markers are filled; those of a design's first series unless given.
+    top : float
+        End of the axis of accuracy.
     """
     groups, names = series(points, axes), series_names(points, axes)
-    values = sorted({*values, *(p[across] for p in points)})
-    decades = max(1.0, math.log10(values[-1] / values[0]))
+    tried = [across(point) for members in groups.values() for point in members]
+    left, right = span or (min(tried), max(tried))
+    decades = max(1.0, abs(math.log10(max(left, right) / min(left, right))))
     apart = 10 ** (0.004 * decades)
     ends: list[tuple[str, str, float, float]] = []
-    seen: dict[str, int] = {}
     for place, (key, members) in enumerate(groups.items()):
-        design, variant = key[0], seen.setdefault(key[0], 0)
-        seen[design] += 1
-        colour = COLOURS.get(design, INK)
-        rows = sorted(members, key=lambda p: p[across], reverse=falling)
-        x = np.array([p[across] for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
-        y = np.array([p["accuracy"] for p in rows])
-        reach = [
-            [p["accuracy"] - p["low"] for p in rows],
-            [p["high"] - p["accuracy"] for p in rows],
-        ]
-        ax.errorbar(
-            x,
-            y,
-            yerr=np.clip(reach, 0, None),
-            color=colour,
-            linestyle=LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
-            elinewidth=1,
-            capsize=2,
-            zorder=3 + place / 100,
-        )
-        filled = np.array([p["best"] if across == "masks" else variant == 0 for p in rows])
-        for full in set(filled.tolist()):
-            ax.plot(
-                x[filled == full],
-                y[filled == full],
-                linestyle="none",
-                marker="o" if rows[0]["specific"] else "s",
-                color=colour,
-                markerfacecolor=colour if full else PAPER,
-                zorder=4 + place / 100,
-                label=names[key],
-            )
-        ends.append((names[key], colour, float(x[-1]), float(y[-1])))
-    chance = 1 / len(results["data"]["classes"])
+        variant = sum(other[0] == key[0] for other in list(groups)[:place])
+        rows = sorted(members, key=across, reverse=left > right)
+        x = np.array([across(p) for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
+        full = np.array([filled(p) if filled else variant == 0 for p in rows])
+        _draw_series(ax, rows, x, full, variant=variant, place=place, name=names[key])
+        ends.append((names[key], COLOURS.get(key[0], INK), float(x[-1]), rows[-1].accuracy))
     ax.set_xscale("log")
-    edges = values[0] / 10 ** (0.06 * decades), values[-1] * 10 ** (0.06 * decades)
-    ax.set_xlim(edges[::-1] if falling else edges)
+    margin = 10 ** (0.06 * decades)
+    edges = min(left, right) / margin, max(left, right) * margin
+    ax.set_xlim(edges[::-1] if left > right else edges)
     ax.axhline(chance, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
     ax.set_ylim(0, top)
     ax.set_ylabel("accuracy")
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
     _name_ends(ax, [*ends, ("chance", MUTED, ax.get_xlim()[1], chance)])
+
+
+def _draw_series(
+    ax: Axes,
+    rows: Sequence[Measured],
+    x: np.ndarray,
+    filled: np.ndarray,
+    *,
+    variant: int,
+    place: int,
+    name: str,
+) -> None:
+    """Draw one line with intervals, and its markers, filled or hollow."""
+    design = rows[0].design
+    colour = COLOURS.get(design, INK)
+    y = np.array([p.accuracy for p in rows])
+    reach = [[p.accuracy - p.low for p in rows], [p.high - p.accuracy for p in rows]]
+    ax.errorbar(
+        x,
+        y,
+        yerr=np.clip(reach, 0, None),
+        color=colour,
+        linestyle=LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
+        elinewidth=1,
+        capsize=2,
+        zorder=3 + place / 100,
+    )
+    for full in set(filled.tolist()):
+        ax.plot(
+            x[filled == full],
+            y[filled == full],
+            linestyle="none",
+            marker="o" if rows[0].specific else "s",
+            color=colour,
+            markerfacecolor=colour if full else PAPER,
+            zorder=4 + place / 100,
+            label=name,
+        )
 
 
 def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:

@@ -100,25 +100,25 @@ def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
 
 def page_text(results: Results, designs: Path) -> str:
     """Text of the page."""
-    data = results["data"]
-    points = results["points"]
+    data = results.data
+    points = results.points
     axes = series_axes(results)
     learned = list(learned_masks(results, designs))
     return render(
         "page.html.jinja",
         results=results,
         summary=[summary(results, noise) for noise in noises(results)],
-        variants=len(series(points, axes)) > len({p["design"] for p in points}),
+        variants=len(series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
         counts=list(count_panels(results)),
         tables=[best_table(results, noise) for noise in noises(results)],
-        designs_shown={p["label"]: p["title"] for p in points},
-        covers=list(dict.fromkeys(p["covers"] for p in points)),
+        designs_shown={p.label: p.title for p in points},
+        covers=list(dict.fromkeys(p.covers for p in points)),
         learned=learned,
-        learned_missing=not learned and any(p["learned"] for p in points),
-        scale=colour_scale() if learned and len(data["image_shape"]) == 2 else None,
+        learned_missing=not learned and any(p.learned for p in points),
+        scale=colour_scale() if learned and len(data.image_shape) == 2 else None,
         masks_shown=MASKS_SHOWN,
-        scene=scene_text(data["image_shape"]),
+        scene=scene_text(data.image_shape),
         facts=[
             ("Data", list(flat({k: v for k, v in data.as_dict().items() if k != "classes"}))),
             ("Recipe", list(flat(results.recipe))),
@@ -136,12 +136,11 @@ def scene_text(shape: tuple[int, ...]) -> str:
 
 def chosen(results: Results, noise: str) -> list[Point]:
     """Points at the chosen mask counts under a noise."""
-    return [p for p in results["points"] if p["noise"] == noise and p["best"]]
+    return [p for p in results.points if p.noise == noise and p.best]
 
 
 def _validated(point: Point) -> float:
-    value = point.get("validation")
-    return -1.0 if value is None else float(value)
+    return -1.0 if point.validation is None else point.validation
 
 
 def ranking(points: list[Point], photons: float) -> list[Point]:
@@ -150,11 +149,11 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
     Of a design that was trained in several ways on the same light, the one that validation chose.
     """
     optics: dict[tuple[str, ...], Point] = {}
-    for p in sorted((p for p in points if p["photons"] == photons), key=_validated):
-        optics[tuple(str(p.get(axis)) for axis in (*CHOSEN, "levels", "masks"))] = p
+    for p in sorted((p for p in points if p.photons == photons), key=_validated):
+        optics[tuple(str(getattr(p, axis)) for axis in (*CHOSEN, "levels", "masks"))] = p
     here = list(optics.values())
-    single = [p for p in here if p["design"] != "impulse"]
-    return sorted(single or here, key=lambda p: -p["accuracy"])
+    single = [p for p in here if p.design != "impulse"]
+    return sorted(single or here, key=lambda p: -p.accuracy)
 
 
 def summary(results: Results, noise: str) -> str:
@@ -162,14 +161,14 @@ def summary(results: Results, noise: str) -> str:
     points = chosen(results, noise)
     axes = series_axes(results)
     names = series_names(points, axes, "title")
-    budgets = sorted({p["photons"] for p in points})
+    budgets = sorted({p.photons for p in points})
 
     def name(point: Point) -> str:
-        return names[tuple(str(point[axis]) for axis in axes)]
+        return names[tuple(str(getattr(point, axis)) for axis in axes)]
 
     def reach(point: Point) -> str:
-        low, high = share_text(point["low"]), share_text(point["high"])
-        return f"{share_text(point['accuracy'])} ({low}–{high})"
+        low, high = share_text(point.low), share_text(point.high)
+        return f"{share_text(point.accuracy)} ({low}–{high})"
 
     wins: dict[str, list[str]] = {}
     for photons in budgets:
@@ -181,20 +180,20 @@ def summary(results: Results, noise: str) -> str:
             f"{first_name} is the most accurate design with one detector at {listed(first_wins)} "
             f"photons{''.join(f', {who} at {listed(where)}' for who, where in rest)}; "
         )
-    text += f"chance is {share_text(1 / len(results['data']['classes']))}."
+    text += f"chance is {share_text(1 / len(results.data.classes))}."
     for photons in dict.fromkeys([budgets[0], budgets[-1]]):
         first, *others = ranking(points, photons)
-        masks = f"{first['masks']} mask{'s' if first['masks'] > 1 else ''}"
+        masks = f"{first.masks} mask{'s' if first.masks > 1 else ''}"
         text += f" At {photons_text(photons)} photons {name(first)} with {masks} "
         text += f"reaches {reach(first)}"
         if others:
-            clear = first["low"] > others[0]["high"]
+            clear = first.low > others[0].high
             text += (
                 f", followed by {name(others[0])} with {reach(others[0])}; their 95 % intervals "
             )
             text += "do not overlap" if clear else "overlap"
         text += "."
-        ideal = [p for p in points if p["photons"] == photons and p["design"] == "impulse"]
+        ideal = [p for p in points if p.photons == photons and p.design == "impulse"]
         if ideal and first is not ideal[0]:
             text += f" Impulse imaging, with a detector for each pixel, reaches {reach(ideal[0])}."
     return text
@@ -222,15 +221,15 @@ def accuracy_panels(results: Results) -> Iterator[Panel]:
 def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
     """Accuracy against mask count for each noise and budget, if any design has several counts."""
     counts: dict[tuple[str, str, str, str], set[int]] = {}
-    for p in results["points"]:
-        counts.setdefault((p["noise"], p["design"], p["light"], p["rails"]), set()).add(p["masks"])
+    for p in results.points:
+        counts.setdefault((p.noise, p.design, p.light, p.rails), set()).add(p.masks)
     if max(map(len, counts.values())) < 2:
         return
     for i, noise in enumerate(noises(results)):
-        points = [p for p in results["points"] if p["noise"] == noise]
+        points = [p for p in results.points if p.noise == noise]
         panels = []
-        for j, photons in enumerate(sorted({p["photons"] for p in points})):
-            part = only(results, [p for p in points if p["photons"] == photons])
+        for j, photons in enumerate(sorted({p.photons for p in points})):
+            part = only(results, [p for p in points if p.photons == photons])
             where = f"{photons_text(photons)} photons"
             words = f"Accuracy against number of masks at {where}; numbers in the last table."
             picture = svg(count_figure(part), f"count{i}-{j}", words)
@@ -243,10 +242,10 @@ def best_table(results: Results, noise: str) -> Best:
     points = chosen(results, noise)
     axes = series_axes(results)
     names = series_names(points, axes, "label")
-    budgets = sorted({p["photons"] for p in points})
+    budgets = sorted({p.photons for p in points})
     rows: list[tuple[str, Point, list[Point | None]]] = []
     for key, members in series(points, axes).items():
-        at = {p["photons"]: p for p in members}
+        at = {p.photons: p for p in members}
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
     leaders = {photons: ranking(points, photons)[0] for photons in budgets}
     return Best(noise_text(noise).capitalize(), budgets, rows, leaders)
@@ -261,13 +260,13 @@ def colour_scale() -> Markup:
 def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
     """Masks and value distributions of every learned design whose files are there."""
     for i, noise in enumerate(noises(results)):
-        points = [p for p in chosen(results, noise) if p["learned"]]
+        points = [p for p in chosen(results, noise) if p.learned]
         axes = series_axes(results)
         names = series_names(points, axes, "title")
         for j, (key, members) in enumerate(series(points, axes).items()):
             panels: list[Panel] = []
-            for point in sorted(members, key=lambda p: p["photons"]):
-                path = designs / f"{point['keys'][0]}.safetensors"
+            for point in sorted(members, key=lambda p: p.photons):
+                path = designs / f"{point.keys[0]}.safetensors"
                 if path.is_file():
                     name = f"masks{i}-{j}-{len(panels)}"
                     panels.append(mask_panel(point, *read_masks(path), name))
@@ -277,7 +276,7 @@ def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
 
 def mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:
     """Masks of one design at one budget, and the distribution of their values."""
-    masks, photons = rails.shape[1], photons_text(point["photons"])
+    masks, photons = rails.shape[1], photons_text(point.photons)
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
     if masks <= MASKS_SHOWN:
         shown = f"all {masks} masks" if masks > 1 else "its one mask"
@@ -293,6 +292,6 @@ def mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: st
             f"Histogram of the mask values learned at {photons} photons.",
         ),
     )
-    end, counted = peak(signed(rails)), share_text(point["throughput"])
+    end, counted = peak(signed(rails)), share_text(point.throughput)
     note = f"{shown}, peak {end:.2g}, {counted} of the budget counted"
     return Panel(f"{photons} photons", note, tuple(map(Markup, pictures)))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from deepfsi.report.accuracy import Point
 from deepfsi.report.style import (
     DIVERGING,
     MUTED,
@@ -33,15 +32,31 @@ from deepfsi.report.style import (
 )
 
 
+class Cell(Protocol):
+    """Accuracy at a compression ratio and a budget."""
+
+    @property
+    def ratio(self) -> float:
+        """Number of masks over number of pixels, m / N."""
+
+    @property
+    def photons(self) -> float:
+        """Budget Φ."""
+
+    @property
+    def accuracy(self) -> float:
+        """Mean over trials."""
+
+
 def accuracy_grid(
-    points: Iterable[Point], budgets: Sequence[float], ratios: Sequence[float]
+    points: Iterable[Cell], budgets: Sequence[float], ratios: Sequence[float]
 ) -> np.ndarray:
     """Accuracy of one design's points by compression ratio and budget.
 
     Parameters
     ----------
-    points : iterable of mapping
-        Points of a `results.json` that differ in `ratio` and `photons` only.
+    points : iterable
+        Points that differ in `ratio` and `photons` only.
     budgets : sequence of float
         Photons.
     ratios : sequence of float
@@ -59,11 +74,11 @@ def accuracy_grid(
     """
     grid = np.full((len(ratios), len(budgets)), np.nan)
     for point in points:
-        if point["ratio"] in ratios and point["photons"] in budgets:
-            place = ratios.index(point["ratio"]), budgets.index(point["photons"])
+        if point.ratio in ratios and point.photons in budgets:
+            place = ratios.index(point.ratio), budgets.index(point.photons)
             if not np.isnan(grid[place]):
-                raise ValueError(f"two points at {point['photons']} photons, {place[0]}th ratio")
-            grid[place] = point["accuracy"]
+                raise ValueError(f"two points at {point.photons} photons, {place[0]}th ratio")
+            grid[place] = point.accuracy
     return grid
 
 
@@ -181,7 +196,7 @@ def contour_figure(
         symmetric about 0.
     """
     difference = second - first
-    norm, top = _accuracy_range((first, second)), _difference_levels(difference)
+    norm, top = _accuracy_range((first, second)), difference_levels(difference)
     low = round(10 * float(norm.vmin or 0))
     levels = [*(k / 10 for k in range(low, 10)), 0.95, 1.0]
     accuracy_norm = BoundaryNorm(levels, 256)
@@ -254,7 +269,7 @@ def _accuracy_range(grids: Iterable[np.ndarray]) -> Normalize:
     return Normalize(min(low, 0.9), 1.0)
 
 
-def _difference_levels(difference: np.ndarray) -> np.ndarray:
+def difference_levels(difference: np.ndarray) -> np.ndarray:
     """Levels at ±½, ±1½, … steps, so that the middle colour means none; steps of 0.005 or more.
 
     Differences of a thousandth would otherwise look as large as those of a tenth.

@@ -3,13 +3,28 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from scipy import stats
 
-Point = Any
 CONFIDENCE = 0.95
+
+
+class Trials(Protocol):
+    """Accuracies of trials, and the 95 % interval of their mean."""
+
+    @property
+    def accuracies(self) -> Sequence[float]:
+        """Of each trial, by seed."""
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval."""
+
+    @property
+    def high(self) -> float:
+        """Upper end of the interval."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +81,16 @@ def of_trials(values: Sequence[float]) -> Difference:
     return Difference(mean, float(stats.sem(values)), count - 1)
 
 
-def difference(first: Point, second: Point) -> Difference:
-    """Accuracy of one point less that of another.
+def difference(first: Trials, second: Trials) -> Difference:
+    """Accuracy of some trials less that of others.
 
     Trials of one seed are paired, and the error is that over them. Of a single trial it combines
     the two intervals over test images, as if these were independent.
     """
-    one, other = (np.asarray(point["accuracies"]) for point in (first, second))
+    one, other = (np.asarray(each.accuracies) for each in (first, second))
     if len(one) == len(other) > 1:
         return of_trials((one - other).tolist())
-    half = math.hypot(*((point["high"] - point["low"]) / 2 for point in (first, second)))
+    half = math.hypot(*((each.high - each.low) / 2 for each in (first, second)))
     error = half / float(stats.norm.ppf((1 + CONFIDENCE) / 2))
     return Difference(float(one.mean() - other.mean()), error)
 

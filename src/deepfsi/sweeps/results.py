@@ -35,13 +35,6 @@ class Frozen(BaseModel):
         """JSON types only: fields that were given."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
-    def __getitem__(self, name: str) -> Any:  # until all readers use attributes
-        return getattr(self, name)
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """Field of a name."""
-        return getattr(self, name, default)
-
 
 class Point(Frozen):
     """Trials of one setting, averaged.

@@ -2,8 +2,9 @@
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -93,9 +94,8 @@ def exposure_figure(
     exposures = sorted({point.exposure_s for point in [*own, *others]})
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     ax = figure.subplots()
-    results = {"data": {"classes": range(classes)}}
-    rows: list[Mapping[str, Any]] = [{**asdict(point), "best": True} for point in own]
-    accuracy_axes(ax, results, rows, ("design",), "exposure_s", values=exposures)
+    span = min(exposures), max(exposures)
+    accuracy_axes(ax, own, ("design",), attrgetter("exposure_s"), 1 / classes, span=span)
     _published(ax, own, others, exposures)
     ax.set_xlabel("total exposure (s)")
     ax.xaxis.set_major_locator(FixedLocator(exposures))

@@ -4,6 +4,8 @@ import itertools
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import impulse_imaging_error
-from deepfsi.report.accuracy import Point, Results, accuracy_axes, noises, series_axes
+from deepfsi.report.accuracy import accuracy_axes, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
 from deepfsi.report.style import (
     AXIS_NOISES,
@@ -35,12 +37,16 @@ from deepfsi.report.style import (
     styled,
     thinned,
 )
+from deepfsi.sweeps.results import Point, Results
 
 LOOKS: dict[str, dict[str, Any]] = {
     "gaussian": {"color": COLOURS["pca"], "marker": "s", "linestyle": (0, (5, 1.6))},
     "poisson": {"color": COLOURS["deepfsi"], "marker": "o", "linestyle": "-"},
 }
 
+
+ACROSS = 3
+"""Masks beside each other in the table of masks."""
 
 PLAIN: tuple[dict[str, Any], ...] = (
     {"color": INK, "marker": "D", "linestyle": "-"},
@@ -49,14 +55,86 @@ PLAIN: tuple[dict[str, Any], ...] = (
 )
 
 
+@dataclass(frozen=True)
+class Measure:
+    """Measure of learned masks at a budget.
+
+    Attributes
+    ----------
+    measure : str
+        What is measured.
+    series : str
+        Masks that are measured: "gaussian", "poisson" or other words.
+    photons : float
+    value : float
+        Mean over trials, in the measure's own unit.
+    low, high : float or None
+        Its 95 % interval; None where there is none.
+    values : sequence of float
+        Of each trial.
+    """
+
+    measure: str
+    series: str
+    photons: float
+    value: float
+    low: float | None
+    high: float | None
+    values: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
+class LearnedMasks:
+    """Masks learned under both noises at one budget.
+
+    Attributes
+    ----------
+    photons : float
+    image_shape : tuple of int
+        Height and width.
+    gaussian, poisson : array, shape (m, N) or (2 or 1, m, N)
+        Masks, or rails.
+    """
+
+    photons: float
+    image_shape: Sequence[int]
+    gaussian: Any
+    poisson: Any
+
+    def under(self, noise: str) -> np.ndarray:
+        """Masks under a noise."""
+        return np.asarray(getattr(self, noise))
+
+
+@dataclass(frozen=True)
+class Start:
+    """Accuracy of masks that start from a matrix, or its difference to another's.
+
+    Attributes
+    ----------
+    noise, start : str
+        Noise of the test and name of the matrix.
+    photons, value : float
+    low, high : float or None
+        95 % interval; None where there is none.
+    """
+
+    noise: str
+    start: str
+    photons: float
+    value: float
+    low: float | None
+    high: float | None
+
+
 @styled
 def error_figure(results: Results) -> Figure:
     """Accuracy against the impulse-imaging error, on which both noises can be compared.
 
     Parameters
     ----------
-    results : mapping
-        Content of a `results.json`; each design at its chosen mask count is drawn.
+    results : Results
+        Each design at its chosen mask count is drawn.
 
     Returns
     -------
@@ -70,39 +148,31 @@ def error_figure(results: Results) -> Figure:
     InputError
         If neither noise was tested.
     """
-    data, sigma = results["data"], results["recipe"]["sigma"]
-    pixels = math.prod(data["image_shape"])
     panels = [noise for noise in AXIS_NOISES if noise in noises(results)]
     if not panels:
         raise InputError(
             f"no impulse-imaging error for {', '.join(noises(results))}: give results of tests "
             "under gaussian or poisson noise"
         )
-    points: dict[str, list[Point]] = {
-        noise: [
-            {
-                **(point if isinstance(point, dict) else vars(point)),
-                "error": impulse_imaging_error(
-                    point["photons"], data["mean_reflectance"], pixels, noise, sigma
-                ),
-            }
-            for point in results["points"]
-            if point["noise"] == noise and point["best"]
-        ]
-        for noise in panels
-    }
-    errors = {point["error"] for members in points.values() for point in members}
+    mean, sigma = results.data.mean_reflectance, results.recipe["sigma"]
+    pixels = math.prod(results.data.image_shape)
+
+    def error(point: Point) -> float:
+        noise = AXIS_NOISES[AXIS_NOISES.index(point.noise)]
+        return impulse_imaging_error(point.photons, mean, pixels, noise, sigma)
+
+    chosen = [point for point in results.points if point.noise in panels and point.best]
+    errors = [error(point) for point in chosen]
     figure = Figure(figsize=(4.2 * len(panels), PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for ax, noise in zip(axes, panels, strict=True):
         accuracy_axes(
             ax,
-            results,
-            points[noise],
+            [point for point in chosen if point.noise == noise],
             series_axes(results),
-            "error",
-            values=errors,
-            falling=True,
+            error,
+            1 / len(results.data.classes),
+            span=(max(errors), min(errors)),
         )
         ax.set_title(noise_text(noise))
         ax.label_outer()
@@ -115,14 +185,13 @@ def error_figure(results: Results) -> Figure:
 
 
 @styled
-def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
+def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
     """Masks learned under both noises, and the distributions of their values, by photon budget.
 
     Parameters
     ----------
-    rows : sequence of mapping
-        `photons`, the budget; `image_shape`, two sides; and `gaussian` and `poisson`, the masks
-        under each noise, array of shape (m, N) or rails (2 or 1, m, N).
+    rows : sequence of LearnedMasks
+        One for each budget.
     count : int
         Masks of each to show at most, those that count most photons first.
 
@@ -133,43 +202,62 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
         peak, the largest |M_ij| of that budget and noise, stands below. Distributions are over
         the values in parts of the peak, on a log scale.
     """
-    height, width = rows[0]["image_shape"]
+    height, width = rows[0].image_shape
     tile, gap, head, foot = 0.7, 0.05, 0.25, 0.6  # inches, as all that follows
-    across, down = 3, -(-count // 3)
-    tall, block = tile * height / width, across * (tile + gap) + 0.1
+    tall, down = tile * height / width, -(-count // ACROSS)
     row_height = down * (tall + gap) + 0.23
     total = head + row_height * len(rows) + foot
     figure = Figure(figsize=(PAGE_WIDTH, total))
-    floor = 0.5 / max(signed(row[noise]).size for row in rows for noise in AXIS_NOISES)
-
-    def at(left: float, bottom: float, wide: float, high: float) -> Axes:
-        page = (PAGE_WIDTH, total, PAGE_WIDTH, total)
-        return figure.add_axes(tuple(np.divide((left, bottom, wide, high), page)))
-
+    floor = 0.5 / max(signed(row.under(noise)).size for row in rows for noise in AXIS_NOISES)
+    block = ACROSS * (tile + gap) + 0.1
     for place, row in enumerate(rows):
         top = total - head - place * row_height
         bottom = top - down * (tall + gap) + gap
         name = figure.text(0.12 / PAGE_WIDTH, (top + bottom) / 2 / total, "", fontweight="bold")
-        name.set(text=f"{power_text(row['photons'])} photons", rotation=90)
+        name.set(text=f"{power_text(row.photons)} photons", rotation=90)
         name.set(horizontalalignment="center", verticalalignment="center")
         for noise, left in zip(AXIS_NOISES, (0.27, 0.27 + block), strict=True):
-            matrix = signed(row[noise])
-            end = peak(matrix)
-            for spot, index in enumerate(brightest(row[noise], count)):
-                below, right = divmod(spot, across)
-                corner = left + right * (tile + gap), top - below * (tall + gap) - tall
-                ax = at(*corner, tile, tall)
-                mask_axes(ax, matrix[index].reshape(height, width), end, GREYS)
-                if place == spot == 0:
-                    ax.set_title(noise_text(noise))
+            end, first = _tiles(figure, row, noise, count, (left, top, tile, tall, gap))
+            if place == 0:
+                first.set_title(noise_text(noise))
             words = figure.text(left / PAGE_WIDTH, (bottom - 0.04) / total, f"peak {end:.2g}")
             words.set(fontsize=8, verticalalignment="top")
         left = 0.27 + 2 * block + 0.5
-        ax = at(left, bottom, PAGE_WIDTH - left - 0.15, top - bottom)
+        ax = _axes_at(figure, left, bottom, PAGE_WIDTH - left - 0.15, top - bottom)
         _value_shares(ax, row, floor)
         ax.tick_params(labelsize=SMALL, labelbottom=place == len(rows) - 1)
         if place == 0:
             ax.set_title("distribution of values")
+    _name_values(figure, ax)
+    return figure
+
+
+def _axes_at(figure: Figure, left: float, bottom: float, wide: float, high: float) -> Axes:
+    """Axes at a place, in inches."""
+    page = (*figure.get_size_inches(), *figure.get_size_inches())
+    return figure.add_axes(tuple(np.divide((left, bottom, wide, high), page)))
+
+
+def _tiles(
+    figure: Figure, row: LearnedMasks, noise: str, count: int, inches: tuple[float, ...]
+) -> tuple[float, Axes]:
+    """Draw the brightest masks under a noise; returns the peak and the first mask's axes.
+
+    `inches` are the left and top edge of all, a mask's width and height, and the gap between two.
+    """
+    left, top, tile, tall, gap = inches
+    matrix = signed(row.under(noise))
+    end, drawn = peak(matrix), []
+    for spot, index in enumerate(brightest(row.under(noise), count)):
+        below, right = divmod(spot, ACROSS)
+        corner = left + right * (tile + gap), top - below * (tall + gap) - tall
+        drawn.append(_axes_at(figure, *corner, tile, tall))
+        mask_axes(drawn[-1], matrix[index].reshape(row.image_shape), end, GREYS)
+    return end, drawn[0]
+
+
+def _name_values(figure: Figure, ax: Axes) -> None:
+    """Label the values below the last panel, name its lines, and draw the scale of all masks."""
     ax.set_xlabel("Mᵢⱼ / peak")
     figure.legend(
         *ax.get_legend_handles_labels(),
@@ -182,24 +270,21 @@ def masks_table_figure(rows: Sequence[Point], count: int = 6) -> Figure:
     )
     bar = figure.colorbar(
         ScalarMappable(Normalize(-1, 1), GREYS),
-        cax=at(0.7, 0.36, 3.0, 0.1),
+        cax=_axes_at(figure, 0.7, 0.36, 3.0, 0.1),
         orientation="horizontal",
     )
     bar.set_ticks([-1, 0, 1], labels=["−peak", "0", "peak"])
     plain_bar(bar)
-    return figure
 
 
 @styled
-def measures_figure(rows: Sequence[Point]) -> Figure:
+def measures_figure(rows: Sequence[Measure]) -> Figure:
     """Measures of learned masks against the photon budget, one small panel for each measure.
 
     Parameters
     ----------
-    rows : sequence of mapping
-        `measure`, the panel's heading; `series`, what its line shows: "gaussian", "poisson" or
-        other words; `photons`; `value`, `low` and `high`, all three in the measure's own unit,
-        the last two None where there is no interval.
+    rows : sequence of Measure
+        A panel for each `measure`, a line for each `series`.
 
     Returns
     -------
@@ -207,25 +292,25 @@ def measures_figure(rows: Sequence[Point]) -> Figure:
         Panels and lines are in the order of their first appearance; axes begin at 0. Bars run from
         `low` to `high`.
     """
-    measures = list(dict.fromkeys(row["measure"] for row in rows))
+    measures = list(dict.fromkeys(row.measure for row in rows))
     columns = min(3, len(measures))
     lines = -(-len(measures) // columns)
     figure = Figure(figsize=(PAGE_WIDTH * columns / 3, 2.4 * lines), layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False)
-    names = list(dict.fromkeys(row["series"] for row in rows))
+    names = list(dict.fromkeys(row.series for row in rows))
     others = itertools.cycle(PLAIN)
     looks = {name: LOOKS.get(name) or next(others) for name in names}
     handles = {}
     for ax, measure in zip(axes.flat, measures, strict=False):
-        members = [row for row in rows if row["measure"] == measure]
-        for name in dict.fromkeys(row["series"] for row in members):
-            own = [row for row in members if row["series"] == name]
-            handles[name] = _line(ax, own, "value", looks[name])
+        members = [row for row in rows if row.measure == measure]
+        for name in dict.fromkeys(row.series for row in members):
+            own = [row for row in members if row.series == name]
+            handles[name] = _line(ax, own, looks[name])
         ax.set_title(textwrap.fill(measure, 28))
         ax.set_xlabel("photon budget Φ")
         ax.set_ylim(0, None)
         ax.grid(axis="y")
-        _budget_axis(ax, [row["photons"] for row in members])
+        _budget_axis(ax, [row.photons for row in members])
     for ax in list(axes.flat)[len(measures) :]:
         ax.remove()
     _legend(figure, {noise_text(n) if n in LOOKS else n: line for n, line in handles.items()})
@@ -233,16 +318,18 @@ def measures_figure(rows: Sequence[Point]) -> Figure:
 
 
 @styled
-def starts_figure(results: Results) -> Figure:
-    """What learned masks gain from the matrix that they start from.
+def starts_figure(
+    accuracies: Sequence[Start], differences: Sequence[Start], chance: float
+) -> Figure:
+    """Gain of learned masks from the matrix that they start from.
 
     Parameters
     ----------
-    results : mapping
-        `data`, as in a `results.json`; `points`, its points with `start`, the name of the initial
-        matrix, added; and `differences`, mappings with `noise`, `start`, `photons`, `difference`,
-        `low` and `high`: accuracy less that of the start "pca" in the same trial, and its interval,
-        None where there is none (one trial).
+    accuracies : sequence of Start
+    differences : sequence of Start
+        Accuracy less that of the start "pca" in the same trial.
+    chance : float
+        Accuracy of guessing.
 
     Returns
     -------
@@ -250,14 +337,14 @@ def starts_figure(results: Results) -> Figure:
         A row for each noise: accuracies on the left, paired differences to pca on the right. Bars
         are the intervals.
     """
-    rows = noises(results)
+    rows = list(dict.fromkeys(row.noise for row in accuracies))
     figure = Figure(figsize=(PAGE_WIDTH, 2.7 * len(rows) + 0.3), layout="constrained")
     axes = figure.subplots(len(rows), 2, squeeze=False)
-    starts = list(dict.fromkeys(point["start"] for point in results["points"]))
+    starts = list(dict.fromkeys(row.start for row in accuracies))
     dotted: dict[str, Any] = {"color": MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
     handles = {}
     for (left, right), noise in zip(axes, rows, strict=True):
-        left.axhline(1 / len(results["data"]["classes"]), **dotted)
+        left.axhline(chance, **dotted)
         right.axhline(0, color=COLOURS["pca"], linewidth=1.2)
         for place, start in enumerate(starts):
             look = {
@@ -266,13 +353,10 @@ def starts_figure(results: Results) -> Figure:
                 "marker": "os^D"[place % 4],
             }
             shift = place - (len(starts) - 1) / 2
-            for ax, field, members in (
-                (left, "accuracy", results["points"]),
-                (right, "difference", results["differences"]),
-            ):
-                own = [row for row in members if (row["noise"], row["start"]) == (noise, start)]
+            for ax, members in ((left, accuracies), (right, differences)):
+                own = [row for row in members if (row.noise, row.start) == (noise, start)]
                 if own:
-                    handles[start] = _line(ax, own, field, look, shift)
+                    handles[start] = _line(ax, own, look, shift)
         left.set_ylim(0, 1)
         left.set_ylabel("accuracy")
         right.set_ylabel("accuracy less that of pca in a trial")
@@ -280,7 +364,7 @@ def starts_figure(results: Results) -> Figure:
         several = f"{noise_text(noise)}: " if len(rows) > 1 else ""
         left.set_title(f"{several}accuracy")
         right.set_title(f"{several}difference")
-        budgets = {point["photons"] for point in results["points"] if point["noise"] == noise}
+        budgets = {row.photons for row in accuracies if row.noise == noise}
         for ax in (left, right):
             ax.grid(axis="y")
             ax.set_xlabel("photon budget Φ")
@@ -302,13 +386,13 @@ def _legend(figure: Figure, lines: Mapping[str, Line2D]) -> None:
 
 
 def _line(
-    ax: Axes, rows: Iterable[Point], field: str, look: Mapping[str, Any], shift: float = 0
+    ax: Axes, rows: Iterable[Measure | Start], look: Mapping[str, Any], shift: float = 0
 ) -> Line2D:
     """Draw one line over photons with bars from `low` to `high`, `shift` steps to the right."""
-    ordered = sorted(rows, key=lambda row: row["photons"])
+    ordered = sorted(rows, key=attrgetter("photons"))
     photons, value, low, high = (
-        np.array([row[name] for row in ordered], dtype=float)
-        for name in ("photons", field, "low", "high")
+        np.array([getattr(row, name) for row in ordered], dtype=float)
+        for name in ("photons", "value", "low", "high")
     )
     decades = max(1.0, math.log10(photons[-1] / photons[0]))
     bars = ax.errorbar(
@@ -333,10 +417,10 @@ def _budget_axis(ax: Axes, budgets: Iterable[float]) -> None:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
 
 
-def _value_shares(ax: Axes, row: Point, floor: float) -> None:
+def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
     """Share of all entries per bin of M/peak, an outline for each noise; `floor` is below all."""
     for noise in AXIS_NOISES:
-        values = signed(row[noise]).ravel()
+        values = signed(row.under(noise)).ravel()
         counts, edges = np.histogram(values / peak(values), bins=41, range=(-1, 1))
         look = LOOKS[noise]
         ax.stairs(

@@ -1,9 +1,7 @@
 """The effect of the matrix that learned masks start from."""
 
-from typing import Any
-
 from deepfsi.experiments.experiment import Experiment, Finding
-from deepfsi.experiments.mnist.figures import starts_figure
+from deepfsi.experiments.mnist.figures import Start, starts_figure
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import CONFIDENCE, Difference, difference
@@ -19,25 +17,18 @@ MATTERS = 0.005
 
 def show(results: Results) -> Finding:
     """Accuracies by start, and paired differences to the start from principal components."""
-    points = [
-        {**vars(point), "start": point["variant"].removeprefix("start ")}
-        for point in results["points"]
-    ]
-    at = {(point["start"], point["photons"]): point for point in points}
+    at = {(point.variant.removeprefix("start "), point.photons): point for point in results.points}
     compared = {
         (start, photons): difference(point, at[("pca", photons)])
         for (start, photons), point in at.items()
         if start != "pca"
     }
-    rows: list[dict[str, Any]] = [
-        {
-            "noise": at[place].get("noise"),
-            "start": place[0],
-            "photons": place[1],
-            "difference": each.mean,
-            "low": each.low if at[place]["trials"] > 1 else None,
-            "high": each.high if at[place]["trials"] > 1 else None,
-        }
+    accuracies = [
+        Start(point.noise, start, photons, point.accuracy, point.low, point.high)
+        for (start, photons), point in at.items()
+    ]
+    differences = [
+        Start(at[place].noise, *place, each.mean, *_ends(each, at[place].trials))
         for place, each in compared.items()
     ]
     most = max(compared, key=lambda place: abs(compared[place].mean))
@@ -53,20 +44,23 @@ def show(results: Results) -> Finding:
         True if clear else None,
         f"largest: {said}; {len(clear)} clearly beyond {MATTERS}",
     )
-    heads = ("start", "photons", "difference to pca", "low", "high")
-    fields = ("start", "photons", "difference", "low", "high")
     table = Table(
         "Accuracy less that of the start from principal components, paired by seed",
-        heads,
-        tuple(tuple(row[field] for field in fields) for row in rows),
+        ("start", "photons", "difference to pca", "low", "high"),
+        tuple((row.start, row.photons, row.value, row.low, row.high) for row in differences),
     )
     picture = Picture(
-        starts_figure({"data": results.data, "points": points, "differences": rows}),
+        starts_figure(accuracies, differences, 1 / len(results.data.classes)),
         "Accuracy by the matrix that masks start from, and differences to pca. Bars: 95 % "
         "intervals.",
         "Accuracy of learned masks from three initial matrices; numbers in the table.",
     )
     return Finding(found, (picture,), (claim,), (table,))
+
+
+def _ends(each: Difference, trials: int) -> tuple[float, float] | tuple[None, None]:
+    """Interval of a difference, if several trials give one."""
+    return each.interval() if trials > 1 else (None, None)
 
 
 def _matters(each: Difference, looks: int) -> bool:

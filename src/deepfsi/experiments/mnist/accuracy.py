@@ -10,7 +10,7 @@ from deepfsi.report.comparison_page import listed
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point, Results
 
 PAPER_SECONDS_PER_RUN, PAPER_SECONDS = 71.0, 2.87e4
 NOTHING = 0.01
@@ -33,12 +33,12 @@ Compared = dict[float, Difference]
 def show(results: Results) -> Finding:
     """Figures, claims and tables of the comparison."""
     photon, read = (best(results, noise=noise) for noise in ("poisson", "gaussian"))
-    claims = (*_photon_claims(photon), *_read_claims(read))
+    claims = (*photon_claims(photon), *read_claims(read))
     low, high = (f(budget for _, budget in photon) for f in (min, max))
     middle = min((b for _, b in photon), key=lambda b: abs(b - 1e4))
     at = {design: point for (design, budget), point in photon.items() if budget == middle}
-    order = sorted(at.values(), key=lambda point: -point["accuracy"])
-    ranks = ", ".join(f"{point['label']} {point['accuracy']:.3f}" for point in order)
+    order = sorted(at.values(), key=lambda point: -point.accuracy)
+    ranks = ", ".join(f"{point.label} {point.accuracy:.3f}" for point in order)
     holding = sum(claim.holds is True for claim in claims)
     found = (
         f"{holding} of {len(claims)} claims hold as stated. At {photons_text(middle)} photons "
@@ -48,7 +48,7 @@ def show(results: Results) -> Finding:
     )
     photons_words = "Accuracy of all designs against the photon budget; numbers in the table."
     error_words = "Accuracy of all designs against the impulse-imaging error, AGN and PN."
-    chosen = [point for point in results["points"] if point["best"]]
+    chosen = [point for point in results.points if point.best]
     pictures = [
         Picture(
             error_figure(results),
@@ -58,14 +58,14 @@ def show(results: Results) -> Finding:
         )
     ]
     for noise, name in (("poisson", "photon noise"), ("gaussian", "read noise")):
-        part = results.with_points(point for point in chosen if point["noise"] == noise)
+        part = results.with_points(point for point in chosen if point.noise == noise)
         caption = f"The same against photons, {name}."
         pictures.append(Picture(accuracy_figure(part), caption, photons_words))
     return Finding(found, tuple(pictures), claims, (_accuracies(results), _cost(results)))
 
 
 def _compared(
-    chosen: dict[tuple[str, float], Any], first: str, second: str, below: float = float("inf")
+    chosen: dict[tuple[str, float], Point], first: str, second: str, below: float = float("inf")
 ) -> Compared:
     return {
         budget: difference(point, chosen[(second, budget)])
@@ -98,7 +98,8 @@ def _no_gain(label: str, compared: Compared, why: str) -> Claim:
     )
 
 
-def _photon_claims(photon: dict[tuple[str, float], Any]) -> list[Claim]:
+def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
+    """Claims under photon noise, from points by design and budget."""
     starved = sorted({budget for _, budget in photon})
     half = starved[: -(-len(starved) // 2)][-1]
     return [
@@ -131,14 +132,15 @@ def _photon_claims(photon: dict[tuple[str, float], Any]) -> list[Claim]:
     ]
 
 
-def _read_claims(read: dict[tuple[str, float], Any]) -> list[Claim]:
+def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
+    """Claims under read noise, from points by design and budget."""
     multiplexed = ("hadamard", "truncated-hadamard", "pca", "deepfsi")
     clear: list[tuple[str, float, Difference]] = []
     for design in multiplexed:
         for budget, each in _compared(read, design, "raster").items():
             code, raster = read[(design, budget)], read[("raster", budget)]
-            if code["low"] > raster["high"] or code["high"] < raster["low"]:
-                clear.append((code["label"], budget, each))
+            if code.low > raster.high or code.high < raster.low:
+                clear.append((code.label, budget, each))
     against = [f"{label} at {photons_text(b)}" for label, b, each in clear if each.mean < 0]
     least = min((each for _, _, each in clear), key=lambda each: each.mean, default=None)
     singles = {design for design, _ in read} - {"deepfsi", "impulse"}
@@ -158,7 +160,7 @@ def _read_claims(read: dict[tuple[str, float], Any]) -> list[Claim]:
         Claim(
             "AGN: DeepFSI is the highest of the designs with one detector",
             above(rivals.values()),
-            f"nearest: {rivals[worst]} over {read[worst]['label']} at "
+            f"nearest: {rivals[worst]} over {read[worst].label} at "
             f"{photons_text(worst[1])} photons",
             ""
             if above(rivals.values())
@@ -171,25 +173,25 @@ def _read_claims(read: dict[tuple[str, float], Any]) -> list[Claim]:
 def _accuracies(results: Results) -> Table:
     heads = ("noise", "design", "photons", "masks", "accuracy", "low", "high", "light counted")
     fields = ("noise", "label", "photons", "masks", "accuracy", "low", "high", "throughput")
-    rows = [tuple(p[field] for field in fields) for p in results["points"] if p["best"]]
+    rows = [tuple(getattr(p, field) for field in fields) for p in results.points if p.best]
     return Table("Accuracy at the chosen number of masks, with 95 % intervals", heads, tuple(rows))
 
 
 def _cost(results: Results) -> Table:
     """Training cost beside the paper's."""
-    learned = [point for point in results["points"] if point["design"] == "deepfsi"]
-    runs = sum(point["trials"] for point in learned)
-    seconds = sum(point["seconds"] * point["trials"] for point in learned)
-    every = results["points"]
+    learned = [point for point in results.points if point.design == "deepfsi"]
+    runs = sum(point.trials for point in learned)
+    seconds = sum(point.seconds * point.trials for point in learned)
+    every = results.points
     rows: Sequence[tuple[Any, ...]] = (
         ("paper, RTX 4500 Ada", "DeepFSI", 400, PAPER_SECONDS_PER_RUN, PAPER_SECONDS),
-        (results["provenance"]["device"], "DeepFSI", runs, seconds / runs, seconds),
+        (results.provenance.device, "DeepFSI", runs, seconds / runs, seconds),
         (
-            results["provenance"]["device"],
+            results.provenance.device,
             "all designs",
-            sum(point["trials"] for point in every),
-            sum(p["seconds"] * p["trials"] for p in every) / sum(p["trials"] for p in every),
-            sum(p["seconds"] * p["trials"] for p in every),
+            sum(point.trials for point in every),
+            sum(p.seconds * p.trials for p in every) / sum(p.trials for p in every),
+            sum(p.seconds * p.trials for p in every),
         ),
     )
     return Table(
