@@ -188,9 +188,9 @@ def test_masks_are_chosen_on_validation_data(done):
     for need in plan["needs"]:
         for point in need["tried"]:
             rivals = [
-                rival["validation"]
+                rival.validation
                 for rival in results.points
-                if (rival["design"], rival["photons"]) == (need["design"], point["photons"])
+                if (rival.design, rival.photons) == (need["design"], point["photons"])
             ]
             assert point["validation"] == max(rivals)
 
