@@ -314,14 +314,14 @@ def test_every_list_of_the_training_is_an_axis(digits, tmp_path):
     trials = plan(recipe, digits)
     assert len({trial.key for trial in trials}) == 4
     results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
-    assert len({point["variant"] for point in results["points"]}) == 4
-    assert all(point.best for point in results["points"])
+    assert len({point.variant for point in results.points}) == 4
+    assert all(point.best for point in results.points)
 
 
 def test_noise_of_the_training_may_be_another_than_that_of_the_test(digits, tmp_path):
     recipe = small(designs="deepfsi", masks=3, train_noise=("ml_gauss", "poisson", "gaussian"))
     results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
-    kinds = {(point["trained_under"], point["noise"]) for point in results["points"]}
+    kinds = {(point.trained_under, point.noise) for point in results.points}
     assert kinds == {(train, "poisson") for train in ("ml_gauss", "poisson", "gaussian")}
 
 
