@@ -54,7 +54,8 @@ class Exposure:
             masks all have the same dwell, 1 / m.
         """
         masks = self.features.shape[-1]
-        mean, std = mean[..., :masks], std[..., :masks]
+        if masks < mean.shape[-1]:
+            mean, std = mean[..., :masks], std[..., :masks]
         if self.dwell is None:
             return (self.features - mean) / std
         relative = self.dwell * masks
