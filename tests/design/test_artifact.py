@@ -7,15 +7,13 @@ import json
 import os
 import pickle
 import random
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import nn
 
 import deepfsi
@@ -26,29 +24,12 @@ from deepfsi.errors import InputError
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared.design_files import header_of, refused, rewrite
 
 
 @pytest.fixture
 def saved(made, tmp_path) -> Path:
     return made("deepfsi", "column", "dual").save(tmp_path / "design.safetensors")
-
-
-def header_of(path: Path) -> dict[str, Any]:
-    with safe_open(path, "pt") as file:
-        return json.loads(file.metadata()["deepfsi"])
-
-
-def rewrite(path: Path, change: Callable[[dict[str, Any], dict[str, torch.Tensor]], None]) -> None:
-    """Change the header and the tensors of a design file."""
-    header, tensors = header_of(path), load_file(path)
-    change(header, tensors)
-    save_file(tensors, path, {"deepfsi": json.dumps(header)})
-
-
-def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
-    with pytest.raises(InputError, match=match) as error:
-        Design.load(path)
-    assert "\n" not in str(error.value)
 
 
 @every_design
@@ -206,6 +187,11 @@ def test_a_header_without_an_entry_is_refused(saved, key):
         ("classifier", {"kind": "mlp", "hidden": [9], "dropout": 0.0}),
         ("classifier", {"kind": "forest", "hidden": [8], "dropout": 0.0}),
         ("schema", "new"),
+        ("schema", 0),
+        ("light", "two-arm"),
+        ("info", {"job": 3}),
+        ("exposure", {"kind": "patches", "side": 8}),
+        ("exposure", {"kind": "conditioned", "photons": 1e3, "span": 10.0, "masks": 7}),
     ],
 )
 def test_a_damaged_header_is_refused(saved, key, value):

@@ -21,6 +21,7 @@ from deepfsi.optics.standardisation import mean_over_exposures
 from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product_dtype
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared.design_files import refused, rewrite
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
 
@@ -53,18 +54,18 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
         scaled = (features / 5e3 - design.mean) / design.std
         scaled[:, masks:] = 0
         level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
-        told = torch.tensor([level, masks / 8]).expand(20, 2)
+        last = torch.tensor([level, masks / 8]).expand(20, 2)
         with torch.no_grad():
-            by_hand = design.classifier(torch.cat([scaled, told], dim=-1)).softmax(dim=-1)
+            by_hand = design.classifier(torch.cat([scaled, last], dim=-1)).softmax(dim=-1)
         np.testing.assert_allclose(chance, by_hand.numpy(), atol=2e-5)
 
 
-def test_what_is_told_is_written_out():
-    told = Conditioning(photons=10.0, span=100.0, masks=4)
+def test_conditioning_inputs_are_written_out():
+    conditioning = Conditioning(photons=10.0, span=100.0, masks=4)
     scaled = torch.tensor([[1.0, 2.0, 3.0]])
-    inputs = told.inputs(scaled, torch.tensor(100.0), torch.tensor(2))
+    inputs = conditioning.inputs(scaled, torch.tensor(100.0), torch.tensor(2))
     assert inputs.tolist() == [[1.0, 2.0, 0.0, 0.0, 1.0, 0.5]]
-    low = told.inputs(scaled, torch.tensor(1.0), torch.tensor(3))
+    low = conditioning.inputs(scaled, torch.tensor(1.0), torch.tensor(3))
     assert low.tolist() == [[1.0, 2.0, 3.0, 0.0, -1.0, 0.75]]
 
 
@@ -153,12 +154,12 @@ def test_nested_masks_do_alone_and_others_do_not(digits):
     how = {"masks": 20, "epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1,
            "photons": 1e5, "scale": "common"}  # fmt: skip
     nested = quick(digits, nested=4, **how)
-    told = quick(digits, nested=20, **how)
+    whole = quick(digits, nested=20, **how)
     few = nested.first(4)
     alone = evaluate(few, digits, 1e5)[0].accuracy
-    told.exposure = replace(told.exposure, nested=4)  # ask it for what it has not learned
+    whole.exposure = replace(whole.exposure, nested=4)  # ask it for what it has not learned
     error = math.sqrt(0.25 / len(digits.x_test))
-    assert alone > evaluate(told.first(4), digits, 1e5)[0].accuracy + 5 * error
+    assert alone > evaluate(whole.first(4), digits, 1e5)[0].accuracy + 5 * error
 
 
 def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
@@ -173,18 +174,28 @@ def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
 
 
 @pytest.mark.parametrize("design", ["pca", "raster", "random"])
-def test_fixed_masks_can_be_told_too(digits, design):
+def test_fixed_masks_can_be_conditioned_too(digits, design):
     made = quick(digits, design, span=100.0)
     assert evaluate(made, digits, [1e4, 1e6])[1].accuracy > 0.1
 
 
-def test_the_file_keeps_what_is_told(digits, tmp_path):
+def test_the_file_keeps_the_conditioning(digits, tmp_path):
     design = quick(digits, **TRAINED).first(5)
     again = Design.load(design.save(tmp_path / "d.safetensors"))
     assert again.exposure == design.exposure
     assert 0 < again.used < 1
     counts = np.full((3, 2, 5), 40.0)
     assert np.array_equal(again.classify(counts, 1e3), design.classify(counts, 1e3))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"masks": 4}, {"masks": 9}, {"photons": 0.0}, {"span": 0.5}, {"used": -1.0}, {"nested": 2.5}],
+)
+def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
+    path = quick(digits, **TRAINED).save(tmp_path / "d.safetensors")
+    rewrite(path, lambda header, _: header["exposure"].update(damage))
+    refused(path)
 
 
 def test_products_are_rounded_by_the_largest_budget():

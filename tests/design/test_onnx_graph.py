@@ -73,14 +73,14 @@ def test_every_design_as_torch_has_it(digits, made, light, rails, design):
 
 
 @every_optics
-def test_what_is_told_is_inside(digits, light, rails):
+def test_conditioning_is_inside(digits, light, rails):
     design = quick(digits, light=light, rails=rails, masks=8, photons=1e3, span=100.0, nested=3)
     budgets = np.geomspace(1e3, 1e5, 40).astype(np.float32)
     for masks in (8, 5, 3):
         assert_same(design.first(masks), digits.x_test[:40], budgets)
 
 
-def test_what_is_told_of_one_budget(digits):
+def test_conditioning_of_one_budget(digits):
     budgets = np.full(40, 1e3, dtype=np.float32)
     assert_same(quick(digits, masks=8, photons=1e3, nested=3).first(4), digits.x_test[:40], budgets)
 

@@ -38,9 +38,11 @@ def as_readouts(
         If shapes do not match, counts are not finite or a budget is not above 0.
     """
     try:
-        read = torch.from_numpy(np.array(counts, dtype=np.float32))
-        budget = torch.from_numpy(np.array(photons, dtype=np.float32))
-        shown = None if dwell is None else torch.from_numpy(np.array(dwell, dtype=np.float32))
+        read = torch.from_numpy(np.asarray(counts, dtype=np.float32).copy())
+        budget = torch.from_numpy(np.asarray(photons, dtype=np.float32).copy())
+        shown = (
+            None if dwell is None else torch.from_numpy(np.asarray(dwell, dtype=np.float32).copy())
+        )
     except (TypeError, ValueError):
         raise InputError("counts, photons and dwell must be arrays of numbers") from None
     if tuple(read.shape[-len(wanted) :]) != wanted:

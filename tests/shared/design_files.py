@@ -1,0 +1,36 @@
+"""Design files, changed and refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
+
+
+def header_of(path: Path) -> dict[str, Any]:
+    """Header of a design file."""
+    with safe_open(path, "pt") as file:
+        return json.loads(file.metadata()["deepfsi"])
+
+
+def rewrite(path: Path, change: Callable[[dict[str, Any], dict[str, torch.Tensor]], None]) -> None:
+    """Change the header and the tensors of a design file."""
+    header, tensors = header_of(path), load_file(path)
+    change(header, tensors)
+    save_file(tensors, path, {"deepfsi": json.dumps(header)})
+
+
+def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
+    """Assert that a file is refused with one line."""
+    with pytest.raises(InputError, match=match) as error:
+        Design.load(path)
+    assert "\n" not in str(error.value)
