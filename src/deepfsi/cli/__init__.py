@@ -28,6 +28,7 @@ app.add_typer(camera.camera, name="camera")
 app.add_typer(data.app, name="data")
 
 _STOPPED = 130
+"""Exit code after Ctrl-C."""
 
 
 def main() -> NoReturn:

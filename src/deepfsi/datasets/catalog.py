@@ -24,6 +24,8 @@ from deepfsi.datasets.store import FileCheck
 from deepfsi.errors import InputError, closest
 
 CIFAR = ("cifar10", "cifar10-jpeg")
+"""Names whose files are CIFAR-10's."""
+
 FILES = (
     dict.fromkeys(idx.ORIGINALS, idx)
     | dict.fromkeys(CIFAR, cifar)
@@ -32,6 +34,7 @@ FILES = (
 """Module that finds, downloads and checks the files of each name."""
 
 NAMES = ("digits", *FILES)
+"""All names."""
 
 
 class DatasetInfo(NamedTuple):

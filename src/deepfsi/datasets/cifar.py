@@ -42,13 +42,23 @@ CLASSES = (
     "ship",
     "truck",
 )
+"""Names of the classes, in the order of the labels."""
+
 MIRRORS = ("https://www.cs.toronto.edu/~kriz/",)
+"""Addresses from which an archive is downloaded."""
+
 HASHES = {
     "cifar-10-binary.tar.gz": "md5:c32a1d4ab5d03f1284b67883e8d87530",
     "cifar-10-python.tar.gz": "md5:c58f30108f718f92721af3b95e74349a",
 }
+"""Hashes of the official archives, algorithm:hex."""
+
 UNPACKED = "cifar-10-batches-bin"
+"""Folder in the binary archive."""
+
 BATCHES = (*(f"data_batch_{i}" for i in range(1, 6)), "test_batch")
+"""Names of the batches, the test batch last."""
+
 BATCH = 10_000
 """Images in a batch."""
 
@@ -59,7 +69,10 @@ RECORD = 1 + 3 * SIDE * SIDE
 """Bytes of a binary record: label, red, green, blue."""
 
 JPEG_FILE = "cifar10-jpeg.zip"
+"""Name of the zip file of JPEG images."""
+
 JPEG_NAME = "JPEG-decoded CIFAR-10"
+"""Name of the data set of decoded JPEG images."""
 
 
 def where(name: str) -> Path | None:

@@ -22,6 +22,7 @@ IDX_FILES = (
     "t10k-images-idx3-ubyte.gz",
     "t10k-labels-idx1-ubyte.gz",
 )
+"""Names of the files: training images and labels, test images and labels."""
 
 
 class Original(NamedTuple):
@@ -75,6 +76,7 @@ ORIGINALS = {
         ),
     ),
 }
+"""Data sets of this format, by name."""
 
 
 def load(name: str, rescale: Range) -> Dataset:

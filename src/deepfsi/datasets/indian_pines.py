@@ -22,9 +22,17 @@ from deepfsi.datasets.store import FileCheck, candidates
 from deepfsi.errors import InputError
 
 FOLDER = "indian_pines"
+"""Folder of the files."""
+
 LABELS_FILE = "Indian_pines_gt.mat"
+"""Name of the label map."""
+
 BANDS_FILE = "92AV3C.spc"
+"""Name of the table of wavelengths."""
+
 SURROGATE = "indian-pines-surrogate"
+"""Name of the simulated scene."""
+
 BANDS = 256
 """Bands after padding."""
 
@@ -55,6 +63,7 @@ CLASSES = (
     "Buildings-Grass-Trees-Drives",
     "Stone-Steel-Towers",
 )
+"""Names of the classes 1 to 16."""
 
 
 class Source(NamedTuple):
@@ -69,6 +78,7 @@ SOURCES = {
     "indian-pines-corrected": Source(("Indian_pines_corrected.mat", LABELS_FILE), 200),
     SURROGATE: Source((BANDS_FILE, LABELS_FILE), 220),
 }
+"""Files and bands of each name."""
 
 
 def load_scene(name: str) -> SpectralImage:

@@ -49,6 +49,7 @@ _STAND_INS = {
     ("numpy", "ndarray"): _Array,
     ("numpy", "dtype"): _ByteType,
 }
+"""Stand-ins for the names that a pickle may refer to."""
 
 
 class _Reader(pickle.Unpickler):

@@ -27,7 +27,11 @@ if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
+"""Ends of the names of image files."""
+
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
+"""Formats that are decoded, by Pillow's names."""
+
 MAX_FILE = 2**28
 """Bytes at most of one image in a zip file."""
 
