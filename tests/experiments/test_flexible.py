@@ -88,13 +88,14 @@ def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001
     ],
 )
 def test_claims_answer_to_the_numbers(changes, answers):
-    found = flexible.show(results(**changes))
-    assert [claim.holds for claim in found.claims] == answers
-    assert len(found.pictures) == len(found.tables) == 3
+    claims = flexible.claims_of(flexible.Numbers(results(**changes)))
+    assert [claim.holds for claim in claims] == answers
 
 
 def test_tables_hold_the_differences():
-    ranged, nested, stopping = flexible.show(results(ranged=0.91)).tables
+    found = flexible.show(results(ranged=0.91))
+    assert len(found.pictures) == 3
+    ranged, nested, stopping = found.tables
     assert ranged.rows[0][:4] == ("1000", 0.91, 0.9, "+0.010 [+0.010, +0.010]")
     assert ranged.rows[0][4:] == (0.7, 0.7)
     assert nested.rows[0][:4] == (10, 0.89, 0.9, "−0.010 [−0.010, −0.010]")

@@ -244,7 +244,7 @@ def answers(recall=(0.9, 0.8), **changed):
             )
         ),
     )
-    return [claim.holds for claim in indian_pines.show(results).claims]
+    return [claim.holds for claim in indian_pines.claims_of(indian_pines.Numbers(results))]
 
 
 def test_claims_hold_where_the_numbers_are_the_papers():

@@ -6,6 +6,7 @@ the same network and on the same scenes. The targets are our own.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,34 +139,60 @@ class Saving:
     loss: Difference
 
 
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers that claims, figures and tables share.
+
+    Attributes
+    ----------
+    results : Results
+    """
+
+    results: Results
+
+    @cached_property
+    def measures(self) -> Measures:
+        """Numbers beyond accuracies."""
+        return TypeAdapter(Measures).validate_python(self.results.extra)
+
+    @cached_property
+    def ranged(self) -> Rivalry:
+        """One design for all budgets, against those for one."""
+        return _range(self.results)
+
+    @cached_property
+    def nested(self) -> Rivalry:
+        """First masks of one design, against designs of so many."""
+        return _nested(self.results, self.measures.prefixes)
+
+    @property
+    def nested_at(self) -> str:
+        """Budget of the nested design."""
+        return photons_text(points(self.results, recipe="nested")[0].photons)
+
+    @property
+    def savings(self) -> tuple[Saving, Saving]:
+        """Savings of nested masks and of several looks."""
+        return _saving(self.measures.stopped), _saving(self.measures.looked)
+
+    @property
+    def stopped_at(self) -> str:
+        """Budget of the exposures that stop early."""
+        return photons_text(self.measures.stopped[0].photons)
+
+
 def show(results: Results) -> Finding:
     """Lines against budget and masks, what stopping saves, and heat maps; four claims."""
-    measures = TypeAdapter(Measures).validate_python(results.extra)
-    ranged, nested = _range(results), _nested(results, measures.prefixes)
-    savings = _saving(measures.stopped), _saving(measures.looked)
-    at = photons_text(measures.stopped[0].photons)
-    nested_at = photons_text(points(results, recipe="nested")[0].photons)
+    numbers = Numbers(results)
     return Finding(
-        _found(ranged, nested, savings, at),
+        _found(numbers),
         (
-            _lines_picture(results, ranged, nested, nested_at),
-            _stopping_picture(results, measures),
-            _heat_picture(results, measures.prefixes),
+            _lines_picture(numbers),
+            _stopping_picture(results, numbers.measures),
+            _heat_picture(results, numbers.measures.prefixes),
         ),
-        (*_accuracy_claims(ranged, nested, nested_at), *_stopping_claims(savings, at)),
-        (
-            ranged.table(
-                "One design for all budgets, and designs for one budget each, tested at it",
-                ("photons", "range"),
-                photons_text,
-            ),
-            nested.table(
-                f"The first masks of one design at {nested_at} photons, and designs of so many",
-                ("masks", "first masks"),
-                int,
-            ),
-            _stop_table(results, measures),
-        ),
+        claims_of(numbers),
+        tables_of(numbers),
     )
 
 
@@ -219,19 +246,22 @@ def mean_rate(rates: Sequence[Estimate]) -> Difference:
 # ---------------------------------------------------------------- words and claims
 
 
-def _found(ranged: Rivalry, nested: Rivalry, savings: tuple[Saving, Saving], at: str) -> str:
-    saved, by_looks = savings
+def _found(numbers: Numbers) -> str:
+    saved, by_looks = numbers.savings
     return (
-        f"One design for all budgets is at its lowest {ranged.lowest(photons_text)} photons, "
-        "against the one trained for that budget; the first masks of a nested design are at their "
-        f"lowest {nested.lowest(str)} masks, against the design of so many. Stopping early saves "
-        f"{saved.share.mean:.0%} of {at} photons with nested masks and changes accuracy by "
-        f"{signed(0.0 - saved.loss.mean, 4)}; with several looks, whose counts choose the dwells "
-        f"of the next, {by_looks.share.mean:.0%} and {signed(0.0 - by_looks.loss.mean, 4)}."
+        f"One design for all budgets is at its lowest {numbers.ranged.lowest(photons_text)} "
+        "photons, against the one trained for that budget; the first masks of a nested design are "
+        f"at their lowest {numbers.nested.lowest(str)} masks, against the design of so many. "
+        f"Stopping early saves {saved.share.mean:.0%} of {numbers.stopped_at} photons with nested "
+        f"masks and changes accuracy by {signed(0.0 - saved.loss.mean, 4)}; with several looks, "
+        f"whose counts choose the dwells of the next, {by_looks.share.mean:.0%} and "
+        f"{signed(0.0 - by_looks.loss.mean, 4)}."
     )
 
 
-def _accuracy_claims(ranged: Rivalry, nested: Rivalry, nested_at: str) -> tuple[Claim, Claim]:
+def claims_of(numbers: Numbers) -> tuple[Claim, ...]:
+    """Claims on budgets, numbers of masks, and stopping early."""
+    ranged, nested = numbers.ranged, numbers.nested
     return (
         Claim(
             f"One design for all budgets loses at most {RANGE_LOSS} against each dedicated one",
@@ -240,23 +270,37 @@ def _accuracy_claims(ranged: Rivalry, nested: Rivalry, nested_at: str) -> tuple[
         ),
         Claim(
             f"The first masks of one design lose at most {NESTED_LOSS} against dedicated ones at "
-            f"{nested_at} photons",
+            f"{numbers.nested_at} photons",
             above(nested.differences.values(), -NESTED_LOSS),
             f"lowest {nested.lowest(str)} masks",
+        ),
+        *(
+            Claim(
+                f"Stopping exposures of {kind} early saves {SAVED:.0%} of the photons and loses "
+                f"less than {EQUAL} at {numbers.stopped_at} photons",
+                _both(above([each.share], SAVED), above([-each.loss], -EQUAL)),
+                f"saved {each.share}, lost {each.loss}",
+            )
+            for kind, each in zip(("nested masks", "several looks"), numbers.savings, strict=True)
         ),
     )
 
 
-def _stopping_claims(savings: tuple[Saving, Saving], at: str) -> list[Claim]:
-    return [
-        Claim(
-            f"Stopping exposures of {kind} early saves {SAVED:.0%} of the photons and loses "
-            f"less than {EQUAL} at {at} photons",
-            _both(above([each.share], SAVED), above([-each.loss], -EQUAL)),
-            f"saved {each.share}, lost {each.loss}",
-        )
-        for kind, each in zip(("nested masks", "several looks"), savings, strict=True)
-    ]
+def tables_of(numbers: Numbers) -> tuple[Table, ...]:
+    """Tables by budget, by number of masks, and of stopping early."""
+    return (
+        numbers.ranged.table(
+            "One design for all budgets, and designs for one budget each, tested at it",
+            ("photons", "range"),
+            photons_text,
+        ),
+        numbers.nested.table(
+            f"The first masks of one design at {numbers.nested_at} photons, and designs of so many",
+            ("masks", "first masks"),
+            int,
+        ),
+        _stop_table(numbers.results, numbers.measures),
+    )
 
 
 def _both(first: bool | None, second: bool | None) -> bool | None:
@@ -300,8 +344,9 @@ def _stop_table(results: Results, measures: Measures) -> Table:
 # ---------------------------------------------------------------- figures
 
 
-def _lines_picture(results: Results, ranged: Rivalry, nested: Rivalry, nested_at: str) -> Picture:
-    base = points(results, recipe="budgets", design=LEARNED)
+def _lines_picture(numbers: Numbers) -> Picture:
+    ranged, nested = numbers.ranged, numbers.nested
+    base = points(numbers.results, recipe="budgets", design=LEARNED)
     elsewhere = [
         _line(
             "" if number else "the same, elsewhere",
@@ -320,7 +365,7 @@ def _lines_picture(results: Results, ranged: Rivalry, nested: Rivalry, nested_at
     return Picture(
         lines_figure(panels),
         "Left: one design for all budgets, against those for one budget each, there and "
-        f"(dotted) elsewhere. Right: the first masks of one design at {nested_at} photons, "
+        f"(dotted) elsewhere. Right: the first masks of one design at {numbers.nested_at} photons, "
         "against designs of that many. Bars: 95 % intervals.",
         "Accuracy against budget and against masks; numbers in the tables.",
     )

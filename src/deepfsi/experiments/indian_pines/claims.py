@@ -6,6 +6,7 @@ since neighbours resemble each other, the same is done with a test part in block
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -71,44 +72,74 @@ def adapt(recipe: Recipe) -> Recipe:
     return recipe.model_copy(update={"data": there[0]})
 
 
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers that claims, figures and tables share.
+
+    Attributes
+    ----------
+    results : Results
+    """
+
+    results: Results
+
+    @property
+    def of(self) -> str:
+        """Name of the scene, which says where it is simulated."""
+        name = self.results.recipe["data"]
+        return f"{name} (simulated)" if name == SURROGATE else str(name)
+
+    @cached_property
+    def measures(self) -> Measures:
+        """Numbers beyond accuracies."""
+        return TypeAdapter(Measures).validate_python(self.results.extra)
+
+    @property
+    def splits(self) -> list[str]:
+        """Names of the splits."""
+        return list(self.measures.parts)
+
+    @cached_property
+    def compared(self) -> dict[tuple[str, str], Compared]:
+        """DeepFSI less the best other design, by noise and split."""
+        return {
+            (noise, split): _advantage(best(self.results, noise=noise, split=split), RIVALS[noise])
+            for noise in SHORT
+            for split in self.splits
+        }
+
+    @cached_property
+    def leakages(self) -> dict[float, Leakage]:
+        """Leakage by budget, where there are two splits."""
+        return leakage(self.measures) if len(self.splits) == 2 else {}
+
+
 def show(results: Results) -> Finding:
     """Figures, claims and tables, all with the name of the scene."""
+    numbers = Numbers(results)
     name = results.recipe["data"]
-    of = f"{name} (simulated)" if name == SURROGATE else name
-    measures = TypeAdapter(Measures).validate_python(results.extra)
-    splits = list(measures.parts)
-    compared = {
-        (noise, split): _advantage(best(results, noise=noise, split=split), RIVALS[noise])
-        for noise in SHORT
-        for split in splits
-    }
-    leakages = leakage(measures) if len(splits) == 2 else {}
     return Finding(
-        _found(results, of, measures, compared, leakages),
+        _found(numbers),
         (
-            *(_accuracy_picture(results, of, measures, split) for split in splits),
-            *_scene_pictures(of, measures),
+            *(_accuracy_picture(numbers, split) for split in numbers.splits),
+            *_scene_pictures(numbers.of, numbers.measures),
         ),
-        tuple(_claims(results, of, compared, leakages)),
-        tuple(_tables(results, of, measures, leakages)),
+        tuple(claims_of(numbers)),
+        tuple(_tables(numbers)),
         title=f"Spectra instead of pictures: {name}"
         + (", a simulated scene" if name == SURROGATE else ""),
     )
 
 
-def _claims(
-    results: Results,
-    of: str,
-    compared: dict[tuple[str, str], Compared],
-    leakages: dict[float, Leakage],
-) -> list[Claim]:
-    splits = list(dict.fromkeys(split for _, split in compared))
+def claims_of(numbers: Numbers) -> list[Claim]:
+    """Claims of each split, and on the difference of both."""
+    of, splits, compared = numbers.of, numbers.splits, numbers.compared
     claims = [_no_advantage(of, split, compared[("gaussian", split)]) for split in splits]
     for split in splits:
-        chosen = best(results, noise="poisson", split=split)
+        chosen = best(numbers.results, noise="poisson", split=split)
         claims.append(_advantageous(of, split, compared[("poisson", split)], chosen))
-    if leakages:
-        claims += [_leakage_claim(of, leakages), _same_claim(of, results, splits)]
+    if numbers.leakages:
+        claims += [_leakage_claim(of, numbers.leakages), _same_claim(of, numbers.results, splits)]
     return claims
 
 
@@ -217,21 +248,16 @@ def _same_claim(of: str, results: Results, splits: Sequence[str]) -> Claim:
     )
 
 
-def _found(
-    results: Results,
-    of: str,
-    measures: Measures,
-    compared: dict[tuple[str, str], Compared],
-    leakages: dict[float, Leakage],
-) -> str:
+def _found(numbers: Numbers) -> str:
+    of, leakages, bands = numbers.of, numbers.leakages, numbers.measures.scene.bands
     parts = []
-    for (noise, split), own in compared.items():
+    for (noise, split), own in numbers.compared.items():
         most = max(own, key=lambda budget: own[budget].mean)
         parts.append(
             f"{SHORT[noise]}, {split} split: {own[most]} at most, at {photons_text(most)} photons"
         )
     text = ""
-    if results.recipe["data"] == SURROGATE:
+    if numbers.results.recipe["data"] == SURROGATE:
         text = (
             "These are not numbers of the real scene, whose cube was not at hand: "
             f"{SURROGATE} has simulated spectra on the real label map and bands. "
@@ -249,23 +275,24 @@ def _found(
             f"({leak.difference}), each class weighted by its share of the scene. "
         )
     return text + (
-        f"The scene has {measures.scene.bands} bands (the paper counts 224), padded with darkness "
-        f"to {results.data.image_shape[0]}. Pixels to choose the number of masks on are a "
+        f"The scene has {bands} bands (the paper counts 224), padded with darkness "
+        f"to {numbers.results.data.image_shape[0]}. Pixels to choose the number of masks on are a "
         "random part of the training pixels under either split. Intervals cover training seeds for "
         "one draw of each split."
     )
 
 
-def _accuracy_picture(results: Results, of: str, measures: Measures, split: str) -> Picture:
+def _accuracy_picture(numbers: Numbers, split: str) -> Picture:
+    results, of, scene = numbers.results, numbers.of, numbers.measures.scene
     part = results.with_points(p for p in results.points if p.split == split)
     figure = accuracy_figure(part)
     figure.suptitle(f"{of}, {split} split", fontsize=10, fontweight="bold", color=INK)
-    counts = np.bincount(measures.scene.labels.values.ravel())[1:]
+    counts = np.bincount(scene.labels.values.ravel())[1:]
     return Picture(
         figure,
         f"{of}, {split} split: accuracy against photons, each design at the number of "
         "masks that validation chooses. Circles are feature-specific designs. Bars: 95 % "
-        f"intervals. Chance is one in {len(measures.scene.classes)} classes; always naming the "
+        f"intervals. Chance is one in {len(scene.classes)} classes; always naming the "
         f"largest class gives {counts.max() / counts.sum():.2f}.",
         f"Accuracy of all designs on {of}, {split} split; numbers in the table.",
     )
@@ -309,12 +336,11 @@ def _scene_pictures(of: str, measures: Measures) -> list[Picture]:
     return pictures
 
 
-def _tables(
-    results: Results, of: str, measures: Measures, leakages: dict[float, Leakage]
-) -> list[Table]:
+def _tables(numbers: Numbers) -> list[Table]:
+    of, parts = numbers.of, numbers.measures.parts
     heads = ("split", "noise", "design", "photons", "masks", "accuracy", "low", "high")
     fields = ("split", "noise", "label", "photons", "masks", "accuracy", "low", "high")
-    rows = [tuple(getattr(p, field) for field in fields) for p in results.points if p.best]
+    rows = [tuple(getattr(p, field) for field in fields) for p in numbers.results.points if p.best]
     tables = [
         Table(
             f"{of}: accuracy at the chosen number of masks, with 95 % intervals", heads, tuple(rows)
@@ -324,19 +350,19 @@ def _tables(
             ("split", "training", "test", "left out beside test pixels", "classes tested"),
             tuple(
                 (split, own.train, own.test, own.left_out, own.classes_tested)
-                for split, own in measures.parts.items()
+                for split, own in parts.items()
             ),
         ),
     ]
-    if leakages:
+    if numbers.leakages:
         tables.append(
             Table(
                 f"{of}: DeepFSI's accuracy under photon noise by split, over the classes that both "
                 "test, each with its share of the scene",
-                ("photons", *measures.parts, "difference", "low", "high"),
+                ("photons", *parts, "difference", "low", "high"),
                 tuple(
                     (photons, own.random, own.blocks, each.mean, each.low, each.high)
-                    for photons, own in leakages.items()
+                    for photons, own in numbers.leakages.items()
                     for each in [own.difference]
                 ),
             )
