@@ -45,9 +45,6 @@ class Prefix:
     low: float
     high: float
 
-    def __getitem__(self, name: str) -> Any:  # until all readers use attributes
-        return getattr(self, name)
-
 
 @dataclass(frozen=True)
 class Measures:
