@@ -23,7 +23,7 @@ from ray.cluster_utils import Cluster
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps import ray_cluster
-from deepfsi.sweeps.ray_cluster import run_on_ray
+from deepfsi.sweeps.ray_cluster import answers, run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
@@ -157,7 +157,7 @@ def test_few_tasks_are_in_flight(nodes):
 
     results = run_on_ray(lambda _, task: task, None, [Task()] * 20, address=nodes.address)
     next(results)
-    assert next(submitted) == ray_cluster.AHEAD * 2
+    assert next(submitted) == ray_cluster.TASKS_AHEAD * 2
     results.close()
 
 
@@ -316,7 +316,7 @@ def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
     [(_, address)] = run_on_ray(work, None, [0])
     assert address != crashed
     assert not ray.is_initialized()
-    until(lambda: not ray_cluster._answers(address), 10)
+    until(lambda: not answers(address), 10)
 
 
 def test_without_ray_it_says_what_to_install(monkeypatch):

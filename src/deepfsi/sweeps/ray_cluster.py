@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import os
 import socket
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
 from deepfsi.errors import InputError
 
-__all__ = ["run_on_ray"]
-
 Shared = TypeVar("Shared")
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-AHEAD = 2
+TASKS_AHEAD = 2
 """Tasks submitted for each that can run: the next one waits beside it, a growing cluster sees
 demand, and a hundred thousand do not flood the driver."""
 
-REACH = 5.0
+ANSWER_SECONDS = 5.0
 """Seconds in which a cluster must answer. Ray itself tries for minutes."""
 
 
@@ -35,34 +35,29 @@ def run_on_ray(
     gpus: float = 0,
     retries: int = 3,
 ) -> Generator[tuple[int, Result], None, None]:
-    """Do `work(shared, task)` for every task on a Ray cluster.
+    """Index of each task and what `work(shared, task)` returned on a Ray cluster, as they finish.
+
+    Stopping early cancels the rest, and stops a cluster that was started here. Where every node
+    that could run a task has gone, it waits for one to come.
 
     Parameters
     ----------
-    work
+    work : callable
         Runs in another process, perhaps twice where a node dies: it should give the same result
         again and leave nothing behind.
-    shared
-        What all tasks need. It goes into Ray's object store once; on the workers its arrays are
-        read-only.
-    tasks
+    shared : object
+        Sent into Ray's object store once; on the workers its arrays are read-only.
+    tasks : iterable
         Taken one by one, as the cluster can run them; small.
-    address
+    address : str
         `auto` is the running cluster (`$RAY_ADDRESS` or this machine's), and where there is none
         one started here for this call; `local` always starts one; else `host:port` of the head of
         a cluster that this machine belongs to. A process that is connected to one stays with it.
-    cpus, gpus
+    cpus, gpus : float
         What a task holds while it runs. Workers see `OMP_NUM_THREADS` = `cpus` rounded down.
         A fraction of a GPU shares it.
-    retries
+    retries : int
         How often a task is run again after its worker or node died.
-
-    Yields
-    ------
-    index, result
-        Index of the task and what `work` returned, as they finish. Stopping early cancels the
-        rest, and stops a cluster that was started here. Where every node that could run a task
-        has gone, it waits for one to come.
 
     Raises
     ------
@@ -71,42 +66,77 @@ def run_on_ray(
         died more than `retries` times. What `work` raises arrives as it was raised, and is not
         tried again.
     """
-    try:
-        import ray
-    except ImportError:
-        raise InputError("Ray is not installed: pip install 'deepfsi[ray]'") from None
+    check_request(cpus, gpus)
+    with _connected(address):
+        submit = _submitter(work, shared, cpus, gpus, retries)
+        yield from _results(submit, tasks, cpus, gpus, retries)
+
+
+def check_request(cpus: float, gpus: float) -> None:
+    """Raise `InputError` where Ray is missing or no task can ask for so much."""
+    if importlib.util.find_spec("ray") is None:
+        raise InputError("Ray is not installed: pip install 'deepfsi[ray]'")
     if cpus < 0 or gpus < 0 or cpus + gpus == 0 or (gpus > 1 and gpus % 1):
         raise InputError(
             f"a task cannot ask for {cpus:g} CPUs and {gpus:g} GPUs: give numbers ≥ 0, "
             "not both 0, and whole GPUs or a share of one"
         )
 
-    def run(shared: Shared, task: Task) -> Result:
-        return work(shared, task)
+
+@contextmanager
+def _connected(address: str) -> Iterator[None]:
+    """Stay connected to a cluster, unless this process is connected to one already."""
+    import ray
 
     joined = not ray.is_initialized()
     if joined:
         _join(address)
-    running: dict[Any, int] = {}
     try:
-        if not _slots(cpus, gpus):
-            raise InputError(
-                f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task "
-                f"asks for (there are: {_nodes()}): ask for less, or add a node that has them"
-            )
-        remote = ray.remote(run).options(
-            name=getattr(work, "__name__", "work"),
-            num_cpus=cpus,
-            num_gpus=gpus,
-            max_retries=retries,
-            runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(cpus)))}},
+        yield
+    finally:
+        if joined:
+            ray.shutdown()
+
+
+def _submitter(
+    work: Callable[[Shared, Task], Result], shared: Shared, cpus: float, gpus: float, retries: int
+) -> Callable[[Task], Any]:
+    """Function that submits a task and gives Ray's reference to its result."""
+    import ray
+
+    if not _slots(cpus, gpus):
+        raise InputError(
+            f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task "
+            f"asks for (there are: {_nodes()}): ask for less, or add a node that has them"
         )
-        everywhere = ray.put(shared)
-        waiting = iter(enumerate(tasks))
+
+    def run(shared: Shared, task: Task) -> Result:
+        return work(shared, task)
+
+    remote = ray.remote(run).options(
+        name=getattr(work, "__name__", "work"),
+        num_cpus=cpus,
+        num_gpus=gpus,
+        max_retries=retries,
+        runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(cpus)))}},
+    )
+    everywhere = ray.put(shared)
+    return lambda task: remote.remote(everywhere, task)
+
+
+def _results(
+    submit: Callable[[Task], Any], tasks: Iterable[Task], cpus: float, gpus: float, retries: int
+) -> Generator[tuple[int, Any], None, None]:
+    """Submit tasks as there is room, and yield index and result of each as they finish."""
+    import ray
+
+    running: dict[Any, int] = {}
+    waiting = iter(enumerate(tasks))
+    try:
         while True:
-            room = max(1, AHEAD * _slots(cpus, gpus)) - len(running)
+            room = max(1, TASKS_AHEAD * _slots(cpus, gpus)) - len(running)
             for index, task in islice(waiting, max(0, room)):
-                running[remote.remote(everywhere, task)] = index
+                running[submit(task)] = index
             if not running:
                 return
             [ready], _ = ray.wait(list(running), num_returns=1)
@@ -126,8 +156,6 @@ def run_on_ray(
     finally:
         for reference in running:
             ray.cancel(reference, force=True)
-        if joined:
-            ray.shutdown()
 
 
 def _join(address: str) -> None:
@@ -141,13 +169,13 @@ def _join(address: str) -> None:
             where = get_ray_address_from_environment("auto", None)
         except ConnectionError:
             where = "local"
-        if not os.environ.get("RAY_ADDRESS") and not _answers(where):
+        if not os.environ.get("RAY_ADDRESS") and not answers(where):
             where = "local"  # a cluster that crashed leaves its address behind
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if where == "local":
         ray.init("local", include_dashboard=False, **quiet)
         return
-    if not _answers(where):
+    if not answers(where):
         raise InputError(
             f"no Ray cluster answers at '{where}': give host:port of a running one "
             "(ray start --head --port=6379), or 'local' to start one here"
@@ -162,10 +190,11 @@ def _join(address: str) -> None:
         ) from error
 
 
-def _answers(address: str) -> bool:
+def answers(address: str) -> bool:
+    """Whether something answers at an address."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), REACH).close()
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_SECONDS).close()
     except (OSError, ValueError):
         return False
     return True

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any
 
@@ -13,7 +13,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.optics.noise import Noise
-from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.recipe import Physical, Recipe
 from deepfsi.training.job import REVISION, Job, check_job
 
 SCHEMA = 2
@@ -58,6 +58,13 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
     Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
     there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail.
 
+    Parameters
+    ----------
+    recipe : Recipe
+    data : Dataset
+    matrix : array, shape (m, N), optional
+        Sensing matrix of "custom" designs.
+
     Raises
     ------
     InputError
@@ -68,7 +75,41 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
             raise InputError(
                 f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
             )
-    trials = {}
+    trials: dict[str, Trial] = {}
+    for noise, variant, job in _jobs(recipe, data, matrix):
+        own = matrix if job.design == "custom" else None
+        check_job(job, data, own)
+        test_noise = recipe.test_noise or (noise,)
+        if job.training.looks > 1 and "gaussian" in test_noise:
+            raise InputError(
+                "several looks are tested under photon noise: leave gaussian out of test_noise"
+            )
+        trial = Trial(
+            job=job,
+            variant=variant,
+            data=data.name,
+            data_hash=data.hash,
+            matrix_hash=_matrix_hash(own),
+            validation=recipe.held_out(data),
+            draws=recipe.draws,
+            test_photons=recipe.test_photons or (job.photons,),
+            test_noise=test_noise,
+            test_levels=recipe.test_levels,
+        )
+        trials[trial.key] = trial
+    if not trials:
+        raise InputError(
+            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
+            f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
+            f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
+        )
+    return list(trials.values())
+
+
+def _jobs(
+    recipe: Recipe, data: Dataset, matrix: np.ndarray | None
+) -> Iterator[tuple[Physical, str, Job]]:
+    """Yield noise of the tests, variant of the training and job of every trial that can be."""
     for design, noise, light, rails in product(
         recipe.designs, recipe.noise, recipe.light, recipe.rails
     ):
@@ -94,32 +135,8 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
                 seed=seed,
                 training=training,
             )
-            job = job.model_copy(update=dict(zip(("light", "rails"), job.optics, strict=True)))
-            check_job(job, data, own)
-            if training.looks > 1 and "gaussian" in (recipe.test_noise or (noise,)):
-                raise InputError(
-                    "several looks are tested under photon noise: leave gaussian out of test_noise"
-                )
-            trial = Trial(
-                job=job,
-                variant=variant,
-                data=data.name,
-                data_hash=data.hash,
-                matrix_hash=_matrix_hash(own),
-                validation=recipe.held_out(data),
-                draws=recipe.draws,
-                test_photons=recipe.test_photons or (photons,),
-                test_noise=recipe.test_noise or (noise,),
-                test_levels=recipe.test_levels,
-            )
-            trials[trial.key] = trial
-    if not trials:
-        raise InputError(
-            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
-            f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
-            f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
-        )
-    return list(trials.values())
+            in_force = dict(zip(("light", "rails"), job.optics, strict=True))
+            yield noise, variant, job.model_copy(update=in_force)
 
 
 def _possible(design: str, noise: str, light: str, rails: str) -> bool:
