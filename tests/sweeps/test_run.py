@@ -173,20 +173,11 @@ def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
     assert len(calls) == 3 + 2
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_only_whole_records(tmp_path):
     command = [sys.executable, "-m", "deepfsi", "compare", "--designs", "pca,random"]
-    command += [
-        "--epochs",
-        "4",
-        "-o",
-        str(tmp_path),
-        "--photons",
-        "1e2",
-        "--masks",
-        "1,2,3,4,5,6",
-        "--trials",
-        "1",
-    ]
+    command += ["--epochs", "4", "--photons", "1e2", "--masks", "1,2,3,4,5,6", "--trials", "1"]
+    command += ["--workers", "1", "-o", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     trials = tmp_path / "trials"
     deadline = time.monotonic() + 120
@@ -248,17 +239,42 @@ def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
     assert len(trained) == 2 * 2 * 3 * 2 - 2 * 2 * 2
 
 
-def test_processes_give_what_one_process_gives(digits, tmp_path):
-    trials = plan(small(designs=("deepfsi", "random", "control"), trials=2), digits)
+def shared_training():
+    """Recipe of trials that differ in their tests only."""
+    return small(designs="pca", masks=3, noise=("poisson", "gaussian"), train_noise="gaussian")
+
+
+def test_trials_of_one_training_train_it_once(digits, tmp_path):
+    """The claim on their common design must not lock them out."""
+    trials = plan(shared_training(), digits)
+    assert len({trial.design_key for trial in trials}) == len(trials) / 2
+    assert len(train_trials(trials, digits, tmp_path)) == len(trials)
+    assert len(list((tmp_path / "designs").iterdir())) == len(trials) / 2
+
+
+@pytest.mark.slow
+def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
+    recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=2)
+    trials = plan(recipe, digits) + plan(shared_training(), digits)
+    mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
+    mine.start()
+    try:
+        two = train_trials(trials, digits, tmp_path / "two", count=2)
+        assert mine.is_alive()
+    finally:
+        mine.kill()
+        mine.join()
+        mine.close()
+    assert len(list((tmp_path / "two" / "designs").iterdir())) < len(trials)
     one = train_trials(trials, digits, tmp_path / "one")
-    two = train_trials(trials, digits, tmp_path / "two", count=2)
     for first, second in zip(one, two, strict=True):
         assert first["key"] == second["key"]
         assert first["test"] == second["test"]
 
 
+@pytest.mark.slow
 def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
-    trials = plan(small(designs="deepfsi", training={"epochs": 2, "lr": 1e30}), digits)
+    trials = plan(small(designs="deepfsi", photons=1e3, training={"epochs": 2, "lr": 1e30}), digits)
     with pytest.raises(InputError, match="diverged"):
         train_trials(trials, digits, tmp_path, count=2)
     assert not list(tmp_path.glob("**/*.lock"))
@@ -344,16 +360,6 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
         write_table(records, tmp_path / "all.xls")
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_trials_of_one_training_train_it_once(digits, tmp_path, workers):
-    """They differ in their tests only; the claim on their common design must not lock them out."""
-    recipe = small(designs="pca", masks=3, noise=("poisson", "gaussian"), train_noise="gaussian")
-    trials = plan(recipe, digits)
-    assert len({trial.design_key for trial in trials}) == len(trials) / 2
-    assert len(train_trials(trials, digits, tmp_path, count=workers)) == len(trials)
-    assert len(list((tmp_path / "designs").iterdir())) == len(trials) / 2
-
-
 def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
     recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
     trials = plan(recipe, digits)
@@ -373,19 +379,6 @@ def test_settings_of_masks_do_not_multiply_fixed_designs(digits):
     recipe = small(masks=3, photons=1e3, training={"epochs": 1, "start": ["pca", "random"]})
     designs = [trial.job.design for trial in plan(recipe, digits)]
     assert sorted(designs) == ["deepfsi", "deepfsi", "pca"]
-
-
-def test_other_processes_of_the_caller_live_on(digits, tmp_path):
-    mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
-    mine.start()
-    try:
-        trials = plan(small(designs=("pca", "random")), digits)
-        train_trials(trials, digits, tmp_path, count=2)
-        assert mine.is_alive()
-    finally:
-        mine.kill()
-        mine.join()
-        mine.close()
 
 
 @pytest.mark.parametrize(
