@@ -24,7 +24,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
-from deepfsi.sweeps.forecast import forecast
+from deepfsi.sweeps.forecast import forecast_cost
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.recipe_files import parts
 from deepfsi.sweeps.records import rows, write_table
@@ -405,15 +405,15 @@ def test_a_record_that_is_something_else_is_made_again(digits, tmp_path):
 
 def test_a_forecast_counts_what_is_left(digits, tmp_path):
     recipe = small(trials=2)
-    before = forecast(recipe, digits, tmp_path)
+    before = forecast_cost(recipe, digits, tmp_path)
     first = plan(small(), digits)
     train_trials(first, digits, tmp_path)
-    after = forecast(recipe, digits, tmp_path)
+    after = forecast_cost(recipe, digits, tmp_path)
     assert (before.trials, before.done, after.done) == (16, 0, len(first))
     assert before.operations == pytest.approx(2 * after.operations)
     assert 0 < after.seconds < math.inf
     train_trials(plan(recipe, digits), digits, tmp_path)
-    assert forecast(recipe, digits, tmp_path).seconds == 0
+    assert forecast_cost(recipe, digits, tmp_path).seconds == 0
 
 
 def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):

@@ -273,11 +273,11 @@ def _finish(results: "Results", out: Path, as_json: bool) -> None:
 def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.sweeps.forecast import forecast
+    from deepfsi.sweeps.forecast import forecast_cost
 
     scenes = load(recipe.data, recipe.size, split=recipe.split)
     with progress("timing a few steps of each kind", quiet=as_json):
-        expected = forecast(recipe, scenes, out, device, workers)
+        expected = forecast_cost(recipe, scenes, out, device, workers)
     if as_json:
         print_json(asdict(expected))
         return

@@ -2,8 +2,9 @@
 
 import io
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -109,40 +110,64 @@ class Experiment:
         another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
         figures, and `NAME-trials.csv` one for each test. Each point says the part that it is of,
         its `recipe`. Where a recipe names a split, its points and the name of the data do, too.
+
+        Parameters
+        ----------
+        folder : Path
+        command : str
+            For the results.
+        quick : bool
+            The coarse recipes.
+        trials : int, optional
+            Instead of those of the recipes.
+        device : {"auto", "cpu", "cuda"}
+        workers : int, optional
+            Processes; None for as many as are fastest here.
+        ray : str, optional
+            Address of a Ray cluster.
+        report : Report
         """
-        sources: dict[Any, Dataset] = {}
-        results: Results | None = None
-        points: list[Point] = []
-        records: list[dict[str, Any]] = []
-        for name, recipe in self.recipes(quick, trials).items():
-            source = (recipe.data, recipe.size, recipe.split)
-            if source not in sources:
-                sources[source] = self.prepare(_load(recipe))
+        recipes = self.recipes(quick, trials)
+        data = self._data(recipes)
+        compared, points, records = list[Results](), list[Point](), list[dict[str, Any]]()
+        for name, recipe in recipes.items():
             part, own = compare(
                 recipe,
-                sources[source],
+                data[name],
                 folder,
                 command=command,
                 device=device,
                 workers=Workers(workers, ray),
                 report=report,
             )
-            records += own
             where = {"recipe": name}
             if recipe.split:
                 where |= {"data": recipe.data, "split": recipe.split}
+            compared.append(part)
             points += [point.model_copy(update=where) for point in part.points]
-            results = (results or part).with_points(points)
-        assert results is not None, "an experiment has a recipe"
+            records += own
+        results = compared[0].with_points(points)
         if self.measure:
-            first = next(iter(sources.values()))
+            first = next(iter(data.values()))
             extra = self.measure(results, first, folder / "designs", workers, report)
             results = results.model_copy(update={"extra": extra})
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
 
+    def _data(self, recipes: Mapping[str, Recipe]) -> dict[str, Dataset]:
+        """Prepared data of each recipe, loaded once where recipes share it."""
+        load = cache(lambda *source: self.prepare(_load(*source)))
+        return {name: load(each.data, each.size, each.split) for name, each in recipes.items()}
+
     def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
-        """Write the results, a row for each point, and one for each test of a trial."""
+        """Write the results, a row for each point, and one for each test of a trial.
+
+        Parameters
+        ----------
+        folder : Path
+        results : Results
+        trials : polars.DataFrame
+        """
         averaged = [
             {name: value for name, value in point.as_dict().items() if not isinstance(value, list)}
             for point in results.points
@@ -186,9 +211,9 @@ class Experiment:
         )
 
 
-def _load(recipe: Recipe) -> Dataset:
-    data = load_dataset(recipe.data, size=recipe.size, split=recipe.split)
-    return replace(data, name=f"{data.name}, {recipe.split} split") if recipe.split else data
+def _load(name: str, size: tuple[int, int] | None, split: str | None) -> Dataset:
+    data = load_dataset(name, size=size, split=split)
+    return replace(data, name=f"{data.name}, {split} split") if split else data
 
 
 def points(results: Results, **fields: Any) -> list[Point]:

@@ -1,4 +1,4 @@
-"""What a sweep will cost here, from a few timed steps of each kind of training in it."""
+"""Expected cost of a sweep on this machine, from a few timed steps of each of its trainings."""
 
 import time
 from collections import defaultdict
@@ -23,10 +23,10 @@ from deepfsi.training.learning import train
 from deepfsi.training.loop import batch_of
 from deepfsi.training.training_set import TrainingSet
 
-STEPS = 6
+TIMED_STEPS = 6
 """Steps that a kind of training is timed with."""
 
-TESTED = 500
+TIMED_SCENES = 500
 """Scenes that a test is timed with."""
 
 
@@ -52,7 +52,7 @@ class Forecast:
     seconds: float
 
 
-def forecast(
+def forecast_cost(
     recipe: Recipe, data: Dataset, folder: Path, device: str = "auto", workers: int | None = None
 ) -> Forecast:
     """Cost of a sweep, less what its folder holds.
@@ -139,7 +139,7 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     """Seconds of a step of this batch, and of the tests of one of its trials."""
     count = len(context.training_set.labels)
     size = batch_of(batch[0].job.training, count)
-    few = _first(context.parts, STEPS * size)
+    few = _first(context.parts, TIMED_STEPS * size)
     short = batch[0].job.training.model_copy(update={"epochs": 2, "batch": size})
     jobs = [trial.job.model_copy(update={"training": short}) for trial in batch]
     scenes = TrainingSet(few, context.device, dict(context.matrices))
@@ -163,6 +163,6 @@ def _first(data: Dataset, count: int) -> Dataset:
         data,
         x_train=data.x_train[:count],
         y_train=data.y_train[:count],
-        x_test=data.x_test[:TESTED],
-        y_test=data.y_test[:TESTED],
+        x_test=data.x_test[:TIMED_SCENES],
+        y_test=data.y_test[:TIMED_SCENES],
     )

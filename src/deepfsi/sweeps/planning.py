@@ -1,4 +1,4 @@
-"""How many photons a target accuracy needs, from a few trainings and what lies between them.
+"""Photons that a target accuracy needs, from a few trainings and what lies between them.
 
 Every design is trained at a few budgets, then again where its curve meets the target, so that the
 interpolation spans little. The answer is an interval: all budgets at which the curve's own 95 %
@@ -24,18 +24,18 @@ from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import plan as trials_of
 from deepfsi.sweeps.workers import HERE, Workers
 
-STEPS = 1000
-"""Budgets that a curve is looked at, between the lowest and the highest tried."""
+CURVE_BUDGETS = 1000
+"""Budgets at which a curve is computed, between the lowest and the highest tried."""
 
 ROUNDS = 2
 """Budgets that may be added to each curve, one after another where it meets the target, with the
 mask counts that are best beside it."""
 
-APART = 0.2
+LEAST_DECADES = 0.2
 """Decades between two budgets that are worth a training each."""
 
-KIND = ("light", "rails", "design")
-"""What tells two curves apart."""
+CURVE_AXES = ("light", "rails", "design")
+"""Fields that tell two curves apart."""
 
 Curve = dict[float, Point]
 """Point of a summary at the best mask count, by budget, rising."""
@@ -96,7 +96,7 @@ def crossing(
     means = [float(np.mean(trials)) for trials in accuracies]
     fitted = IsotonicRegression().fit_transform(tried, means)
     below, above = _half_widths(fitted, accuracies, images)
-    budgets = np.union1d(np.linspace(tried[0], tried[-1], STEPS), tried)
+    budgets = np.union1d(np.linspace(tried[0], tried[-1], CURVE_BUDGETS), tried)
     curve = PchipInterpolator(tried, fitted)(budgets)
     least, most = _shapes(tried, fitted, budgets)
     lower = least - np.interp(budgets, tried, below)
@@ -160,15 +160,23 @@ def _half_widths(
 def next_budget(
     photons: Sequence[float], accuracies: Sequence[float], target: float
 ) -> float | None:
-    """Where one more training tells most: at the crossing, but `APART` from tried budgets.
+    """Where one more training tells most: at the crossing, but `LEAST_DECADES` from tried budgets.
 
     None where the crossing is beyond the tried budgets, or between two that are close already.
+
+    Parameters
+    ----------
+    photons : sequence of float
+        Tried budgets, rising.
+    accuracies : sequence of float
+    target : float
+        Accuracy.
     """
     found = crossing(photons, [[accuracy] for accuracy in accuracies], 1, target).photons
     if found is None:
         return None
     tried, place = np.log10(photons), int(np.searchsorted(photons, found))
-    low, high = tried[place - 1] + APART, tried[place] - APART
+    low, high = tried[place - 1] + LEAST_DECADES, tried[place] - LEAST_DECADES
     return float(f"{10 ** np.clip(np.log10(found), low, high):.3g}") if low <= high else None
 
 
@@ -219,8 +227,7 @@ def photons_needed(
     """
     check_plan(recipe, data, target)
     context = SweepContext(data, recipe.held_out(data), device)
-    records: list[dict[str, Any]] = []
-    asked = [recipe]
+    records, asked = list[dict[str, Any]](), [recipe]
     for number in range(ROUNDS + 1):
         trials = {trial.key: trial for each in asked for trial in trials_of(each, data)}
         part = report.part(number / (ROUNDS + 1), (number + 1) / (ROUNDS + 1))
@@ -250,7 +257,15 @@ def _plan(recipe: Recipe, results: Results, target: float) -> dict[str, Any]:
 
 
 def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
-    """Raise `InputError` for what cannot be planned."""
+    """Raise `InputError` for what cannot be planned.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    data : Dataset
+    target : float
+        Accuracy.
+    """
     chance = float(np.bincount(data.y_test).max() / len(data.y_test))
     if not chance < target < 1:
         raise InputError(
@@ -272,7 +287,7 @@ def _curves(results: Results) -> dict[tuple[str, ...], Curve]:
     curves: dict[tuple[str, ...], Curve] = defaultdict(dict)
     for point in sorted(results.points, key=lambda point: point.photons):
         if point.best:
-            curves[tuple(getattr(point, axis) for axis in KIND)][point.photons] = point
+            curves[tuple(getattr(point, axis) for axis in CURVE_AXES)][point.photons] = point
     return curves
 
 
@@ -304,7 +319,7 @@ def _need(kind: tuple[str, ...], curve: Curve, images: int, target: float) -> di
     nearest = min(tried, key=lambda budget: abs(np.log(budget / at)))
     kept = {"photons", "masks", "accuracy", "low", "high", "validation", "keys"}
     return {
-        **dict(zip(KIND, kind, strict=True)),
+        **dict(zip(CURVE_AXES, kind, strict=True)),
         "title": curve[nearest].title,
         **asdict(found),
         "masks": curve[nearest].masks,

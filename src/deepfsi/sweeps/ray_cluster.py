@@ -191,7 +191,7 @@ def _join(address: str) -> None:
 
 
 def answers(address: str) -> bool:
-    """Whether something answers at an address."""
+    """True where something answers at an address, `host:port`."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
         socket.create_connection((host.strip("[]"), int(port)), ANSWER_SECONDS).close()

@@ -30,7 +30,7 @@ TRAINING_NOISE: dict[Physical, TrainingNoise] = {
 }
 
 
-OF_MASKS = ("start", "mask_lr", "precision")
+MASK_SETTINGS = ("start", "mask_lr", "precision")
 """Settings of the training that only learned masks have."""
 
 
@@ -75,7 +75,7 @@ Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
 
 
 class Recipe(BaseModel):
-    """What to compare. Each tuple is an axis; a single value stands for an axis of one."""
+    """Comparison. Each tuple is an axis; a single value stands for an axis of one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -148,7 +148,7 @@ class Recipe(BaseModel):
         """Every setting of the training of a design, with a name where there are several."""
         axes = {**self.training, **self.tuned.get(design, {})}
         if not (codes.DESIGNS[design].learned or design == "control"):
-            axes = {name: axes[name] for name in axes if name not in OF_MASKS}
+            axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         several = [name for name, values in axes.items() if len(values) > 1]
         for values in product(*axes.values()):
             chosen = dict(zip(axes, values, strict=True))
@@ -175,5 +175,5 @@ class Recipe(BaseModel):
         return sorted({count for count in asked if low <= count <= high}) or [high]
 
     def held_out(self, data: Dataset) -> int:
-        """How many training scenes are kept for validation."""
+        """Number of training scenes that are kept for validation."""
         return len(data.x_train) // 6 if self.validation is None else self.validation

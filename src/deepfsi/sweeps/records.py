@@ -68,7 +68,16 @@ class Records:
             return None
 
     def write(self, trial: RecordedTrial, record: Mapping[str, Any], design: bytes | None) -> None:
-        """Keep what a trial gave, and give up the claim on it."""
+        """Keep what a trial gave, and give up the claim on it.
+
+        Parameters
+        ----------
+        trial : trial
+        record : mapping
+            JSON types only.
+        design : bytes, optional
+            Content of the design file, where it is new.
+        """
         if design is not None:
             write_atomically(self._design_path(trial), design)
         write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())

@@ -71,7 +71,13 @@ class PatchExperiment(Experiment):
         ray: str | None = None,
         report: Report = SILENT,
     ) -> Results:
-        """Train and test what the folder does not hold yet, and write the numbers."""
+        """Train and test what the folder does not hold yet, and write the numbers.
+
+        Parameters
+        ----------
+        folder, command, quick, trials, device, workers, ray, report
+            As `Experiment.run`.
+        """
         began = time.perf_counter()
         [recipe] = self.recipes(quick, trials).values()
         report(0.0, "reading images")
