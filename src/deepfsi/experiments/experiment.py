@@ -140,16 +140,15 @@ class Experiment:
                 workers=Workers(workers, ray),
                 report=report,
             )
-            where = {"recipe": name}
-            if recipe.split:
-                where |= {"data": recipe.data, "split": recipe.split}
+            split = {"data": recipe.data, "split": recipe.split} if recipe.split else {}
+            where = {"recipe": name, **split}
             compared.append(part)
             points += [point.model_copy(update=where) for point in part.points]
             records += own
         results = compared[0].with_points(points)
         if self.measure:
-            first = next(iter(data.values()))
-            extra = self.measure(results, first, folder / "designs", workers, report)
+            first, designs = data[next(iter(data))], folder / "designs"
+            extra = self.measure(results, first, designs, workers, report)
             results = results.model_copy(update={"extra": extra})
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
