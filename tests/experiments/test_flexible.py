@@ -26,7 +26,7 @@ def rate(mean):
     return Estimate(mean, mean - 0.001, mean + 0.001)
 
 
-def stopped_trials(used, lost, spread):
+def stopped_trials(used, lost):
     """Exposures of three trials that stop early."""
     return [
         Stopped(
@@ -35,7 +35,7 @@ def stopped_trials(used, lost, spread):
             used=rate(used + change),
             whole=rate(0.9),
             stopped=rate(0.9 - lost),
-            difference=rate(-lost + change * spread),
+            difference=rate(-lost + change / 1000),
             stops=[0.5, 0.5],
             confidence=0.9,
             calibration_error=0.01,
@@ -53,7 +53,7 @@ def stopped_trials(used, lost, spread):
     ]
 
 
-def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001):
+def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5):
     fixed = [{"design": d, "label": d.upper(), "title": d} for d in ("pca", "truncated-hadamard")]
     points = [
         *(point("budgets", 0.9, photons=p) for p in LIGHTS),
@@ -72,7 +72,7 @@ def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5, spread=0.001
         for recipe in ("nested", "both")
         for masks, each in ((10, first), (92, 0.9))
     ]
-    trials = stopped_trials(used, lost, spread), stopped_trials(looked, 0.0, spread)
+    trials = stopped_trials(used, lost), stopped_trials(looked, 0.0)
     return some_results(points, extra=asdict(Measures(prefixes, *trials)))
 
 

@@ -315,9 +315,9 @@ def mask_rows(count=2, bands=220):
 @pytest.mark.parametrize("wavelengths", [NM, None])
 def test_the_overview_can_be_read(count, wavelengths):
     labels = np.minimum(label_map(), count)
-    spread = np.linspace(0.1, 0.3, 3)[:, None] * np.ones(220)
+    spectrum = np.linspace(0.1, 0.3, 3)[:, None] * np.ones(220)
     water = [[1350, 1400]] if wavelengths is not None else []
-    scene = overview(labels, names(count), wavelengths, {"a": spread, "b": 2 * spread}, water)
+    scene = overview(labels, names(count), wavelengths, {"a": spectrum, "b": 2 * spectrum}, water)
     figure = figures.overview_figure(scene, title="farm", band_name="band 12")
     figure.draw_without_rendering()
     counts = [patch.get_width() for patch in figure.axes[2].patches]

@@ -5,6 +5,7 @@ PAPER = (
     "outperforms the other designs in all digits when there are photons enough, and varies less "
     "between digits. The tests are of ten digits, each exposed ten times or more."
 )
+"""Finding of the paper."""
 
 PUBLISHED: dict[str, dict[float, tuple[float, float, float]]] = {
     "deepfsi": {

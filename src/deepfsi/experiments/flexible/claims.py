@@ -41,6 +41,7 @@ PAPER = (
     "Not in the paper, which finds that accuracy drops dramatically in dimmer light than a design "
     "was trained for, and that the number of masks matters."
 )
+"""Finding of the paper."""
 
 LEARNED = "deepfsi"
 """Name of the design that is trained for one budget or one number of masks."""

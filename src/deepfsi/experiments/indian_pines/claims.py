@@ -47,6 +47,7 @@ PAPER = (
     "under photon noise (PN) it surpasses all methods that were designed for read noise. The paper "
     "counts AVIRIS's 224 bands; the public file has 220. It names no split; a random one is usual."
 )
+"""Finding of the paper."""
 
 Compared = dict[float, Difference]
 """Differences by budget."""

@@ -51,6 +51,7 @@ PAPER = (
     "there is, and where photons are few they repeat similar measurements instead of adding new "
     "features."
 )
+"""Finding of the paper."""
 
 
 @dataclass(frozen=True)
