@@ -165,6 +165,7 @@ def test_a_class_without_test_scenes_has_a_rate_that_is_json(good, digits):
     data = replace(digits, x_test=digits.x_test[some], y_test=digits.y_test[some])
     result = evaluate(good, data, 1e4)[0]
     assert result.images == some.sum()
+    assert [k for k, rate in enumerate(result.rates) if rate is None] == [3]
     json.dumps(result.as_dict(), allow_nan=False)
 
 
@@ -206,12 +207,3 @@ def test_read_noise_is_finite_and_not_negative(good, digits, sigma):
 def test_an_unknown_noise_names_the_closest(good, digits):
     with pytest.raises(InputError, match="did you mean 'poisson'"):
         evaluate(good, digits, 1e3, noise="poison")
-
-
-def test_a_class_without_test_scenes_has_no_rate(digits):
-    some = replace(
-        digits, x_test=digits.x_test[digits.y_test < 9], y_test=digits.y_test[digits.y_test < 9]
-    )
-    rates = evaluate(quick(digits, "pca"), some, 1e3, draws=1)[0].rates
-    assert rates[9] is None
-    assert None not in rates[:9]

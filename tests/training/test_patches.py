@@ -179,6 +179,7 @@ def test_the_throughput_is_what_is_counted(data, patches, learned):
 
 def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
     again = Design.load(learned.save(tmp_path / "made.safetensors"))
+    assert again.mask_shape == (4, 4)
     x = cut(torch.from_numpy(data.x_test), data.image_shape, 4)
     assert torch.equal(learned.logits(x, BUDGET), again.logits(x, BUDGET))
     for name in (

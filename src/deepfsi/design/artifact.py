@@ -107,7 +107,7 @@ class Design:
 
     @property
     def used(self) -> float:
-        """Share of the whole sequence's light that the masks would take within it."""
+        """Share of the light constraint that the masks take within the whole sequence."""
         return self.exposure.used
 
     def scanner(self, noise: str = "poisson", sigma: float = 1.0) -> Scanner:

@@ -6,7 +6,7 @@ the range to -1 .. 1, and the share of masks shown. Features of masks not shown 
 
 The first k masks, brought to what the whole sequence takes of the light constraint, see a scene as
 they do within the sequence at a budget that is larger by the inverse of their share of it,
-`used` (`constraints.used`). So one number stands for both, the *told* budget Φ / used.
+`used` (`constraints.used`). So one number stands for both, the conditioning budget Φ / used.
 """
 
 import math
@@ -44,7 +44,7 @@ class Conditioning(ExposureKind):
     nested : int
         Fewest first masks that do by themselves; 0 if only all do.
     used : float
-        Share of the whole sequence's light that the masks would take within it, for its first ones.
+        Share of the light constraint that the masks take within the whole sequence.
     """
 
     photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -92,7 +92,7 @@ class Conditioning(ExposureKind):
         return self.nested or masks
 
     def using(self, used: float) -> "Conditioning":
-        """The same for masks that use another share of the sequence's light."""
+        """The same for masks that take another share of the light constraint, see `used`."""
         return replace(self, used=used)
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:

@@ -1,4 +1,4 @@
-"""Exposures: what a design asks of its masks' dwells, and what an exposure has seen so far.
+"""Kinds of exposure, and the counts and dwells of an exposure so far.
 
 There are four kinds, and nobody but these classes asks which one a design has: `FixedDwells` here,
 `conditioning.Conditioning`, `adaptive.AdaptiveDwells` and `patchwise.PatchExposure`.
@@ -80,7 +80,7 @@ class ExposureKind:
     looks : int
         K, number of looks.
     used : float
-        Share of the whole sequence's light that the masks would take within it, for its first ones.
+        Share of the light constraint that the masks take within the whole sequence.
     """
 
     kind: str
@@ -178,7 +178,7 @@ class ExposureKind:
         return masks
 
     def using(self, used: float) -> "ExposureKind":
-        """The same kind for masks that use another share of the sequence's light."""
+        """The same kind for masks that take another share of the light constraint, see `used`."""
         return self
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
