@@ -100,14 +100,14 @@ def export_patterns(
     """
     device, grid = settings.device, find_grid(settings.device, design.image_shape)
     _check_design(design)
-    masks = count_mirrors(design.rails, design.light, grid.mirrors)
-    if not masks.shown:
+    counted = count_mirrors(design.rails, design.light, grid.mirrors)
+    if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
-    total = len(masks.shown) + SENTINELS
+    total = len(counted.shown) + SENTINELS
     if total > MOST_FRAMES:
         raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
-    pictures = settings.picture_us(masks.shares, design.light)
-    every = all_frames(masks.on, grid)
+    pictures = settings.picture_us(counted.shares, design.light)
+    every = all_frames(counted.on, grid)
     with new_folder(folder) as draft:
         frames = make_frames(every, device, grid, settings.selection, settings.seed)
         hashes = write_frames(draft, frames, total, settings, report)
@@ -118,19 +118,19 @@ def export_patterns(
             masks=design.rails.shape[1],
             rails=2 if len(design.rails) == 2 else 1,
             light=design.light,
-            dimmed=masks.dimmed,
+            dimmed=counted.dimmed,
             summed_reflectance=float(design.summed_reflectance),
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,
             design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
-            frames=_list_frames(masks, pictures, settings.sentinel_us, hashes),
+            frames=_list_frames(counted, pictures, settings.sentinel_us, hashes),
         )
-        return _write(draft, Patterns(manifest, masks.on), design.file)
+        return _write(draft, Patterns(manifest, counted.on), design.file)
 
 
 def _list_frames(
-    masks: MaskFrames, pictures_us: list[int], sentinel_us: int, hashes: list[str]
+    counted: MaskFrames, pictures_us: list[int], sentinel_us: int, hashes: list[str]
 ) -> tuple[Frame, ...]:
     """Frames of a pass as the manifest lists them."""
     ends = (
@@ -140,7 +140,7 @@ def _list_frames(
     shown = (
         Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=digest)
         for (mask, rail), share, us, digest in zip(
-            masks.shown, masks.shares.tolist(), pictures_us, hashes[2:-2], strict=True
+            counted.shown, counted.shares.tolist(), pictures_us, hashes[2:-2], strict=True
         )
     )
     return (*ends, *shown, *ends)
