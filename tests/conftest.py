@@ -106,6 +106,14 @@ def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **se
     return learn(data, design=design, masks=masks, **{**given, **settings})
 
 
+def parameters(design: Design) -> list[torch.Tensor]:
+    return [design.rails, design.mean, design.std, *design.classifier.parameters()]
+
+
+def same(first: Design, second: Design) -> bool:
+    return all(map(torch.equal, parameters(first), parameters(second)))
+
+
 @cache
 def _digits() -> Dataset:
     return load_dataset("digits")

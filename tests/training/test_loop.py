@@ -1,0 +1,161 @@
+"""Training repeats, and treats replicas as if alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from conftest import (
+    RECIPE,
+    every_optics,
+    quick,
+    same,
+    synthetic,
+)
+from deepfsi.design.artifact import Design
+from deepfsi.design.classifiers import Replicas
+from deepfsi.progress import Report
+from deepfsi.training import loop
+from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import TrainingSet
+
+SETTINGS = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
+
+
+@pytest.mark.parametrize("design", ["deepfsi", "pca", "random", "control"])
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_the_same_seed_repeats_exactly(digits, design, precision):
+    first, again, other = (
+        quick(digits, design, seed=seed, dropout=0.1, precision=precision) for seed in (3, 3, 4)
+    )
+    assert same(first, again)
+    assert not same(first, other)
+
+
+def test_training_leaves_the_global_random_state_alone(digits):
+    before = torch.get_rng_state()
+    quick(digits, dropout=0.1)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_the_global_random_state_does_not_matter(digits):
+    torch.manual_seed(1)
+    first = quick(digits, dropout=0.1)
+    torch.manual_seed(2)
+    assert same(first, quick(digits, dropout=0.1))
+
+
+def together_and_alone(
+    digits, design: str, light: str, rails: str, noise: str = "ml_gauss"
+) -> list[tuple[Design, Design]]:
+    scenes = TrainingSet(digits, "cpu")
+    same = {"design": design, "light": light, "rails": rails, "noise": noise}
+    jobs = [Job(masks=6, photons=photons, training=SETTINGS, **same) for photons in (1e3, 1e4, 1e6)]
+    return list(zip(train(scenes, jobs), [train(scenes, [job])[0] for job in jobs], strict=True))
+
+
+def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
+    """Largest difference over its peak, of masks at some pixels, spread and classifier.
+
+    Not of the centre, which takes up whatever masks do where pixels do not vary.
+    """
+    pairs = [(first.rails[..., pixels], second.rails[..., pixels]), (first.std, second.std)]
+    pairs += zip(first.classifier.parameters(), second.classifier.parameters(), strict=True)
+    return max(((a - b).abs().max() / b.abs().max()).item() for a, b in pairs)
+
+
+@every_optics
+@pytest.mark.parametrize(
+    ("design", "tight"), [("pca", 1e-5), ("random", 1e-5), ("deepfsi", 1e-3), ("control", 1e-2)]
+)
+def test_replicas_train_together_as_alone(digits, design, light, rails, tight):
+    """Up to float32 rounding, after 42 steps; learned masks where a pixel varies."""
+    varies = torch.from_numpy(digits.x_train.std(axis=0) > 0.01)
+    for one, alone in together_and_alone(digits, design, light, rails):
+        assert apart(one, alone, varies) <= tight
+        assert one.info["job"] == alone.info["job"]
+
+
+@every_optics
+def test_replicas_draw_the_same_counts_together_as_alone(digits, light, rails):
+    """Masks that learn do not: where rounding moves a rate, all draws after it may differ."""
+    for one, alone in together_and_alone(digits, "pca", light, rails, "poisson"):
+        assert apart(one, alone, torch.arange(64)) <= 1e-6
+
+
+def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
+    """On two arms their gradient is all but 0; Adam must not blow its rounding up to steps."""
+    for one, alone in together_and_alone(digits, "deepfsi", "two-arm", "dual"):
+        assert apart(one, alone, torch.arange(64)) <= 1e-3
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+@pytest.mark.parametrize(
+    ("design", "change"),
+    [
+        ("pca", {}),
+        ("random", {}),
+        ("deepfsi", {}),
+        ("deepfsi", {"noise": "gaussian", "sigma": 3.0}),
+        ("deepfsi", {"light": "two-arm"}),
+        ("deepfsi", {"rails": "single", "light": "free-dwell"}),
+        ("control", {}),
+        ("pca", {"training": SETTINGS.model_copy(update={"span": 100.0})}),
+    ],
+)
+def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stacked):
+    """With their weights stacked, as on a GPU, or not; alone they are not."""
+    change = {"training": SETTINGS.model_copy(update={"start": "random"}), **change}
+    jobs = [
+        Job(design=design, masks=6, photons=photons, seed=seed, **change)
+        for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
+    ]
+    scenes = TrainingSet(digits, "cpu")
+    alone = [train(scenes, [job])[0] for job in jobs]
+    monkeypatch.setattr(loop, "Replicas", lambda nets, stacked: Replicas(nets, stacks))
+    stacks = stacked
+    varies = torch.from_numpy(digits.x_train.std(axis=0) > 0.01)
+    tight = 1e-2 if design == "control" else 1e-3
+    together = train(scenes, jobs)
+    for one, other in zip(together, alone, strict=True):
+        assert apart(one, other, varies) <= tight
+    assert apart(together[0], together[3], varies) > 0.01
+
+
+def test_replicas_learn_for_their_own_budget(digits):
+    jobs = [Job(masks=6, photons=photons, training=SETTINGS) for photons in (1e2, 1e6)]
+    starved, bright = train(TrainingSet(digits, "cpu"), jobs)
+    assert not torch.allclose(starved.rails, bright.rails, atol=1e-3)
+    assert (starved.std > 2 * bright.std).all()
+
+
+def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
+    jobs = [
+        Job(design="pca", masks=6, photons=1e3, noise="gaussian", sigma=sigma, training=SETTINGS)
+        for sigma in (1.0, 30.0)
+    ]
+    quiet, loud = train(TrainingSet(digits, "cpu"), jobs)
+    assert (loud.std > quiet.std).all()
+
+
+def test_a_batch_may_be_larger_than_the_data():
+    assert quick(synthetic((4, 4), scenes=30), batch=500).masks == 7
+
+
+@pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
+def test_progress_rises_to_one(digits, design):
+    seen = []
+    quick(digits, design, epochs=3, report=Report(lambda share, what: seen.append(share)))
+    assert seen == sorted(seen)
+    assert 0 == seen[0] < seen[-1] == 1
+    assert len(set(seen)) > 2
+
+
+def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatch):
+    seen = []
+    monkeypatch.setattr(torch, "set_num_threads", seen.append)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 7)
+    quick(digits, masks=4, batch=32, hidden=(40, 128))
+    quick(digits, masks=4, batch=1000, hidden=(40, 128))
+    assert seen == [1, 7, 7, 7]
