@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -117,28 +118,13 @@ def heat_figure(
     norm = _accuracy_range(panels.values())
     labels = []
     for ax, (heading, accuracy) in zip(axes.flat, panels.items(), strict=False):
-        ax.pcolormesh(
-            edges,
-            np.arange(len(ratios) + 1),
-            np.ma.masked_invalid(accuracy),
-            cmap=SEQUENTIAL,
-            norm=norm,
-            edgecolors=PAPER,
-            linewidth=0.4,
-        )
+        _cells(ax, edges, accuracy, norm)
         ax.set_title(heading)
-        ax.spines[:].set_visible(False)
-        ax.tick_params(length=0, labelsize=SMALL)
         _budget_ticks(ax, budgets)
         ax.set_yticks(np.arange(len(ratios)) + 0.5, [_percent(ratio) for ratio in ratios])
         ax.label_outer()
         if trained_at is not None and trained_at in budgets:
-            column = list(budgets).index(trained_at)
-            corner, wide = (edges[column], 0), edges[column + 1] - edges[column]
-            for colour, width in ((ON_DARK, 3.0), (ON_LIGHT, 1.3)):
-                frame = Rectangle(corner, wide, len(ratios), fill=False, clip_on=False, zorder=4)
-                frame.set(edgecolor=colour, linewidth=width)
-                ax.add_patch(frame)
+            _frame_column(ax, edges, list(budgets).index(trained_at), len(ratios))
         labels += _cell_labels(ax, edges, accuracy, norm)
     for ax in list(axes.flat)[len(panels) :]:
         ax.remove()
@@ -155,6 +141,30 @@ def heat_figure(
     plain_bar(bar)
     _keep_if_they_fit(figure, labels, edges)
     return figure
+
+
+def _cells(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normalize) -> None:
+    """Draw a cell for each accuracy, blank where there is none."""
+    ax.pcolormesh(
+        edges,
+        np.arange(len(accuracy) + 1),
+        np.ma.masked_invalid(accuracy),
+        cmap=SEQUENTIAL,
+        norm=norm,
+        edgecolors=PAPER,
+        linewidth=0.4,
+    )
+    ax.spines[:].set_visible(False)
+    ax.tick_params(length=0, labelsize=SMALL)
+
+
+def _frame_column(ax: Axes, edges: np.ndarray, column: int, rows: int) -> None:
+    """Frame one column of cells, dark on light ink."""
+    corner, wide = (edges[column], 0), edges[column + 1] - edges[column]
+    for colour, width in ((ON_DARK, 3.0), (ON_LIGHT, 1.3)):
+        frame = Rectangle(corner, wide, rows, fill=False, clip_on=False, zorder=4)
+        frame.set(edgecolor=colour, linewidth=width)
+        ax.add_patch(frame)
 
 
 @styled
@@ -196,11 +206,10 @@ def contour_figure(
         symmetric about 0.
     """
     difference = second - first
-    norm, top = _accuracy_range((first, second)), difference_levels(difference)
+    norm, steps = _accuracy_range((first, second)), difference_levels(difference)
     low = round(10 * float(norm.vmin or 0))
     levels = [*(k / 10 for k in range(low, 10)), 0.95, 1.0]
-    accuracy_norm = BoundaryNorm(levels, 256)
-    difference_norm = BoundaryNorm(top, 256)
+    accuracy_norm, difference_norm = BoundaryNorm(levels, 256), BoundaryNorm(steps, 256)
     figure = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     x, y = np.log10(budgets), np.log10(ratios)
@@ -208,22 +217,10 @@ def contour_figure(
         _contours(ax, x, y, values, accuracy_norm, SEQUENTIAL)
         _dots(ax, x, y, values, np.isfinite(values), "o", accuracy_norm, SEQUENTIAL)
         ax.set_title(heading)
-    ax = axes[2]
-    _contours(ax, x, y, difference, difference_norm, DIVERGING)
     clear = np.zeros(difference.shape, dtype=bool) if apart is None else np.asarray(apart)
-    up, down = clear & (difference > 0), clear & (difference < 0)
-    same = np.isfinite(difference) & ~up & ~down
-    for marker, where in (("o", same), ("^", up), ("v", down)):
-        _dots(ax, x, y, difference, where, marker, difference_norm, DIVERGING)
-    ax.set_title("difference")
+    _difference_panel(axes[2], x, y, difference, clear, difference_norm)
     for ax in axes:
-        ax.set_xlim(x[0] - 0.06 * max(np.ptp(x), 1), x[-1] + 0.06 * max(np.ptp(x), 1))
-        ax.set_ylim(y[0] - 0.06 * max(np.ptp(y), 1), y[-1] + 0.06 * max(np.ptp(y), 1))
-        _budget_ticks(ax, budgets)
-        ax.yaxis.set_major_locator(FixedLocator([math.log10(r) for r in _ratio_ticks(ratios)]))
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(10**value)))
-        ax.tick_params(labelsize=SMALL)
-        ax.set_xlabel("photon budget Φ")
+        _logarithmic(ax, budgets, ratios)
     if pixels and _dim_lines(axes, pixels):
         key = Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
         words = "0.1 photons per pixel and measurement; fewer above and left of it"
@@ -231,22 +228,56 @@ def contour_figure(
             [key], [words], loc="outside lower center", frameon=False, fontsize=8, handlelength=3
         )
     axes[0].set_ylabel("compression ratio m/N")
-    beside: dict[str, Any] = {"location": "right", "aspect": 22, "pad": 0.02}
-    middles = (top[1:] + top[:-1]) / 2
-    for scale, colours, label, panels, ticks, text in (
-        (accuracy_norm, SEQUENTIAL, "accuracy", axes[:2], levels[::-2], "{:g}".format),
-        (difference_norm, DIVERGING, f"{names[1]}\n− {names[0]}", axes[2:], middles, signed_text),
-    ):
-        bar = figure.colorbar(
-            ScalarMappable(scale, colours),
-            ax=list(panels),
-            label=label,
-            spacing="proportional",
-            **beside,
-        )
-        plain_bar(bar)
-        bar.set_ticks(ticks, labels=[text(value) for value in ticks])
+    bar = _bar_beside(axes[:2], accuracy_norm, SEQUENTIAL, "accuracy")
+    bar.set_ticks(levels[::-2], labels=[f"{level:g}" for level in levels[::-2]])
+    middles = (steps[1:] + steps[:-1]) / 2
+    bar = _bar_beside(axes[2:], difference_norm, DIVERGING, f"{names[1]}\n− {names[0]}")
+    bar.set_ticks(middles, labels=[signed_text(value) for value in middles])
     return figure
+
+
+def _difference_panel(
+    ax: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    values: np.ndarray,
+    clear: np.ndarray,
+    norm: BoundaryNorm,
+) -> None:
+    """Draw differences, as triangles where they are clear, in log10 coordinates."""
+    _contours(ax, x, y, values, norm, DIVERGING)
+    up, down = clear & (values > 0), clear & (values < 0)
+    same = np.isfinite(values) & ~up & ~down
+    for marker, where in (("o", same), ("^", up), ("v", down)):
+        _dots(ax, x, y, values, where, marker, norm, DIVERGING)
+    ax.set_title("difference")
+
+
+def _logarithmic(ax: Axes, budgets: Sequence[float], ratios: Sequence[float]) -> None:
+    """Limits and ticks of axes of log10 budget and log10 ratio."""
+    x, y = np.log10(budgets), np.log10(ratios)
+    ax.set_xlim(x[0] - 0.06 * max(np.ptp(x), 1), x[-1] + 0.06 * max(np.ptp(x), 1))
+    ax.set_ylim(y[0] - 0.06 * max(np.ptp(y), 1), y[-1] + 0.06 * max(np.ptp(y), 1))
+    _budget_ticks(ax, budgets)
+    ax.yaxis.set_major_locator(FixedLocator([math.log10(r) for r in _ratio_ticks(ratios)]))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(10**value)))
+    ax.tick_params(labelsize=SMALL)
+    ax.set_xlabel("photon budget Φ")
+
+
+def _bar_beside(axes: np.ndarray, norm: BoundaryNorm, colours: str, label: str) -> Colorbar:
+    """Draw the colour bar of some panels at their right."""
+    bar = axes[0].figure.colorbar(
+        ScalarMappable(norm, colours),
+        ax=list(axes),
+        label=label,
+        spacing="proportional",
+        location="right",
+        aspect=22,
+        pad=0.02,
+    )
+    plain_bar(bar)
+    return bar
 
 
 def _percent(ratio: float) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import COVERS
 from deepfsi.optics import codes
+from deepfsi.statistics.differences import of_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -117,13 +118,10 @@ def point(
     pixels : int
         N, of one mask.
     """
-    from scipy import stats
-
     tests = [record["test"][index] for record, index in members]
     accuracy = np.array([test["accuracy"] for test in tests])
     if len(tests) > 1:
-        half = stats.t.ppf(0.975, len(tests) - 1) * stats.sem(accuracy)
-        low, high = float(accuracy.mean() - half), float(accuracy.mean() + half)
+        low, high = of_trials(accuracy.tolist()).interval()
         covers = f"training seeds (Student's t over {len(tests)} trials)"
     else:
         low, high, covers = tests[0]["low"], tests[0]["high"], COVERS
