@@ -15,9 +15,9 @@ from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
-from test_study_page import example
 
 from deepfsi.report import build, write_study
+from shared.pages import example
 from shared.results import make_results
 
 FLAGS = (

@@ -6,156 +6,15 @@ import sys
 
 import numpy as np
 import pytest
-from test_report import Wellformed, words_of
 
 from deepfsi.errors import InputError
 from deepfsi.report import (
-    Claim,
-    Picture,
     Section,
     Table,
-    accuracy_figure,
-    count_figure,
-    masks_figure,
-    values_figure,
     write_study,
 )
 from deepfsi.report.study_page import Shown, columns
-from shared.results import make_results
-
-SCRIPT = "<script>window.harmed = true</script>"
-LONG = "Donaudampfschifffahrtsgesellschaftskapitänsmützenabzeichenverleihungsurkunde"
-
-
-def accuracy_table() -> Table:
-    """Sixty rows of words, numbers of every size, and values that are missing."""
-    rng = np.random.default_rng(1)
-    designs = ["DeepFSI", "PCA (FSI)", "truncated Hadamard", "raster scan", SCRIPT, LONG]
-    rows = []
-    for i in range(60):
-        accuracy = float(rng.uniform(0.1, 0.97))
-        rows.append(
-            (
-                designs[i % 6],
-                "photon noise" if i % 2 else "Gaussian read noise",
-                float(10 ** (2 + i % 5)),
-                int(rng.integers(1, 1025)),
-                None if i % 10 == 3 else accuracy,
-                accuracy - 0.004,
-                accuracy + 0.004,
-                float(10.0 ** -rng.integers(2, 9)),
-                12 + i,
-                "chosen" if i % 7 == 0 else None,
-            )
-        )
-    heads = (
-        "design",
-        "noise",
-        "photons",
-        "masks",
-        "accuracy",
-        "low",
-        "high",
-        "p",
-        "seed",
-        "choice",
-    )
-    return Table("Test accuracy of every design, budget and seed.", heads, tuple(rows))
-
-
-def example(folder) -> list[Section]:
-    """Two experiments with what a real study has, and with words that break careless pages."""
-    one = make_results(folder / "one")
-    two = make_results(folder / "two", noises=("poisson", "gaussian"), budgets=(1e2, 1e3, 1e5))
-    matrix = np.random.default_rng(0).normal(size=(12, 256)) / 12
-    spectra = np.random.default_rng(2).normal(size=(4, 30))
-    facts = {
-        "versions": {"deepfsi": "0.1.0", "torch": "2.13.0", "python": "3.11.2"},
-        "device": {"name": "cpu", "threads": 2, "instructions": ["avx512f", "amx_bf16"]},
-        "data": {
-            "name": SCRIPT,
-            "hash": "5f70bf18a086007016e948b04aed3b82103a36bea417",
-        },
-        "seeds": [0, 1, 2],
-        "seconds": 5321.7,
-    }
-    learned = Claim(
-        "Learned masks classify better than principal components at every photon budget tested.",
-        True,
-        "+0.084 (0.071 to 0.097) at 10⁴ photons; +0.012 (0.006 to 0.018) at 10⁶ photons",
-        "All five intervals of the difference lie above 0.",
-    )
-    raster = Claim(
-        "Raster scan is better than impulse imaging.",
-        False,
-        "−0.762 (−0.770 to −0.754)",
-        "The interval lies below 0: with the same light, each pixel is seen for 1/N of the time.",
-    )
-    undecided = Claim(
-        f"The {LONG} of {SCRIPT} needs fewer masks than truncated Hadamard.",
-        None,
-        "−1 mask (−6 to 4)",
-    )
-    photon = Section(
-        name="photon-noise",
-        title="Accuracy under photon noise",
-        found="DeepFSI leads at every budget. At 10⁴ photons it reaches 0.924 (0.919 to 0.929) "
-        "with ten masks, PCA 0.843 (0.836 to 0.850); above 10⁶ photons the designs differ by less "
-        "than the spread between seeds. Impulse imaging, which has a detector for each pixel, is "
-        "the bound that nothing passes.",
-        paper="DeepFSI needs about a tenth of the photons that PCA needs for the same accuracy, "
-        "and the advantage grows as light gets scarce. Raster scan and Hadamard fall to chance "
-        "below 10⁴ photons.",
-        pictures=(
-            Picture(
-                accuracy_figure(one),
-                "Test accuracy against the photon budget, each design at its best number of masks. "
-                "Bars are 95 % intervals over three seeds of training.",
-                "Accuracy rises with photons; DeepFSI is above PCA.",
-            ),
-            Picture(
-                count_figure(one),
-                "Accuracy against the number of masks; filled markers were chosen on validation "
-                "data.",
-                "Accuracy falls slowly with the number of masks.",
-            ),
-            Picture(
-                masks_figure(matrix, (16, 16), title="Learned at 10⁴ photons"),
-                f"The twelve brightest masks learned on {SCRIPT}.",
-                "Twelve images of masks.",
-            ),
-            Picture(values_figure(matrix), "How their values are distributed.", "A histogram."),
-        ),
-        claims=(learned, raster, undecided) * 3,
-        tables=(
-            accuracy_table(),
-            Table("Photons needed for an accuracy of 0.8.", ("design", "photons"), ()),
-        ),
-        files=("photon-noise/accuracy.csv", "photon-noise/masks 10.csv"),
-        command="deepfsi experiment photon-noise --data mnist --photons 1e2,1e3,1e4,1e5,1e6 "
-        f"--trials 3 -o runs/paper/photon-noise # {LONG}",
-        facts=facts,
-    )
-    read = Section(
-        name="read-noise",
-        title=f"Read noise on {SCRIPT}: Hadamard gains, and {LONG}",
-        found="Hadamard gains over raster scan as theory says.",
-        paper="Multiplexing helps when the noise does not grow with the light.",
-        pictures=(
-            Picture(
-                accuracy_figure(two),
-                "Accuracy under both noises. The budgets differ, so that both cover one axis.",
-                "Two panels of accuracy against photons.",
-            ),
-            Picture(masks_figure(spectra, (30,)), "Masks for spectra.", "Four curves."),
-        ),
-        claims=(raster, undecided),
-        tables=(accuracy_table(),),
-        files=(),
-        command="deepfsi experiment read-noise",
-        facts={},
-    )
-    return [photon, read]
+from shared.pages import SCRIPT, Wellformed, example, words_of
 
 
 def page_of(folder, sections) -> str:

@@ -1,59 +1,27 @@
-"""The report: one page that needs nothing else, and figures that say what the numbers say."""
+"""The page of a comparison needs nothing else, and says what the numbers say."""
 
 import json
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 
-import matplotlib
-import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.report import accuracy_figure, build, count_figure, masks_figure, values_figure
+from deepfsi.report import (
+    accuracy_figure,
+    build,
+    count_figure,
+)
 from deepfsi.report.comparison_page import summary
-from deepfsi.report.masks import signed
-from deepfsi.report.style import photons_text, svg
 from deepfsi.sweeps.results import write_results
-from shared.results import DESIGNS, make_results, with_all
+from shared.pages import Wellformed, words_of
+from shared.results import make_results, with_all
 
 
 def page_of(folder):
     return build(folder).read_text(encoding="utf-8")
-
-
-def words_of(page):
-    """Text that a reader sees, without styles and scripts."""
-    bare = re.sub(r"<(style|script).*?</\1>", "", page, flags=re.DOTALL)
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", bare))
-
-
-class Wellformed(HTMLParser):
-    """Collects ids and addresses, and checks that elements close in order."""
-
-    VOID = frozenset(("meta", "path", "use", "image", "circle", "rect", "br"))
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.ids, self.addresses = [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.ids += [value for name, value in attrs if name == "id"]
-        self.addresses += [v for name, v in attrs if name in ("src", "href", "xlink:href")]
-        self.addresses += re.findall(r"url\(([^)]*)\)", " ".join(v or "" for _, v in attrs))
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in self.VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        if tag not in self.VOID:
-            assert self.open.pop() == tag
 
 
 def test_page_is_one_self_contained_document(tmp_path):
@@ -126,37 +94,6 @@ def test_summary_follows_the_numbers(tmp_path):
     assert "do not overlap" not in summary(with_all(results, low=0.0, high=1.0), "poisson")
 
 
-def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
-    results = make_results(tmp_path)
-    figure = accuracy_figure(results)
-    (ax,) = figure.axes
-    drawn = [line for line in ax.lines if not line.get_label().startswith("_")]
-    markers = {line.get_label(): line.get_marker() for line in drawn}
-    assert markers == {"FSI": "o", "DFSI": "o", "II": "s", "RS": "s", "TH": "s"}
-    assert ax.get_xscale() == "log"
-    named = {text.get_text() for text in ax.texts}
-    assert named == {"", "chance", *markers}
-    assert len({line.get_color() for line in drawn}) == len(DESIGNS)
-
-
-def test_error_bars_are_the_intervals(tmp_path):
-    results = make_results(tmp_path, designs=("deepfsi",), budgets=(1e3,))
-    best = next(p for p in results.points if p.best)
-    (ax,) = accuracy_figure(results).axes
-    (bar,) = (c for c in ax.collections if "LineCollection" in type(c).__name__)
-    (segment,) = bar.get_segments()
-    np.testing.assert_allclose(sorted(segment[:, 1]), [best.low, best.high])
-
-
-def test_names_at_the_edge_do_not_touch(tmp_path):
-    results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
-    figure = accuracy_figure(with_all(results, accuracy=0.99, low=0.99, high=0.99))
-    figure.draw_without_rendering()
-    boxes = [t.get_window_extent() for t in figure.axes[0].texts if t.get_text()]
-    assert len(boxes) == 4
-    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
-
-
 def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
     results = make_results(
         tmp_path,
@@ -175,50 +112,6 @@ def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
     assert len(count_figure(results).axes) == 4
     text = words_of(page_of(tmp_path))
     assert "DeepFSI free-dwell, Gaussian read noise" in text
-
-
-def test_masks_have_a_symmetric_scale_and_one_colour_bar():
-    matrix = np.random.default_rng(1).normal(0.3, 1, (14, 24))
-    figure = masks_figure(matrix, (4, 6), title="a $title$ as it is")
-    images = [ax.images[0] for ax in figure.axes if ax.images and ax.get_visible()]
-    assert len(images) == 12
-    limits = {image.get_clim() for image in images}
-    assert limits == {(-np.abs(matrix).max(), np.abs(matrix).max())}
-    middle = images[0].to_rgba(np.zeros((1, 1)))[0, 0, :3]
-    assert np.ptp(middle) < 0.02
-    labels = [ax.get_xlabel() for ax in figure.axes if ax.get_xlabel()]
-    assert labels == ["share of a pixel's photons, Mᵢⱼ"]
-    energy = [np.abs(image.get_array()).sum() for image in images]
-    assert energy == sorted(energy, reverse=True)
-    assert figure.get_suptitle() == "a $title$ as it is"
-
-
-def test_rails_become_signed_masks():
-    matrix = np.random.default_rng(2).normal(size=(3, 8))
-    rails = np.stack([matrix.clip(min=0), -matrix.clip(max=0)])
-    np.testing.assert_array_equal(signed(rails), matrix)
-    np.testing.assert_array_equal(signed(rails[:1]), rails[0])
-    np.testing.assert_array_equal(signed(matrix), matrix)
-
-
-def test_spectra_are_curves():
-    matrix = np.random.default_rng(3).normal(size=(4, 30))
-    figure = masks_figure(matrix, (30,))
-    curves = [ax.lines[-1].get_ydata() for ax in figure.axes if ax.get_visible()]
-    assert len(curves) == 4
-    assert all(any(np.array_equal(curve, row) for row in matrix) for curve in curves)
-    assert not any(ax.images for ax in figure.axes)
-    low, high = figure.axes[0].get_ylim()
-    assert low == -high
-
-
-def test_values_hold_every_entry_once():
-    matrix = np.random.default_rng(4).normal(size=(5, 20))
-    (ax,) = values_figure(matrix).axes
-    heights, edges, _ = ax.patches[0].get_data()
-    assert heights.sum() == pytest.approx(1)
-    assert edges[0] == -edges[-1] == pytest.approx(-np.abs(matrix).max())
-    assert ax.get_yscale() == "log"
 
 
 @pytest.mark.parametrize(
@@ -246,12 +139,6 @@ def test_small_and_odd_comparisons_make_a_page(tmp_path, case):
     assert ("scale-figure_1" in page) == ("<h2>Learned masks" in page and images)
 
 
-def test_dark_masks_can_be_drawn():
-    dark = np.zeros((1, 4))
-    assert svg(masks_figure(dark, (2, 2)), "a", "masks")
-    assert svg(values_figure(dark), "b", "values")
-
-
 def test_designs_that_were_not_kept_are_said_to_be_missing(tmp_path):
     make_results(tmp_path)
     for file in (tmp_path / "designs").iterdir():
@@ -274,36 +161,6 @@ def test_markup_in_names_is_text(tmp_path):
 def test_same_results_make_the_same_page(tmp_path):
     make_results(tmp_path)
     assert page_of(tmp_path) == page_of(tmp_path)
-
-
-def test_figures_leave_matplotlib_as_it_was(tmp_path):
-    before = dict(matplotlib.rcParams)
-    svg(accuracy_figure(make_results(tmp_path)), "a", "words")
-    assert dict(matplotlib.rcParams) == before
-
-
-def test_svg_colours_follow_the_page(tmp_path):
-    text = svg(accuracy_figure(make_results(tmp_path)), "a", 'quoted "words"')
-    assert "var(--deepfsi)" in text
-    assert "var(--ink)" in text
-    assert "#d55e00" not in text
-    assert 'aria-label="quoted &quot;words&quot;"' in text
-    assert "<metadata" not in text
-
-
-@pytest.mark.parametrize(
-    ("photons", "text"),
-    [
-        (30.0, "30"),
-        (1e3, "1000"),
-        (1e4, "10⁴"),
-        (3e5, "3 × 10⁵"),
-        (2.5e10, "2.5 × 10¹⁰"),
-        (0.5, "0.5"),
-    ],
-)
-def test_budgets_are_written_as_people_do(photons, text):
-    assert photons_text(photons) == text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,37 @@
+"""Figures of accuracy say what the numbers say."""
+
+import numpy as np
+
+from deepfsi.report import accuracy_figure
+from shared.results import DESIGNS, make_results, with_all
+
+
+def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
+    results = make_results(tmp_path)
+    figure = accuracy_figure(results)
+    (ax,) = figure.axes
+    drawn = [line for line in ax.lines if not line.get_label().startswith("_")]
+    markers = {line.get_label(): line.get_marker() for line in drawn}
+    assert markers == {"FSI": "o", "DFSI": "o", "II": "s", "RS": "s", "TH": "s"}
+    assert ax.get_xscale() == "log"
+    named = {text.get_text() for text in ax.texts}
+    assert named == {"", "chance", *markers}
+    assert len({line.get_color() for line in drawn}) == len(DESIGNS)
+
+
+def test_error_bars_are_the_intervals(tmp_path):
+    results = make_results(tmp_path, designs=("deepfsi",), budgets=(1e3,))
+    best = next(p for p in results.points if p.best)
+    (ax,) = accuracy_figure(results).axes
+    (bar,) = (c for c in ax.collections if "LineCollection" in type(c).__name__)
+    (segment,) = bar.get_segments()
+    np.testing.assert_allclose(sorted(segment[:, 1]), [best.low, best.high])
+
+
+def test_names_at_the_edge_do_not_touch(tmp_path):
+    results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
+    figure = accuracy_figure(with_all(results, accuracy=0.99, low=0.99, high=0.99))
+    figure.draw_without_rendering()
+    boxes = [t.get_window_extent() for t in figure.axes[0].texts if t.get_text()]
+    assert len(boxes) == 4
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])

@@ -1,0 +1,58 @@
+"""Pictures of masks: one symmetric scale, every value once."""
+
+import numpy as np
+import pytest
+
+from deepfsi.report import masks_figure, values_figure
+from deepfsi.report.masks import signed
+from deepfsi.report.style import svg
+
+
+def test_masks_have_a_symmetric_scale_and_one_colour_bar():
+    matrix = np.random.default_rng(1).normal(0.3, 1, (14, 24))
+    figure = masks_figure(matrix, (4, 6), title="a $title$ as it is")
+    images = [ax.images[0] for ax in figure.axes if ax.images and ax.get_visible()]
+    assert len(images) == 12
+    limits = {image.get_clim() for image in images}
+    assert limits == {(-np.abs(matrix).max(), np.abs(matrix).max())}
+    middle = images[0].to_rgba(np.zeros((1, 1)))[0, 0, :3]
+    assert np.ptp(middle) < 0.02
+    labels = [ax.get_xlabel() for ax in figure.axes if ax.get_xlabel()]
+    assert labels == ["share of a pixel's photons, Mᵢⱼ"]
+    energy = [np.abs(image.get_array()).sum() for image in images]
+    assert energy == sorted(energy, reverse=True)
+    assert figure.get_suptitle() == "a $title$ as it is"
+
+
+def test_rails_become_signed_masks():
+    matrix = np.random.default_rng(2).normal(size=(3, 8))
+    rails = np.stack([matrix.clip(min=0), -matrix.clip(max=0)])
+    np.testing.assert_array_equal(signed(rails), matrix)
+    np.testing.assert_array_equal(signed(rails[:1]), rails[0])
+    np.testing.assert_array_equal(signed(matrix), matrix)
+
+
+def test_spectra_are_curves():
+    matrix = np.random.default_rng(3).normal(size=(4, 30))
+    figure = masks_figure(matrix, (30,))
+    curves = [ax.lines[-1].get_ydata() for ax in figure.axes if ax.get_visible()]
+    assert len(curves) == 4
+    assert all(any(np.array_equal(curve, row) for row in matrix) for curve in curves)
+    assert not any(ax.images for ax in figure.axes)
+    low, high = figure.axes[0].get_ylim()
+    assert low == -high
+
+
+def test_values_hold_every_entry_once():
+    matrix = np.random.default_rng(4).normal(size=(5, 20))
+    (ax,) = values_figure(matrix).axes
+    heights, edges, _ = ax.patches[0].get_data()
+    assert heights.sum() == pytest.approx(1)
+    assert edges[0] == -edges[-1] == pytest.approx(-np.abs(matrix).max())
+    assert ax.get_yscale() == "log"
+
+
+def test_dark_masks_can_be_drawn():
+    dark = np.zeros((1, 4))
+    assert svg(masks_figure(dark, (2, 2)), "a", "masks")
+    assert svg(values_figure(dark), "b", "values")
