@@ -8,6 +8,7 @@ import numpy as np
 from deepfsi.datasets import Dataset
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import Workers
 
@@ -22,3 +23,16 @@ def train_trials(
     """Records of trials of one data set, by `Workers(**workers)`."""
     context = SweepContext(data, trials[0].validation, matrix=matrix)
     return run_trials(trials, context, folder, Workers(**workers))
+
+
+def small(**changes: Any) -> Recipe:
+    """Recipe of a moment on digits."""
+    settings = {
+        "designs": ("pca", "deepfsi"),
+        "photons": (1e2, 1e3),
+        "masks": (3, 6),
+        "draws": 1,
+        "training": {"epochs": 2},
+        **changes,
+    }
+    return Recipe(**settings)

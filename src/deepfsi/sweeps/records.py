@@ -126,7 +126,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         trial = record["trial"]
         settings = {**trial["job"], **trial["job"]["training"]}
         settings["training_noise"] = settings.pop("noise")
-        settings["training_levels"] = settings.pop("levels", 0)
+        settings["training_levels"] = settings.pop("levels")
         settings["hidden"] = "-".join(map(str, settings["hidden"]))
         del settings["training"]
         for index, test in enumerate(record["test"]):

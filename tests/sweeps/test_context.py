@@ -1,0 +1,100 @@
+"""Trials of whole scenes: batched, trained and tested."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi.design.artifact import Design
+from deepfsi.sweeps import context
+from deepfsi.sweeps.context import SweepContext
+from deepfsi.sweeps.trial import plan
+from deepfsi.training.learning import train
+from deepfsi.training.memory import footprint
+from deepfsi.training.training_set import TrainingSet
+from shared.trials import small, train_trials
+
+
+def test_tests_count_grey_levels_as_the_training_does(digits):
+    (trial,) = plan(small(designs="pca", masks=3, photons=1e3, light="equal-dwell"), digits)
+    (design,) = train(TrainingSet(digits, "cpu"), [trial.job])
+    shown = design.quantised(2).rails.unique().double()
+    near = torch.isclose(shown, shown.max(), rtol=1e-6) | (shown == 0)
+    assert near.all()
+    with pytest.raises(ValueError, match="dark alone"):
+        small(test_levels=(0, 1))
+
+
+def test_batches_are_split_to_fit_the_memory(digits):
+    trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
+    sweep = SweepContext(digits, 0, "cpu")
+    need = [footprint(sweep.training_set, [trial.job for trial in trials[:n]]) for n in (1, 2, 4)]
+    assert need == sorted(set(need))
+    for limit, sizes in ((0, [1, 1, 1, 1]), (need[1], [2, 2]), (need[2], [4])):
+        assert [len(batch) for batch in sweep.batches_within(trials, limit)] == sizes
+
+
+def test_a_processor_is_not_crowded_with_learned_masks(digits, monkeypatch):
+    monkeypatch.setattr(context, "MASKS_AT_ONCE", 12)
+    recipe = small(designs=("pca", "deepfsi"), masks=6, photons=(1e1, 1e2, 1e3, 1e4))
+    found = SweepContext(digits, 0, "cpu").batches_within(plan(recipe, digits), 1e12)
+    assert {batch[0].job.design: len(batch) for batch in found} == {"pca": 4, "deepfsi": 2}
+
+
+def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch):
+    real = context.train
+
+    def train(scenes, jobs, *rest):
+        if len(jobs) > 1:
+            raise torch.OutOfMemoryError
+        return real(scenes, jobs, *rest)
+
+    trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)
+    monkeypatch.setattr(context, "train", train)
+    assert len(train_trials(trials, digits, tmp_path)) == len(trials)
+
+
+def test_every_trial_is_in_one_batch(digits):
+    trials = plan(small(trials=3, photons=(1e2, 1e7)), digits)
+    sweep = SweepContext(digits, 0, "cpu")
+    found = sweep.batches_within(trials, 1e12)
+    assert sorted(trial.key for batch in found for trial in batch) == sorted(
+        trial.key for trial in trials
+    )
+    costs = [sweep.effort(batch) for batch in found]
+    assert costs == sorted(costs, reverse=True)
+
+
+def test_a_machine_that_batches_otherwise_still_works(digits, monkeypatch):
+    """The one that planned had no bfloat16, this one has."""
+    trials = plan(small(designs="deepfsi", masks=3, photons=(1e3, 1e9)), digits)
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    assert len(SweepContext(digits, 0, "cpu").train(trials)) == len(trials)
+
+
+def test_a_trial_does_not_depend_on_its_companions(digits, tmp_path):
+    alone = plan(small(photons=1e3, masks=3), digits)
+    together = plan(small(photons=(1e2, 1e3, 1e4), masks=3), digits)
+    train_trials(alone, digits, tmp_path / "alone")
+    train_trials(together, digits, tmp_path / "together")
+    for trial in alone:
+        name = f"{trial.design_key}.safetensors"
+        one = Design.load(tmp_path / "alone" / "designs" / name)
+        other = Design.load(tmp_path / "together" / "designs" / name)
+        np.testing.assert_allclose(one.matrix, other.matrix, rtol=0, atol=1e-4)
+
+
+def test_validation_scenes_are_not_trained_on(digits, tmp_path, monkeypatch):
+    seen = []
+    real = context.TrainingSet
+    monkeypatch.setattr(context, "TrainingSet", lambda data, *_: seen.append(data) or real(data))
+    train_trials(plan(small(designs="pca", masks=3, validation=200), digits), digits, tmp_path)
+    (parts,) = seen
+    assert len(parts.x_train) == len(digits.x_train) - 200
+    assert np.array_equal(parts.x_test, digits.x_train[-200:])
+
+
+def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
+    matrix = np.eye(64)[:5] / 5
+    trials = plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
+    assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
+    assert len(train_trials(trials, digits, tmp_path, matrix=matrix)) == len(trials)

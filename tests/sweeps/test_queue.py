@@ -1,0 +1,165 @@
+"""Trials that are stopped, killed, shared and repeated."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.sweeps import context
+from deepfsi.sweeps.trial import plan
+from shared.trials import small, train_trials
+
+
+def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
+    trials = plan(small(), digits)
+    first = train_trials(trials, digits, tmp_path)
+    monkeypatch.setattr(context, "train", lambda *_: pytest.fail("a finished trial was repeated"))
+    assert train_trials(trials, digits, tmp_path) == first
+    record = first[-1]
+    design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
+    job = record["trial"]["job"]
+    again = evaluate(design, digits, job["photons"], draws=1, seed=job["seed"])[0]
+    assert again.accuracy == record["test"][0]["accuracy"]
+    assert not list(tmp_path.glob("**/.*"))
+
+
+def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
+    trials = plan(small(), digits)
+    real, calls = context.train, []
+
+    def stop_at_third(*arguments):
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(context, "train", stop_at_third)
+    with pytest.raises(KeyboardInterrupt):
+        train_trials(trials, digits, tmp_path)
+    assert len(list((tmp_path / "trials").iterdir())) == 4
+    train_trials(trials, digits, tmp_path)
+    assert len(calls) == 3 + 2
+
+
+@pytest.mark.slow
+def test_a_killed_process_leaves_only_whole_records(tmp_path):
+    command = [sys.executable, "-m", "deepfsi", "compare", "--designs", "pca,random"]
+    command += ["--epochs", "4", "--photons", "1e2", "--masks", "1,2,3,4,5,6", "--trials", "1"]
+    command += ["--workers", "1", "-o", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    trials = tmp_path / "trials"
+    deadline = time.monotonic() + 120
+    while not (trials.is_dir() and len(list(trials.glob("*.json"))) >= 2):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    left = {path: path.stat().st_mtime_ns for path in trials.glob("*.json")}
+    for path in left:
+        assert json.loads(path.read_text())["test"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert len(list(trials.glob("*.json"))) == 12
+    assert {path: path.stat().st_mtime_ns for path in left} == left
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """Keys of all jobs that are trained, as often as they are."""
+    real, seen = context.train, []
+
+    def train(scenes, jobs, *rest):
+        seen.extend(job.model_dump_json() for job in jobs)
+        return real(scenes, jobs, *rest)
+
+    monkeypatch.setattr(context, "train", train)
+    return seen
+
+
+def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained):
+    trials = plan(small(trials=4, designs=("pca", "random", "lda")), digits)
+    with ThreadPoolExecutor() as pool:
+        runs = [pool.submit(train_trials, trials, digits, tmp_path) for _ in range(3)]
+        found = [run.result() for run in runs]
+    assert len(trained) == len(trials)
+    assert found[0] == found[1] == found[2]
+    assert [record["key"] for record in found[0]] == [trial.key for trial in trials]
+    assert not list(tmp_path.glob("**/*.lock"))
+
+
+def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
+    train_trials(plan(small(), digits), digits, tmp_path)
+    count = len(trained)
+    more = small(test_photons=(1e3, 1e5), test_noise=("poisson", "ml_gauss"), test_levels=(0, 9))
+    records = train_trials(plan(more, digits), digits, tmp_path)
+    assert len(trained) == count
+    assert {len(record["test"]) for record in records} == {2 * 2 * 2}
+    fresh = train_trials(plan(more, digits), digits, tmp_path / "fresh")
+    for one, other in zip(records, fresh, strict=True):
+        assert [t["accuracy"] for t in one["test"]] == [t["accuracy"] for t in other["test"]]
+
+
+def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
+    train_trials(plan(small(), digits), digits, tmp_path)
+    trained.clear()
+    grown = small(masks=(3, 6, 9), trials=2)
+    train_trials(plan(grown, digits), digits, tmp_path)
+    assert len(trained) == 2 * 2 * 3 * 2 - 2 * 2 * 2
+
+
+def shared_training():
+    """Recipe of trials that differ in their tests only."""
+    return small(designs="pca", masks=3, noise=("poisson", "gaussian"), train_noise="gaussian")
+
+
+def test_trials_of_one_training_train_it_once(digits, tmp_path):
+    """The claim on their common design must not lock them out."""
+    trials = plan(shared_training(), digits)
+    assert len({trial.design_key for trial in trials}) == len(trials) / 2
+    assert len(train_trials(trials, digits, tmp_path)) == len(trials)
+    assert len(list((tmp_path / "designs").iterdir())) == len(trials) / 2
+
+
+@pytest.mark.slow
+def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
+    recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=2)
+    trials = plan(recipe, digits) + plan(shared_training(), digits)
+    mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
+    mine.start()
+    try:
+        two = train_trials(trials, digits, tmp_path / "two", count=2)
+        assert mine.is_alive()
+    finally:
+        mine.kill()
+        mine.join()
+        mine.close()
+    assert len(list((tmp_path / "two" / "designs").iterdir())) < len(trials)
+    one = train_trials(trials, digits, tmp_path / "one")
+    for first, second in zip(one, two, strict=True):
+        assert first["key"] == second["key"]
+        assert first["test"] == second["test"]
+
+
+@pytest.mark.slow
+def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
+    trials = plan(small(designs="deepfsi", photons=1e3, training={"epochs": 2, "lr": 1e30}), digits)
+    with pytest.raises(InputError, match="diverged"):
+        train_trials(trials, digits, tmp_path, count=2)
+    assert not list(tmp_path.glob("**/*.lock"))
+
+
+def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
+    recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
+    trials = plan(recipe, digits)
+    with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
+        train_trials(trials, digits, tmp_path)
+    assert len(list((tmp_path / "trials").iterdir())) == len(trials) / 2

@@ -1,0 +1,41 @@
+"""Records on disk, and their table."""
+
+import polars
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.sweeps.records import write_table
+from deepfsi.sweeps.trial import plan
+from shared.trials import small, train_trials
+
+
+def test_a_table_has_a_row_for_each_test(digits, tmp_path):
+    recipe = small(test_photons=(1e2, 1e4), test_levels=(0, 769))
+    records = train_trials(plan(recipe, digits), digits, tmp_path)
+    csv = polars.read_csv(write_table(records, tmp_path / "all.csv"))
+    parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
+    assert csv.shape == parquet.shape
+    assert len(csv) == len(records) * 4
+    assert csv["accuracy"].to_list() == [t["accuracy"] for r in records for t in r["test"]]
+    assert set(csv["levels"]) == {0, 769}
+    with pytest.raises(InputError, match=r"\.csv or \.parquet"):
+        write_table(records, tmp_path / "all.xls")
+
+
+def test_a_record_that_is_something_else_is_made_again(digits, tmp_path):
+    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    train_trials(trials, digits, tmp_path)
+    (path,) = (tmp_path / "trials").iterdir()
+    path.write_text("null")
+    assert len(train_trials(trials, digits, tmp_path)) == 1
+
+
+@pytest.mark.parametrize("loss", ["record", "design", "damage"])
+def test_what_is_lost_is_made_again(digits, tmp_path, loss):
+    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    train_trials(trials, digits, tmp_path)
+    (path,) = (tmp_path / ("designs" if loss == "design" else "trials")).iterdir()
+    path.write_text('{"key":') if loss == "damage" else path.unlink()
+    (again,) = train_trials(trials, digits, tmp_path)
+    assert again["key"] == trials[0].key
+    assert len(list(tmp_path.glob("*/*"))) == 2
