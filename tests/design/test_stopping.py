@@ -9,11 +9,9 @@ import pytest
 import torch
 
 from conftest import generator, quick
-from deepfsi.design import answers
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
-from deepfsi.optics.scanner import subtract
 
 HELD_OUT = 400
 PHOTONS = 2e5
@@ -136,13 +134,6 @@ def test_a_difference_is_that_of_its_means(stopped):
     assert stopped.as_dict()["rule"]["threshold"] == stopped.rule.threshold
 
 
-def test_calibration_error_is_that_of_groups_written_out():
-    confidence = np.repeat([0.5, 0.7, 1.0], 20 * answers.BINS)
-    right = np.concatenate([np.tile([1, 0], 10 * answers.BINS), np.ones(40 * answers.BINS)])
-    error = answers.calibration_error(answers.confidence_groups(confidence, right))
-    assert error == pytest.approx((0 + 0.3 + 0) / 3)
-
-
 @pytest.fixture(scope="module")
 def looking(digits):
     """A design of several looks."""
@@ -201,17 +192,3 @@ def test_counts_of_too_few_masks_are_refused(nested, stopped):
     with pytest.raises(InputError, match="2 to 10"):
         stopped.rule.classify(nested, np.ones(1), PHOTONS)
     assert stopped.rule.classify(nested, np.ones(10), PHOTONS)[1]
-
-
-def test_features_are_those_of_evaluate(nested, digits):
-    """Over more scenes than are exposed at once."""
-    x = np.tile(digits.x_test, (4, 1))
-    logits = answers.logits_at_stops(nested, x, 1e3, 2, 3)
-    draw, scanner = generator(3), nested.scanner()
-    head = scanner.rates(torch.from_numpy(x)[:1024] / nested.summed_reflectance) * 1e3
-    with torch.no_grad():
-        drawn = (subtract(scanner.read(head, draw)) for _ in range(2))
-        first, second = (nested.logits(features, 1e3).numpy() for features in drawn)
-    assert np.array_equal(logits[-1, 0:2048:2], first)
-    assert np.array_equal(logits[-1, 1:2048:2], second)
-    assert logits.shape == (9, 8 * len(digits.x_test), 10)

@@ -43,20 +43,6 @@ def learned(patches):
     return train(patches, PatchJob(photons=BUDGET, patch=4, training=SMALL))
 
 
-def test_patches_are_the_blocks_of_the_image():
-    image = np.arange(6 * 8).reshape(6, 8)
-    blocks = [image[i : i + 2, j : j + 2].ravel() for i in range(0, 6, 2) for j in range(0, 8, 2)]
-    scenes = torch.from_numpy(np.stack([image.ravel(), image.ravel()[::-1].copy()]))
-    found = cut(scenes, (6, 8), 2)
-    assert found.shape == (2, 12, 4)
-    assert np.array_equal(found[0], np.stack(blocks))
-
-
-def test_an_image_that_cannot_be_cut_so_is_refused():
-    with pytest.raises(InputError, match="divides both"):
-        cut(torch.zeros(1, 48), (6, 8), 4)
-
-
 def test_spectra_have_no_patches():
     with pytest.raises(InputError, match="no images"):
         Patches(synthetic((16,)), side=4, device="cpu")
