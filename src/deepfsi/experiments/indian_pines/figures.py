@@ -93,11 +93,7 @@ def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
 
 @styled
 def class_maps_figure(
-    scene: Overview,
-    rows: Sequence[ClassMap],
-    uses: Mapping[str, np.ndarray],
-    *,
-    title: str,
+    scene: Overview, rows: Sequence[ClassMap], uses: Mapping[str, np.ndarray], *, title: str
 ) -> Figure:
     """Maps of predicted classes, a row for each split, beside the truth and the test pixels.
 

@@ -158,8 +158,7 @@ def _found(results: Results) -> str:
     budgets = {each.photons for each in results.points}
     middle = min(sorted(budgets), key=lambda budget: abs(np.log10(budget) - 4))
     ranks = sorted(
-        (each for each in results.points if each.photons == middle),
-        key=lambda each: -each.accuracy,
+        (each for each in results.points if each.photons == middle), key=lambda each: -each.accuracy
     )
     return (
         f"{results.data.name} in grey, {size[0]} x {size[1]} pixels, in {patch} x {patch} "
