@@ -213,31 +213,31 @@ def descend(
 
 
 def learn(
-    scenes: TrainingSet, job: Job, estimator: Estimator | None, keep: np.ndarray | None = None
+    training_set: TrainingSet, job: Job, estimator: Estimator | None, keep: np.ndarray | None = None
 ) -> Design:
     """Train one dual-rail design as `deepfsi.training.train` does, but for the estimator.
 
     With masks to `keep`, a matrix (m, N), the classifier alone.
     """
     settings = job.training
-    gain = job.photons / scenes.summed_reflectance
+    gain = job.photons / training_set.summed_reflectance
     main = torch.Generator().manual_seed(job.seed)
     second = torch.Generator().manual_seed(job.seed + 2**31)
     network = Mlp(
         job.masks,
-        len(scenes.data.classes),
+        len(training_set.data.classes),
         settings.hidden,
         generator=torch.Generator().manual_seed(job.seed),
     )
-    pixels = scenes.pixels(job.light)
-    matrix = scenes.matrix(settings.start, job.masks, job.seed) if keep is None else keep
+    pixels = training_set.pixels(job.light)
+    matrix = training_set.matrix(settings.start, job.masks, job.seed) if keep is None else keep
     start = torch.from_numpy(matrix).float()
     masks = Learned(start[:, pixels].unsqueeze(0), job.light, job.rails)
     groups = [
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
-    x, count = scenes.centred(job.light, torch.float32), len(scenes.labels)
+    x, count = training_set.centred(job.light, torch.float32), len(training_set.labels)
     batch = min(settings.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, weight_decay=settings.decay, fused=True)
@@ -250,7 +250,7 @@ def learn(
             # drawn for every estimator, so that all see the scenes in the same order
             epsilon = torch.randn(batch, 1, job.masks, generator=main)
             chosen = x.index_select(0, functional.pad(rows, (0, 1), value=count))
-            labels = scenes.labels[rows]
+            labels = training_set.labels[rows]
             if estimator is None:
                 rails = masks.rails_to_measure()
                 features = measure(chosen, rails, epsilon * gain**-0.5, masks.disjoint)
@@ -269,30 +269,30 @@ def learn(
             optimiser.zero_grad(set_to_none=True)
             schedule.step()
     network.generator = None
-    return finish(scenes, job, masks, network.eval())
+    return finish(training_set, job, masks, network.eval())
 
 
-def finish(scenes: TrainingSet, job: Job, masks: Learned, network: Mlp) -> Design:
+def finish(training_set: TrainingSet, job: Job, masks: Learned, network: Mlp) -> Design:
     """The design as the package would store it: masks of all pixels, statistics of all scenes."""
     with torch.no_grad():
-        rails = torch.zeros(2, job.masks, scenes.data.pixels)
-        rails[..., scenes.pixels(job.light)] = constraints.separate(*masks())[0]
-        plus, minus = project(scenes.full, rails).unbind(dim=1)
-        light = (plus + minus).mean(dim=0)
-        power = (plus - minus).var(dim=0, correction=0) + light * (
-            scenes.summed_reflectance / job.photons
+        rails = torch.zeros(2, job.masks, training_set.data.pixels)
+        rails[..., training_set.pixels(job.light)] = constraints.separate(*masks())[0]
+        plus, minus = project(training_set.full, rails).unbind(dim=1)
+        counts = (plus + minus).mean(dim=0)
+        power = (plus - minus).var(dim=0, correction=0) + counts * (
+            training_set.summed_reflectance / job.photons
         )
         return Design(
             name=job.design,
             rails=constraints.check(rails, job.light),
             classifier=network,
-            mean=(plus - minus).mean(dim=0) / scenes.summed_reflectance,
-            std=power.mean().sqrt().expand(job.masks) / scenes.summed_reflectance,
-            shares=light / scenes.summed_reflectance,
-            summed_reflectance=scenes.summed_reflectance,
+            mean=(plus - minus).mean(dim=0) / training_set.summed_reflectance,
+            std=power.mean().sqrt().expand(job.masks) / training_set.summed_reflectance,
+            shares=counts / training_set.summed_reflectance,
+            summed_reflectance=training_set.summed_reflectance,
             light=job.light,
-            image_shape=scenes.data.image_shape,
-            classes=scenes.data.classes,
+            image_shape=training_set.data.image_shape,
+            classes=training_set.data.classes,
         )
 
 
@@ -322,7 +322,7 @@ class Study:
         held = replace(held, x_train=held.x_train[:images], y_train=held.y_train[:images])
         tested = replace(held, x_test=whole.x_test, y_test=whole.y_test)
         self.parts = {"validation": held, "test": tested}
-        self.scenes = TrainingSet(held, "cpu")
+        self.training_set = TrainingSet(held, "cpu")
         self.arguments = arguments
         self.trials: list[Trial] = []
 
@@ -343,10 +343,10 @@ class Study:
         )
         job = Job(masks=masks, photons=photons, seed=seed, training=settings)
         began = time.perf_counter()
-        design = learn(self.scenes, job, ESTIMATORS.get(name))
+        design = learn(self.training_set, job, ESTIMATORS.get(name))
         if name in (RETRAINED, TWICE):
             again = straight if name == RETRAINED else None
-            design = learn(self.scenes, job, again, keep=design.matrix)
+            design = learn(self.training_set, job, again, keep=design.matrix)
         seconds = time.perf_counter() - began
         (result,) = evaluate(design, self.parts[part], photons, seed=seed)
         done = Trial(
@@ -446,7 +446,7 @@ def main(given: Sequence[str] | None = None) -> None:
     torch.set_num_threads(1)
     study = Study(arguments)
     print(
-        f"{arguments.data}, {len(study.scenes.labels)} scenes, {arguments.epochs} epochs, "
+        f"{arguments.data}, {len(study.training_set.labels)} scenes, {arguments.epochs} epochs, "
         f"{arguments.seeds} seeds, torch {torch.__version__}\n"
     )
     print("| photons | masks | estimator | lr, mask lr | accuracy | less ml_gauss | seconds |")

@@ -102,7 +102,7 @@ def plain_epochs(
 
 
 def our_epochs(
-    scenes: TrainingSet, data: Dataset, masks: int, epochs: int, precision: str
+    training_set: TrainingSet, data: Dataset, masks: int, epochs: int, precision: str
 ) -> tuple[list[float], float]:
     """Seconds of each epoch, and test accuracy."""
     settings = TrainingSettings(
@@ -111,7 +111,7 @@ def our_epochs(
     ticks: list[float] = []
     job = Job(masks=masks, photons=BUDGET, training=settings)
     design = train(
-        scenes, [job], report=Report(lambda share, what: ticks.append(time.perf_counter()))
+        training_set, [job], report=Report(lambda share, what: ticks.append(time.perf_counter()))
     )[0]
     seconds = [stop - start for start, stop in itertools.pairwise(ticks)]
     return seconds, evaluate(design, data, BUDGET, draws=1)[0].accuracy
@@ -142,7 +142,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     data = load_dataset(arguments.data)
-    scenes = TrainingSet(data, "cpu")
+    training_set = TrainingSet(data, "cpu")
     print(
         f"{data.name}, {len(data.x_train)} scenes of {data.pixels} pixels, batch {BATCH}, ", end=""
     )
@@ -150,16 +150,16 @@ def main() -> None:
     print(f"{'masks':>5} {'products':>9} {'plain s/epoch':>14} {'ours':>7} {'ratio':>6} ", end="")
     print(f"{'bare':>7} {'share':>6}  accuracy plain, ours")
     for masks in arguments.masks:
-        start = scenes.matrix("pca", masks, 0)
+        start = training_set.matrix("pca", masks, 0)
         for precision in arguments.precision:
-            our_epochs(scenes, data, masks, 1, precision)
+            our_epochs(training_set, data, masks, 1, precision)
             times: dict[str, list[float]] = {"plain": [], "ours": [], "bare": []}
             for _ in range(arguments.rounds):
                 seconds, plain = plain_epochs(
-                    data, start, scenes.summed_reflectance, arguments.epochs
+                    data, start, training_set.summed_reflectance, arguments.epochs
                 )
                 times["plain"] += seconds
-                seconds, ours = our_epochs(scenes, data, masks, arguments.epochs, precision)
+                seconds, ours = our_epochs(training_set, data, masks, arguments.epochs, precision)
                 times["ours"] += seconds
                 times["bare"].append(bare_products(len(data.x_train), masks, precision))
             medians = {name: statistics.median(values) for name, values in times.items()}

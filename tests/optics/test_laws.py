@@ -210,7 +210,7 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         x_test=whole.x_train[-2_000:],
         y_test=whole.y_train[-2_000:],
     )
-    scenes = TrainingSet(data, "cpu")
+    training_set = TrainingSet(data, "cpu")
     settings = TrainingSettings(
         **{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
     )
@@ -223,7 +223,7 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         ("raster", 1024),
     ):
         (one,) = train(
-            scenes, [Job(design=design, masks=masks, photons=PHOTONS, training=settings)]
+            training_set, [Job(design=design, masks=masks, photons=PHOTONS, training=settings)]
         )
         accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
     assert accuracy == sorted(accuracy, reverse=True)

@@ -156,11 +156,11 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
         )
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
     ]
-    scenes = TrainingSet(digits, "cpu")
-    together = train(scenes, jobs)
+    training_set = TrainingSet(digits, "cpu")
+    together = train(training_set, jobs)
     for one, job in zip(together, jobs, strict=True):
         assert two_valued(one)
-        lit, alone = one.rails > 0, train(scenes, [job])[0].rails > 0
+        lit, alone = one.rails > 0, train(training_set, [job])[0].rails > 0
         assert (lit != alone).double().mean() <= 0.01
     assert ((together[0].rails > 0) != (together[1].rails > 0)).any()
 
@@ -183,8 +183,8 @@ def test_learning_two_levels_beats_rounding_to_them(digits, light, rails, seed):
         for design in (learned, continuous.quantised(2))
     )
     trials = draws * len(digits.x_test)
-    spread = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
-    assert trained - rounded > 5 * spread**0.5
+    variance = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
+    assert trained - rounded > 5 * variance**0.5
 
 
 def test_levels_survive_the_design_file(digits, tmp_path):

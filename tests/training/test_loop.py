@@ -49,16 +49,18 @@ def test_the_global_random_state_does_not_matter(digits):
 def together_and_alone(
     digits, design: str, light: str, rails: str, noise: str = "ml_gauss"
 ) -> list[tuple[Design, Design]]:
-    scenes = TrainingSet(digits, "cpu")
+    training_set = TrainingSet(digits, "cpu")
     same = {"design": design, "light": light, "rails": rails, "noise": noise}
     jobs = [Job(masks=6, photons=photons, training=SETTINGS, **same) for photons in (1e3, 1e4, 1e6)]
-    return list(zip(train(scenes, jobs), [train(scenes, [job])[0] for job in jobs], strict=True))
+    return list(
+        zip(train(training_set, jobs), [train(training_set, [job])[0] for job in jobs], strict=True)
+    )
 
 
 def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
-    """Largest difference over its peak, of masks at some pixels, spread and classifier.
+    """Largest difference over its peak, of masks at some pixels, std and classifier.
 
-    Not of the centre, which takes up whatever masks do where pixels do not vary.
+    Not of the mean, which takes up whatever masks do where pixels do not vary.
     """
     pairs = [(first.rails[..., pixels], second.rails[..., pixels]), (first.std, second.std)]
     pairs += zip(first.classifier.parameters(), second.classifier.parameters(), strict=True)
@@ -111,13 +113,13 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, stac
         Job(design=design, masks=6, photons=photons, seed=seed, **change)
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
     ]
-    scenes = TrainingSet(digits, "cpu")
-    alone = [train(scenes, [job])[0] for job in jobs]
+    training_set = TrainingSet(digits, "cpu")
+    alone = [train(training_set, [job])[0] for job in jobs]
     monkeypatch.setattr(loop, "Replicas", lambda nets, stacked: Replicas(nets, stacks))
     stacks = stacked
     varies = torch.from_numpy(digits.x_train.std(axis=0) > 0.01)
     tight = 1e-2 if design == "control" else 1e-3
-    together = train(scenes, jobs)
+    together = train(training_set, jobs)
     for one, other in zip(together, alone, strict=True):
         assert apart(one, other, varies) <= tight
     assert apart(together[0], together[3], varies) > 0.01

@@ -19,6 +19,7 @@ WAYS = (
     "a .npy file or a .mat file with one numeric variable (or FILE.mat:VARIABLE), of shape (m, N) "
     "or (m, H, W), a folder of images, or a TIFF of m pages"
 )
+"""All that can be read, as the end of an error message."""
 """Sources of masks, for messages."""
 
 
