@@ -33,7 +33,7 @@ BUDGET, CLASSES = 1e4, 10
 class Plain(nn.Module):
     """Masks and transformer as a user would write them."""
 
-    def __init__(self, patches: Patches, how: PatchTraining) -> None:
+    def __init__(self, patches: Patches, settings: PatchTraining) -> None:
         super().__init__()
         start = patches.matrix("pca")
         start = start / np.abs(start).sum(axis=0).max()
@@ -43,7 +43,9 @@ class Plain(nn.Module):
         self.light = patches.summed_reflectance
         tokens, pixels = patches.x.shape[1:]
         self.norm = nn.BatchNorm1d(1, affine=False)
-        self.vit = Vit(pixels, tokens, CLASSES, how.width, how.depth, how.heads, how.hidden)
+        self.vit = Vit(
+            pixels, tokens, CLASSES, settings.width, settings.depth, settings.heads, settings.hidden
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """Logits of images (B, H · W)."""
@@ -60,24 +62,24 @@ class Plain(nn.Module):
         return self.vit(self.norm(centred.reshape(-1, 1)).view_as(counts))
 
 
-def plain_epochs(patches: Patches, how: PatchTraining) -> list[float]:
+def plain_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
     """Seconds of each epoch."""
     torch.manual_seed(0)
-    model = Plain(patches, how).to(patches.device)
+    model = Plain(patches, settings).to(patches.device)
     data = patches.data
     images = TensorDataset(torch.from_numpy(data.x_train), torch.from_numpy(data.y_train))
-    loader = DataLoader(images, batch_size=how.batch, shuffle=True, drop_last=True)
+    loader = DataLoader(images, batch_size=settings.batch, shuffle=True, drop_last=True)
     optimiser = torch.optim.AdamW(
         [
-            {"params": [model.masks], "lr": how.mask_lr, "weight_decay": 0.0},
-            {"params": model.vit.parameters(), "lr": how.lr, "weight_decay": how.decay},
+            {"params": [model.masks], "lr": settings.mask_lr, "weight_decay": 0.0},
+            {"params": model.vit.parameters(), "lr": settings.lr, "weight_decay": settings.decay},
         ]
     )
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, [how.mask_lr, how.lr], total_steps=how.epochs * len(loader)
+        optimiser, [settings.mask_lr, settings.lr], total_steps=settings.epochs * len(loader)
     )
     seconds = []
-    for _ in range(how.epochs):
+    for _ in range(settings.epochs):
         began = time.perf_counter()
         running = 0.0
         for x, y in loader:
@@ -92,7 +94,7 @@ def plain_epochs(patches: Patches, how: PatchTraining) -> list[float]:
     return seconds
 
 
-def our_epochs(patches: Patches, how: PatchTraining) -> list[float]:
+def our_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
     """Seconds of each epoch."""
     ticks: list[float] = []
 
@@ -101,7 +103,7 @@ def our_epochs(patches: Patches, how: PatchTraining) -> list[float]:
             torch.cuda.synchronize()
         ticks.append(time.perf_counter())
 
-    train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=how), Report(tick))
+    train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=settings), Report(tick))
     return [stop - start for start, stop in itertools.pairwise(ticks)]
 
 
@@ -116,26 +118,26 @@ def main(given: Sequence[str] | None = None) -> None:
     arguments = parser.parse_args(given)
 
     recipe = find(arguments.recipe)[0].recipes(quick=False)[arguments.recipe]
-    how = recipe.training.model_copy(update={"epochs": arguments.epochs})
+    settings = recipe.training.model_copy(update={"epochs": arguments.epochs})
     rng = np.random.default_rng(0)
     x = rng.random((arguments.images, arguments.size, arguments.size), dtype=np.float32)
     data = from_arrays(x, np.arange(len(x)) % CLASSES, x[:CLASSES], np.arange(CLASSES))
     patches = Patches(data, recipe.patch, arguments.device)
-    kind = precision(PatchJob(photons=BUDGET, training=how), patches)
+    kind = precision(PatchJob(photons=BUDGET, training=settings), patches)
     print(
-        f"{len(x)} random images of {arguments.size}x{arguments.size}, batch {how.batch}, width "
-        f"{how.width}, depth {how.depth}; {patches.device.type}, {torch.get_num_threads()} "
-        f"threads, ours {kind}, torch {torch.__version__}"
+        f"{len(x)} random images of {arguments.size}x{arguments.size}, batch {settings.batch}, "
+        f"width {settings.width}, depth {settings.depth}; {patches.device.type}, "
+        f"{torch.get_num_threads()} threads, ours {kind}, torch {torch.__version__}"
     )
-    short = how.model_copy(update={"epochs": 1})
+    short = settings.model_copy(update={"epochs": 1})
     plain_epochs(patches, short)
     our_epochs(patches, short)
     times: dict[str, list[float]] = {"plain": [], "ours": []}
     for _ in range(arguments.rounds):
-        times["plain"] += plain_epochs(patches, how)
-        times["ours"] += our_epochs(patches, how)
+        times["plain"] += plain_epochs(patches, settings)
+        times["ours"] += our_epochs(patches, settings)
     medians = {name: statistics.median(seconds) for name, seconds in times.items()}
-    seen = len(x) // how.batch * how.batch
+    seen = len(x) // settings.batch * settings.batch
     for name, seconds in medians.items():
         whole = recipe.training.epochs * 50_000 * seconds / seen / 60
         print(

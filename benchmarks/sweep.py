@@ -102,8 +102,8 @@ def seconds_an_epoch(scenes: TrainingSet, jobs: list[Job]) -> float:
 
 
 def short(masks: int, photons: float = 1e4, epochs: int = 2, **changes: object) -> Job:
-    how = TrainingSettings(epochs=epochs, batch=BATCH, precision="bfloat16")
-    return Job(masks=masks, photons=photons, training=how, **changes)
+    settings = TrainingSettings(epochs=epochs, batch=BATCH, precision="bfloat16")
+    return Job(masks=masks, photons=photons, training=settings, **changes)
 
 
 def one_against_many(scenes: TrainingSet) -> None:
@@ -183,11 +183,11 @@ def accuracy(data: Dataset, device: str) -> None:
     differences = []
     for masks in (10, 92):
         budgets = BUDGETS[:3]
-        how = TrainingSettings(epochs=EPOCHS, batch=BATCH, precision="float32")
-        fast = how.model_copy(update={"precision": "bfloat16"})
+        settings = TrainingSettings(epochs=EPOCHS, batch=BATCH, precision="float32")
+        fast = settings.model_copy(update={"precision": "bfloat16"})
         together = train(scenes, [Job(masks=masks, photons=b, training=fast) for b in budgets])
         for photons, design in zip(budgets, together, strict=True):
-            (alone,) = train(scenes, [Job(masks=masks, photons=photons, training=how)])
+            (alone,) = train(scenes, [Job(masks=masks, photons=photons, training=settings)])
             one, other = (evaluate(d, data, photons, draws=1)[0].accuracy for d in (alone, design))
             differences.append(other - one)
             print(f"{masks:5d}  {photons:7g}  {one:13.4f}  {other:17.4f}  {other - one:+10.4f}")

@@ -110,7 +110,7 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
 def test_several_processes_train_what_one_does(images, tmp_path):
     one = EXPERIMENT.run(tmp_path / "one", command="", trials=1, device="cpu", workers=1)
     two = EXPERIMENT.run(tmp_path / "two", command="", trials=1, device="cpu", workers=2)
-    assert [p.accuracies for p in one["points"]] == [p.accuracies for p in two["points"]]
+    assert [p.accuracies for p in one.points] == [p.accuracies for p in two.points]
 
 
 def test_a_record_names_a_design_that_can_be_read(images, tmp_path):

@@ -23,13 +23,17 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster
 
+from conftest import synthetic
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps import ray_cluster
+from deepfsi.sweeps.patch_trials import PatchContext, PatchRecipe, plan_patches
+from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.ray_cluster import answers, run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
+from deepfsi.sweeps.workers import Workers
 from shared.trials import train_trials
 
 SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
@@ -106,6 +110,28 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
     assert sorted(written) == sorted(trial.key for trial in trials)
     here = train_trials(trials, digits, tmp_path / "here")
     for one, other in zip(found, here, strict=True):
+        assert one["key"] == other["key"]
+        assert one["test"][0]["accuracy"] == pytest.approx(other["test"][0]["accuracy"], abs=0.02)
+
+
+@pytest.mark.slow
+def test_patches_are_trained_on_a_cluster_as_here(nodes, tmp_path):
+    data = synthetic((8, 8))
+    recipe = PatchRecipe(
+        data="synthetic",
+        validation=24,
+        patch=4,
+        designs=("pca", "deepfsi"),
+        photons=(1e4,),
+        trials=1,
+        training={"epochs": 1, "batch": 24, "width": 8, "heads": 2, "depth": 1, "hidden": 8},
+    )
+    context = PatchContext(data, recipe.validation, recipe.patch, "cpu")
+    there, here = (
+        run_trials(plan_patches(recipe, data), context, tmp_path / folder, Workers(ray=ray))
+        for folder, ray in (("there", nodes.address), ("here", None))
+    )
+    for one, other in zip(there, here, strict=True):
         assert one["key"] == other["key"]
         assert one["test"][0]["accuracy"] == pytest.approx(other["test"][0]["accuracy"], abs=0.02)
 
