@@ -65,9 +65,9 @@ def test_a_camera_by_files_alone(tmp_path, monkeypatch, capsys):
 @pytest.mark.slow
 def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
     """On digits, small, in one process; the cluster's line is for `test_cluster`."""
-    from test_experiments import EVERY, experiment, tiny
-
     from deepfsi import cli
+    from deepfsi.experiments import experiment
+    from shared.experiments import EVERY, tiny
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)

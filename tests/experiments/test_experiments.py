@@ -4,70 +4,38 @@ from __future__ import annotations
 
 import csv
 import itertools
-import math
+import shutil
 
-import numpy as np
 import pytest
-from scipy import stats
 
 from deepfsi import experiments
 from deepfsi.errors import InputError
 from deepfsi.experiments import experiment
 from deepfsi.experiments.camera import claims as camera_study
-from deepfsi.experiments.camera import laboratory
-from deepfsi.experiments.flexible import claims as flexible
-from deepfsi.experiments.indian_pines import claims as indian_pines
 from deepfsi.experiments.mnist import accuracy as mnist
-from deepfsi.statistics import differences
-from deepfsi.statistics.differences import Difference, above, difference, of_trials
-from deepfsi.sweeps.recipe import Recipe
+from shared.experiments import ALL, EVERY, run_all
 from shared.results import a_point, some_results
 
-ALL = [each for members in experiments.STUDIES.values() for each in members]
-APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
-EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
-TINY = {
-    "data": "digits",
-    "ratios": (0.05, 0.1),
-    "photons": (1e2, 1e4),
-    "training": {"epochs": 1},
-}
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    """Folder in which all experiments have been run with one trial."""
+    return run_all(tmp_path_factory.mktemp("one"), 1)
 
 
-def tiny(experiment, trials: int):
-    """Recipes of the experiment on digits, of a moment; what makes them themselves is kept."""
-    recipes = experiment.recipes(quick=True)
-    return {part: shrunk(experiment, trials, part, quick) for part, quick in recipes.items()}
+@pytest.fixture(scope="module")
+def two(one, tmp_path_factory):
+    """Folder in which all have been run with two trials, one of which was there already."""
+    folder = tmp_path_factory.mktemp("two")
+    for part in ("trials", "designs"):
+        shutil.copytree(one / part, folder / part)
+    return run_all(folder, 2)
 
 
-def shrunk(experiment, trials: int, part: str, quick: Recipe):
-    kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
-    training = {**kept.pop("training"), **TINY["training"], "batch": 200}
-    changes = {**TINY, "training": training, "trials": trials}
-    if kept.get("gaussian_photons"):
-        changes["gaussian_photons"] = (80, 800)
-    if kept.get("test_photons"):
-        changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
-    if experiment.name == "masks":
-        changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
-    if experiment.name == "flexible":
-        changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
-        changes["tuned"] = {}
-        training |= {"nested": 2} if "nested" in training else {}
-    return type(quick)(**{**kept, **changes})
-
-
-@pytest.fixture(scope="module", params=[1, 2])
-def done(request, tmp_path_factory):
+@pytest.fixture(params=["one", "two"])
+def done(request):
     """Folder in which all experiments have been run, with one trial and with two."""
-    folder = tmp_path_factory.mktemp("paper")
-    recipes = {each.name: tiny(each, request.param) for each in EVERY}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
-        patch.setattr(laboratory, "DRAWS", 2)
-        for each in EVERY:
-            each.run(folder, command=f"deepfsi reproduce {each.name}")
-    return folder
+    return request.getfixturevalue(request.param)
 
 
 def test_every_experiment_ends_in_a_section(done):
@@ -138,53 +106,6 @@ def test_both_noises_cover_one_axis():
             )
 
 
-def point(accuracies, half=0.01):
-    return a_point(float(np.mean(accuracies)), half, accuracies=tuple(accuracies))
-
-
-def test_trials_are_paired():
-    """What all trials share cancels: a constant difference has no width."""
-    shared = np.array([0.5, 0.7, 0.9])
-    found = difference(point(shared + 0.02), point(shared))
-    assert (found.mean, found.low, found.high) == pytest.approx((0.02, 0.02, 0.02))
-
-
-def spread(low, high):
-    """Difference of a normal error with this 95 % interval."""
-    return Difference((low + high) / 2, (high - low) / 2 / stats.norm.ppf(0.975))
-
-
-def test_an_interval_over_trials_covers_what_it_says():
-    """Student's interval of five normal values holds their mean in 95 % of cases."""
-    rng = np.random.default_rng(0)
-    runs = 2000
-    held = [
-        each.low <= 0.3 <= each.high
-        for each in (of_trials(0.3 + 0.1 * rng.standard_normal(5)) for _ in range(runs))
-    ]
-    assert abs(np.mean(held) - 0.95) <= 5 * math.sqrt(0.95 * 0.05 / runs)
-
-
-def test_single_trials_combine_the_intervals_over_images():
-    found = difference(point([0.8], 0.03), point([0.7], 0.04))
-    assert (found.mean, found.high - found.mean) == pytest.approx((0.1, 0.05))
-
-
-@pytest.mark.parametrize(
-    ("intervals", "answer"),
-    [
-        ([(0.1, 0.2), (0.01, 0.3)], True),
-        ([(0.1, 0.2), (-0.01, 0.3)], None),
-        ([(-0.3, -0.01)], False),
-        ([(0.1, 0.2), (-0.3, -0.1)], False),
-        ([(0.1, 0.2), (-0.3, -0.001)], None),
-    ],
-)
-def test_a_claim_holds_only_where_every_interval_says_so(intervals, answer):
-    """One of several intervals just below 0 is no surprise, and leaves the claim open."""
-    assert above(spread(low, high) for low, high in intervals) is answer
-
-
 def comparison(values):
     """Results of a comparison from accuracies by (noise, design, budget), three trials each."""
     points = []
@@ -247,9 +168,3 @@ def test_claims_hold_where_the_numbers_are_the_papers():
 )
 def test_claims_answer_to_the_numbers(change, place, answer):
     assert answers(**change)[place] is answer
-
-
-def test_signs_are_as_wide_as_each_other():
-    assert differences.signed(-0.01) == "−0.010"
-    assert str(spread(-0.2, 0.4)) == "+0.100 [−0.200, +0.400]"
-    assert str(of_trials([0.1])) == "+0.100 (one trial, no interval)"

@@ -1,0 +1,58 @@
+"""The paper's experiments on digits, small."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deepfsi import experiments
+from deepfsi.experiments import experiment
+from deepfsi.experiments.camera import laboratory
+from deepfsi.experiments.flexible import claims as flexible
+from deepfsi.experiments.indian_pines import claims as indian_pines
+from deepfsi.sweeps.recipe import Recipe
+
+ALL = [each for members in experiments.STUDIES.values() for each in members]
+APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
+EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
+TINY = {
+    "data": "digits",
+    "ratios": (0.05, 0.1),
+    "photons": (1e2, 1e4),
+    "training": {"epochs": 1},
+}
+
+
+def tiny(experiment, trials: int):
+    """Recipes of the experiment on digits, of a moment; what makes them themselves is kept."""
+    recipes = experiment.recipes(quick=True)
+    return {part: shrunk(experiment, trials, part, quick) for part, quick in recipes.items()}
+
+
+def shrunk(experiment, trials: int, part: str, quick: Recipe):
+    kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
+    training = {**kept.pop("training"), **TINY["training"], "batch": 200}
+    changes = {**TINY, "training": training, "trials": trials}
+    if kept.get("gaussian_photons"):
+        changes["gaussian_photons"] = (80, 800)
+    if kept.get("test_photons"):
+        changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
+    if experiment.name == "masks":
+        changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
+    if experiment.name == "flexible":
+        changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
+        changes["tuned"] = {}
+        training |= {"nested": 2} if "nested" in training else {}
+    return type(quick)(**{**kept, **changes})
+
+
+def run_all(folder: Path, trials: int) -> Path:
+    """Run every experiment on digits into a folder, which may hold some of their trials."""
+    recipes = {each.name: tiny(each, trials) for each in EVERY}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
+        patch.setattr(laboratory, "DRAWS", 2)
+        for each in EVERY:
+            each.run(folder, command=f"deepfsi reproduce {each.name}")
+    return folder
