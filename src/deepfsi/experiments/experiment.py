@@ -1,4 +1,4 @@
-"""What an experiment is: a recipe, numbers beyond its accuracies, and what it shows."""
+"""Experiments: recipes, measures beyond accuracies, and the findings that follow from them."""
 
 import io
 import tomllib
@@ -30,7 +30,7 @@ Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Finding:
-    """What the numbers of an experiment show; a title where these decide it."""
+    """Findings of an experiment, from its numbers; a title where these decide it."""
 
     found: str
     pictures: tuple[Picture, ...]
@@ -49,18 +49,18 @@ class Experiment:
         Of its recipe file and its results.
     title : str
     paper : str
-        What the paper found.
+        Findings of the paper.
     show : callable
         Results → Finding.
     measure : callable, optional
         (results, data, folder of the designs, workers, report) → further numbers, kept in the
-        results as `extra`.
+        results as `extra`; the data are those of the first recipe.
     prepare : callable, optional
-        What is done to the data before anything is trained on it.
+        Data → data that designs are trained on and tested with.
     adapt : callable, optional
-        What becomes of a recipe here, such as other data where those that it names are missing.
+        Recipe → recipe for this machine, such as other data where those that it names are missing.
     settings : type of BaseModel
-        What a recipe is made of.
+        Of a recipe.
     """
 
     name: str

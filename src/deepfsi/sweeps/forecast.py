@@ -142,11 +142,11 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     few = _first(context.parts, TIMED_STEPS * size)
     short = batch[0].job.training.model_copy(update={"epochs": 2, "batch": size})
     jobs = [trial.job.model_copy(update={"training": short}) for trial in batch]
-    scenes = TrainingSet(few, context.device, dict(context.matrices))
+    training_set = TrainingSet(few, context.device, dict(context.matrices))
     ticks: list[float] = []
     own = context.matrix if jobs[0].design == "custom" else None
     designs = train(
-        scenes, jobs, own, Report(lambda share, what: ticks.append(time.perf_counter()))
+        training_set, jobs, own, Report(lambda share, what: ticks.append(time.perf_counter()))
     )
     second_epochs = np.diff(ticks)[1::3]  # the control group is trained twice
     step = float(second_epochs.sum()) / (len(few.y_train) // size)

@@ -54,10 +54,10 @@ def run_on_ray(
         one started here for this call; `local` always starts one; else `host:port` of the head of
         a cluster that this machine belongs to. A process that is connected to one stays with it.
     cpus, gpus : float
-        What a task holds while it runs. Workers see `OMP_NUM_THREADS` = `cpus` rounded down.
+        Share of a node that a task holds. Workers see `OMP_NUM_THREADS` = `cpus` rounded down.
         A fraction of a GPU shares it.
     retries : int
-        How often a task is run again after its worker or node died.
+        Times that a task is run again after its worker or node died.
 
     Raises
     ------
