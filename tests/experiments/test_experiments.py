@@ -38,6 +38,7 @@ def done(request):
     return request.getfixturevalue(request.param)
 
 
+@pytest.mark.slow
 def test_every_experiment_ends_in_a_section(done):
     page = experiments.page(done).read_text()
     for each in EVERY:
@@ -56,6 +57,7 @@ def table(path):
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
+@pytest.mark.slow
 def test_numbers_behind_the_figures_are_there(done):
     for each in EVERY:
         for name in each.section(done).files:
@@ -64,6 +66,7 @@ def test_numbers_behind_the_figures_are_there(done):
             assert all(0 <= float(row["accuracy"]) <= 1 for row in rows)
 
 
+@pytest.mark.slow
 def test_experiments_share_what_they_train(done):
     """MLGauss and quantisation test the designs of the comparison: two trainings each at most."""
     made = {path.stem for path in (done / "designs").glob("*.safetensors")}

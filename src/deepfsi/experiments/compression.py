@@ -1,4 +1,4 @@
-"""How much a wrong number of masks costs, and a wrong budget."""
+"""Cost in accuracy of a wrong number of masks, and of a wrong budget."""
 
 from collections.abc import Iterable
 

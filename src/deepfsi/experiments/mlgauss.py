@@ -1,4 +1,4 @@
-"""What the MLGauss approximation of photon noise costs."""
+"""Cost in accuracy of the MLGauss approximation of photon noise."""
 
 from collections.abc import Iterable
 
@@ -10,6 +10,8 @@ from deepfsi.statistics.differences import Difference
 from deepfsi.sweeps.results import Results
 
 NOTICED = 0.02
+"""Difference in accuracy that is noticed."""
+
 STARVED = 0.1
 """Photons per pixel and measurement, Φ / (N m)."""
 

@@ -1,4 +1,4 @@
-"""What the grey levels of a real DMD cost."""
+"""Cost in accuracy of the grey levels of a DMD."""
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 
 LOSS = 0.005
+"""Mean loss of accuracy that counts as minimal."""
 
 PAPER = (
     "Masks were quantised to the instrument's accuracy of 1/768. The quantisation has minimal "

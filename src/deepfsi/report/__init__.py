@@ -1,4 +1,4 @@
-"""What comparisons and studies found, as HTML pages and as figures. Reads files; needs no torch."""
+"""Comparisons and studies as HTML pages and figures. Reads files; needs no torch."""
 
 from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.comparison_page import build

@@ -40,7 +40,7 @@ class Measured(Protocol):
 
     @property
     def specific(self) -> bool:
-        """Whether it depends on the task."""
+        """True for a feature-specific design."""
 
     @property
     def accuracy(self) -> float:

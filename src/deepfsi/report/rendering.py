@@ -1,4 +1,4 @@
-"""What every page shares: templates, colours, and settings written as name and value."""
+"""Templates and colours of every page, and settings written as name and value."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -176,5 +176,5 @@ def number_text(number: float, decimals: int) -> str:
 
 
 def _plain(number: float) -> bool:
-    """Whether a number is written without a power of ten."""
+    """Test that a number is written without a power of ten."""
     return number == 0 or 1e-3 <= abs(number) < 1e4

@@ -1,4 +1,4 @@
-"""How sure a comparison is: bootstrap intervals over classes, and the Wilcoxon signed-rank test.
+"""Bootstrap intervals over classes, and the Wilcoxon signed-rank test.
 
 The unit is the class (the cluster): one success rate for each, whatever its number of exposures,
 since repeated exposures of one image say nothing of another. Ten classes are few, and what that

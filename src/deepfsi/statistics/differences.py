@@ -1,4 +1,4 @@
-"""Differences of accuracies, trial by trial, and what they say of a claim."""
+"""Differences of accuracies, trial by trial, and tests of claims about them."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -96,7 +96,7 @@ def difference(first: Trials, second: Trials) -> Difference:
 
 
 def above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
-    """Whether all differences are above a limit.
+    """Test that all differences are above a limit.
 
     Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
     looks as there are differences (Bonferroni). Else open.

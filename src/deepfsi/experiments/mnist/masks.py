@@ -1,4 +1,4 @@
-"""What masks learn under read noise and under photon noise, from starved to bright."""
+"""Masks learned under read noise and under photon noise, from starved to bright."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -64,7 +64,7 @@ def _ends(each: Difference, trials: int) -> tuple[float, float] | tuple[None, No
 
 
 def _matters(each: Difference, looks: int) -> bool:
-    """Whether a difference is beyond `MATTERS`, judged among that many (Bonferroni)."""
+    """Test that a difference is beyond `MATTERS`, among that many (Bonferroni)."""
     low, high = each.interval(1 - (1 - CONFIDENCE) / looks)
     return low > MATTERS or high < -MATTERS
 
