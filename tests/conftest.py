@@ -106,6 +106,11 @@ def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **se
     return learn(data, design=design, masks=masks, **{**given, **settings})
 
 
+def two_valued(rails: Tensor) -> bool:
+    """True if every entry (..., N) is 0 or its frame's peak, exactly."""
+    return bool(((rails == 0) | (rails == rails.amax(dim=-1, keepdim=True))).all())
+
+
 def parameters(design: Design) -> list[torch.Tensor]:
     return [design.rails, design.mean, design.std, *design.classifier.parameters()]
 

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick
+from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, scanner
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
@@ -153,11 +153,6 @@ def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, le
         assert max(limits(replica, light).max() for replica in split) <= 1 + SLACK
         if levels:
             assert two_valued(split)
-
-
-def two_valued(rails: Tensor) -> bool:
-    """Whether every entry (..., N) is 0 or its frame's peak, exactly."""
-    return bool(((rails == 0) | (rails == rails.amax(dim=-1, keepdim=True))).all())
 
 
 def some_rails(light: str, rails: str) -> Tensor:
