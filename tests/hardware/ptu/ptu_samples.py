@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from ptufile.ptufile import encode_tag
 
-from deepfsi.hardware.ptu.kinds import GENERIC_T2, KINDS, Kind
+from deepfsi.hardware.ptu.header import GENERIC_T2, KINDS, Kind
 
 T2 = GENERIC_T2
 

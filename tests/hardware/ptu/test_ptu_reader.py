@@ -12,8 +12,7 @@ from ptu_samples import END, T2, decode, recorded, save, special, tags_of
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu import reader, records
-from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.kinds import KINDS
+from deepfsi.hardware.ptu.header import KINDS, read_header
 from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.progress import Report

@@ -20,8 +20,7 @@ from ptufile.ptufile import encode_tag
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu import records
-from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.kinds import KINDS, PICOHARP_T2, PICOHARP_T3
+from deepfsi.hardware.ptu.header import KINDS, PICOHARP_T2, PICOHARP_T3, read_header
 from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 

@@ -1,4 +1,4 @@
-"""Header of a PTU file: tags that describe the recording."""
+"""Header of a PTU file: tags that describe the recording, and the types of its records."""
 
 import contextlib
 import os
@@ -8,12 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.ptu.kinds import KINDS, Kind
 
 MAGIC = b"PQTTTR"
 """First bytes of a file."""
@@ -24,7 +23,7 @@ LONGEST_HEADER = 2**22
 TICKS_S = (1e-15, 1.0)
 """Shortest and longest tick that is believed, seconds."""
 
-NUMBERS = {
+_NUMBERS = {
     0xFFFF0008: "Empty8",
     0x00000008: "Bool8",
     0x10000008: "Int8",
@@ -35,13 +34,89 @@ NUMBERS = {
 }
 """Types of tags whose value is a number."""
 
-SIZED = {
+_SIZED = {
     0x2001FFFF: "Float8Array",
     0x4001FFFF: "AnsiString",
     0x4002FFFF: "WideString",
     0xFFFFFFFF: "BinaryBlob",
 }
 """Types of tags whose value is the number of bytes that follow."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A type of record.
+
+    Attributes
+    ----------
+    name : str
+        Device and mode.
+    code : int
+        Of the tag `TTResultFormat_TTTRRecType`.
+    mode : {"T2", "T3"}
+        Times count ticks of the device, or periods of the sync.
+    shift : int
+        Bits below the channel field.
+    time_bits : int
+        Lowest bits, which hold the time.
+    wrap : int
+        Ticks of an overflow.
+    counted : bool
+        Whether one record can stand for many overflows, their number in its time field.
+    first, inputs : int
+        Channel field of the first input, and how many inputs there can be.
+    """
+
+    name: str
+    code: int
+    mode: Literal["T2", "T3"]
+    shift: int
+    time_bits: int
+    wrap: int
+    counted: bool
+    first: int
+    inputs: int
+
+    @property
+    def time_mask(self) -> int:
+        """Bits of the time."""
+        return (1 << self.time_bits) - 1
+
+
+def _hydra(name: str, code: int, mode: Literal["T2", "T3"], *, old: bool = False) -> Kind:
+    """Type of record of a HydraHarp, or of a later device; old ones count no overflows."""
+    bits = 25 if mode == "T2" else 10
+    wrap = 33_552_000 if old and mode == "T2" else 1 << bits
+    return Kind(f"{name} {mode}", code, mode, 25, bits, wrap, not old, 0, 64)
+
+
+PICOHARP_T2 = Kind("PicoHarp 300 T2", 0x00010203, "T2", 28, 28, 210_698_240, False, 0, 5)
+"""Record of a PicoHarp 300 in T2 mode."""
+
+PICOHARP_T3 = Kind("PicoHarp 300 T3", 0x00010303, "T3", 28, 16, 65_536, False, 1, 4)
+"""Record of a PicoHarp 300 in T3 mode."""
+
+GENERIC_T2 = _hydra("Generic", 0x00010207, "T2")
+"""Record of a recent device in T2 mode."""
+
+KINDS = {
+    kind.code: kind
+    for kind in (
+        PICOHARP_T2,
+        PICOHARP_T3,
+        _hydra("HydraHarp V1", 0x00010204, "T2", old=True),
+        _hydra("HydraHarp V1", 0x00010304, "T3", old=True),
+        _hydra("HydraHarp V2", 0x01010204, "T2"),
+        _hydra("HydraHarp V2", 0x01010304, "T3"),
+        _hydra("TimeHarp 260 N", 0x00010205, "T2"),
+        _hydra("TimeHarp 260 N", 0x00010305, "T3"),
+        _hydra("TimeHarp 260 P", 0x00010206, "T2"),
+        _hydra("TimeHarp 260 P", 0x00010306, "T3"),
+        GENERIC_T2,
+        _hydra("Generic", 0x00010307, "T3"),
+    )
+}
+"""Types of records by code."""
 
 
 @dataclass(frozen=True)
@@ -92,18 +167,20 @@ def read_header(path: str | os.PathLike[str]) -> Header:
         offset, size = file.tell(), os.fstat(file.fileno()).st_size
     code = _integer(tags, "TTResultFormat_TTTRRecType", path)
     if code not in KINDS:
-        raise bad_file(
-            path, f"has records of unknown type {code:#010x}: the file is damaged or newer"
+        raise InputError(
+            f"{path} has records of unknown type {code:#010x}: the file is damaged or newer"
         )
     kind = KINDS[code]
     if _integer(tags, "TTResultFormat_BitsPerRecord", path, 32) not in (0, 32):
-        raise bad_file(path, "has records that are not of 32 bits, and only those are known")
+        raise InputError(f"{path} has records that are not of 32 bits, and only those are known")
     if _integer(tags, "Measurement_Mode", path, int(kind.mode[1])) != int(kind.mode[1]):
-        raise bad_file(path, f"has {kind.name} records but another measurement mode: it is damaged")
+        raise InputError(
+            f"{path} has {kind.name} records but another measurement mode: it is damaged"
+        )
     tick = tags.get("MeasDesc_GlobalResolution")
     if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
-        raise bad_file(
-            path, f"is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
+        raise InputError(
+            f"{path} is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
         )
     delay = tags.get("MeasDesc_Resolution") if kind.mode == "T3" else None
     claimed = _integer(tags, "TTResult_NumberOfRecords", path, 0)
@@ -132,27 +209,27 @@ def _read_tags(file: FileIO, path: str | os.PathLike[str]) -> dict[str, Any]:
     """Tags of a header by name; the file is then at its first record."""
     start = file.read(16)
     if start[:8].rstrip(b"\0") != MAGIC:
-        raise bad_file(path, f"is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
+        raise InputError(f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
     tags: dict[str, Any] = {}
     while True:
         raw = file.read(48)
         if len(raw) < 48 or file.tell() > LONGEST_HEADER:
-            raise bad_file(path, f"has a header without an end within {LONGEST_HEADER} bytes")
+            raise InputError(f"{path} has a header without an end within {LONGEST_HEADER} bytes")
         ident, index, code, value = struct.unpack("<32siI8s", raw)
         name = ident.split(b"\0")[0].decode("ascii", "replace")
         if name == "Header_End":
             return tags
         key = name if index < 0 else f"{name}({index})"
-        if code in NUMBERS:
-            tags[key] = _number(NUMBERS[code], value)
-        elif code in SIZED:
+        if code in _NUMBERS:
+            tags[key] = _number(_NUMBERS[code], value)
+        elif code in _SIZED:
             (size,) = struct.unpack("<q", value)
             content = file.read(size) if 0 <= size <= LONGEST_HEADER else b""
             if len(content) != size:
-                raise bad_file(path, f"is damaged: its tag {key!r} is of {size} bytes")
-            tags[key] = _text(SIZED[code], content)
+                raise InputError(f"{path} is damaged: its tag {key!r} is of {size} bytes")
+            tags[key] = _text(_SIZED[code], content)
         else:
-            raise bad_file(path, f"is damaged: its tag {key!r} is of unknown type {code:#010x}")
+            raise InputError(f"{path} is damaged: its tag {key!r} is of unknown type {code:#010x}")
 
 
 def _number(kind: str, value: bytes) -> bool | int | float | None:
@@ -174,29 +251,15 @@ def _text(kind: str, content: bytes) -> str | bytes | np.ndarray:
     return content
 
 
-def encode_tag(name: str, value: str | int | float | None) -> bytes:
-    """One tag as bytes."""
-    content = b""
-    if isinstance(value, str):
-        content = value.encode("windows-1252") + b"\0"
-        content += bytes(-len(content) % 8)
-        code, packed = 0x4001FFFF, struct.pack("<q", len(content))
-    elif isinstance(value, float):
-        code, packed = 0x20000008, struct.pack("<d", value)
-    elif isinstance(value, int):
-        code, packed = 0x10000008, struct.pack("<q", value)
-    else:
-        code, packed = 0xFFFF0008, bytes(8)
-    return struct.pack("<32siI8s", name.encode("ascii"), -1, code, packed) + content
-
-
 def _integer(
     tags: dict[str, Any], name: str, path: str | os.PathLike[str], default: int | None = None
 ) -> int:
     """Integer of a tag, or the default where there is none."""
     value = tags.get(name, default)
     if not isinstance(value, int):
-        raise bad_file(path, f"is damaged: its tag {name!r} is {str(value)[:40]!r}, not an integer")
+        raise InputError(
+            f"{path} is damaged: its tag {name!r} is {str(value)[:40]!r}, not an integer"
+        )
     return value
 
 
@@ -205,14 +268,9 @@ def open_file(path: str | os.PathLike[str]) -> Iterator[FileIO]:
     """Open a file to read, without a buffer; raise `InputError` unless it is a regular file."""
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise bad_file(path, "is not a file")
+            raise InputError(f"{path} is not a file")
         file = open(path, "rb", buffering=0)  # noqa: SIM115 - errors of what follows are not ours
     except OSError as error:
-        raise bad_file(path, f"cannot be read: {error.strerror}") from None
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
     with file:
         yield file
-
-
-def bad_file(path: str | os.PathLike[str], what: str) -> InputError:
-    """Error of a file, to raise: its path and what is wrong with it."""
-    return InputError(f"{path} {what}")

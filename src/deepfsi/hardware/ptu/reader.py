@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.ptu.header import bad_file, read_header
+from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.records import LATEST_TICK, read_parts
 from deepfsi.progress import SILENT, Report
 
@@ -152,7 +152,9 @@ def read_markers(
         bits.append(part.bits[which].astype(np.uint8))
         found += len(which)
         if found > MOST_MARKERS:
-            raise bad_file(path, f"has more than {MOST_MARKERS} markers; give one for each frame")
+            raise InputError(
+                f"{path} has more than {MOST_MARKERS} markers; give one for each frame"
+            )
     return np.concatenate(times), np.concatenate(bits)
 
 
@@ -210,10 +212,9 @@ def count_gates(
         done = until
     before[done:] = so_far
     if header.problems and len(edges) and edges[-1] > reached:
-        raise bad_file(
-            path,
-            f"may lack records ({header.problems[0]}) and holds times up to {reached}, but gates "
-            f"end at {edges[-1]}: count only gates that end before",
+        raise InputError(
+            f"{path} may lack records ({header.problems[0]}) and holds times up to {reached}, but "
+            f"gates end at {edges[-1]}: count only gates that end before"
         )
     return before[1::2] - before[::2]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.hardware.ptu.header import Header, bad_file, open_file
-from deepfsi.hardware.ptu.kinds import PICOHARP_T2, PICOHARP_T3, Kind
+from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.header import PICOHARP_T2, PICOHARP_T3, Header, Kind, open_file
 from deepfsi.progress import SILENT, Report
 
 RECORDS_IN_MEMORY = 2**19
@@ -69,7 +69,7 @@ class Part:
     def check(self, header: Header) -> None:
         """Raise `InputError` if there is a fault."""
         if self.fault:
-            raise bad_file(header.path, f"is damaged: {self.fault}; record again")
+            raise InputError(f"{header.path} is damaged: {self.fault}; record again")
 
     def find(self, edges: np.ndarray) -> np.ndarray:
         """Places of the first photons at or after some times, none later than the last photon."""
@@ -142,7 +142,9 @@ def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) ->
         for first in range(0, header.records, RECORDS_IN_MEMORY):
             words = buffer[: header.records - first]
             if file.readinto(words.data.cast("B")) != words.nbytes:
-                raise bad_file(header.path, "became shorter while it was read: wait for its end")
+                raise InputError(
+                    f"{header.path} became shorter while it was read: wait for its end"
+                )
             try:
                 part, state = _decode(header.kind, words, state, slack, ordered)
             except _Damage as damage:

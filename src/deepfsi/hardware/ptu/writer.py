@@ -1,18 +1,17 @@
 """T2 files written event by event."""
 
-import contextlib
 import os
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.files import open_atomically
-from deepfsi.hardware.ptu.header import MAGIC, TICKS_S, encode_tag
-from deepfsi.hardware.ptu.kinds import GENERIC_T2
+from deepfsi.hardware.ptu.header import GENERIC_T2, MAGIC, TICKS_S
 
 LATEST_WRITTEN_TICK = 2**55
 """Latest time that is written, ticks."""
@@ -44,20 +43,20 @@ class Writer:
         self._records = self._latest = self._wraps = 0
 
     def __enter__(self) -> Self:
-        with contextlib.ExitStack() as stack:
-            self._file = stack.enter_context(open_atomically(self._path))
-            stack.push(self._finish)
-            self._file.write(self._header())
-            self._stack = stack.pop_all()
-        return self
+        self._opened = self._open()
+        return self._opened.__enter__()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._opened.__exit__(*error)
+
+    @contextmanager
+    def _open(self) -> Iterator[Self]:
+        """Open the file; the header is written again at the end, with the number of records."""
+        with open_atomically(self._path) as self._file:
+            self._file.write(self._header())
+            yield self
+            self._file.seek(0)
+            self._file.write(self._header())
 
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events.
@@ -108,17 +107,6 @@ class Writer:
         self._records += len(words)
         self._latest, self._wraps = int(times[-1]), int(wraps[-1])
 
-    def _finish(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Write the header again, which now knows the number of records."""
-        if error is None:
-            self._file.seek(0)
-            self._file.write(self._header())
-
     def _header(self) -> bytes:
         """Header, with the number of records so far."""
         tags: dict[str, str | int | float | None] = {
@@ -133,5 +121,21 @@ class Writer:
             "Header_End": None,
         }
         return struct.pack("<8s8s", MAGIC, b"1.0.00") + b"".join(
-            encode_tag(name, value) for name, value in tags.items()
+            _encode_tag(name, value) for name, value in tags.items()
         )
+
+
+def _encode_tag(name: str, value: str | int | float | None) -> bytes:
+    """One tag as bytes."""
+    content = b""
+    if isinstance(value, str):
+        content = value.encode("windows-1252") + b"\0"
+        content += bytes(-len(content) % 8)
+        code, packed = 0x4001FFFF, struct.pack("<q", len(content))
+    elif isinstance(value, float):
+        code, packed = 0x20000008, struct.pack("<d", value)
+    elif isinstance(value, int):
+        code, packed = 0x10000008, struct.pack("<q", value)
+    else:
+        code, packed = 0xFFFF0008, bytes(8)
+    return struct.pack("<32siI8s", name.encode("ascii"), -1, code, packed) + content
