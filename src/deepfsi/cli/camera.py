@@ -359,8 +359,8 @@ def camera_calibrate(
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
     from deepfsi.datasets import read_display
-    from deepfsi.hardware.calibration.calibration_file import save_calibration
     from deepfsi.hardware.calibration.fit import calibrate_run
+    from deepfsi.hardware.calibration.view import save_calibration
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.counts import read_counts
     from deepfsi.hardware.recording.picture import reconstruct

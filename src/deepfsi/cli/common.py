@@ -43,8 +43,7 @@ def load(
     scenes = load_dataset(data, size=size, split=split)
     if view is None:
         return scenes
-    from deepfsi.hardware.calibration.calibration_file import load_calibration
-    from deepfsi.hardware.calibration.view import view_dataset
+    from deepfsi.hardware.calibration.view import load_calibration, view_dataset
 
     return view_dataset(scenes, load_calibration(view))
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepfsi.hardware.calibration.calibration_file import Calibration
-from deepfsi.hardware.calibration.view import camera_view
+from deepfsi.hardware.calibration.view import Calibration, camera_view
 from deepfsi.hardware.patterns.sequence import find_device, find_grid
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])

@@ -16,7 +16,6 @@ from calibration_samples import (
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.background import black_rates
-from deepfsi.hardware.calibration.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.calibration.fit import (
     calibrate,
     find_flat,
@@ -24,7 +23,12 @@ from deepfsi.hardware.calibration.fit import (
     find_spots,
     spot_scenes,
 )
-from deepfsi.hardware.calibration.view import camera_view, view_matrix
+from deepfsi.hardware.calibration.view import (
+    camera_view,
+    load_calibration,
+    save_calibration,
+    view_matrix,
+)
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Device, FrameSettings, find_grid
 from deepfsi.hardware.recording.counting import count

@@ -1,7 +1,8 @@
-"""Views of scenes: against point by point averages, and against the virtual camera."""
+"""Calibrations read as saved; views against point by point averages and the virtual camera."""
 
 from __future__ import annotations
 
+import json
 import time
 
 import numpy as np
@@ -11,7 +12,13 @@ from scipy import ndimage
 
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
+from deepfsi.hardware.calibration.view import (
+    camera_view,
+    load_calibration,
+    save_calibration,
+    view_dataset,
+    view_matrix,
+)
 from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
 from deepfsi.hardware.virtual import camera
 
@@ -141,3 +148,39 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
     seen = camera_view(scenes.reshape(3, -1), (16, 16), calibration, shape)
     np.testing.assert_allclose(seen.reshape(cells.shape), cells, atol=tolerance)
     assert cells.std() > 0.1
+
+
+def test_saved_and_loaded(tmp_path):
+    calibration = calibration_of(flat=vignette((3, 4)), dark=1.5)
+    path = save_calibration(calibration, tmp_path / "calibration")
+    assert path.name == "calibration.json"
+    assert load_calibration(tmp_path / "calibration") == calibration
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"homography": [[1, 0, 0], [2, 0, 0], [0, 0, 1]]}, "cannot be inverted"),
+        ({"homography": [[1, 0, 0], [0, 1, 0]]}, "homography.2"),
+        ({"flat": [[1, 1], [1]]}, "differ in length"),
+        ({"flat": [[0, 0]]}, "dark everywhere"),
+        ({"flat": [[2]]}, "flat.0.0"),
+        ({"dark": -1}, "dark"),
+        ({"schema_version": 2}, "schema_version"),
+        ({"new": 1}, "new"),
+    ],
+)
+def test_a_damaged_file_is_named(tmp_path, change, words):
+    path = save_calibration(calibration_of(), tmp_path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError, match=words) as caught:
+        load_calibration(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_or_broken_file_is_named(tmp_path):
+    with pytest.raises(InputError, match="no calibration at"):
+        load_calibration(tmp_path)
+    (tmp_path / "calibration.json").write_bytes(b"{\xff")
+    with pytest.raises(InputError, match=r"calibration.json. cannot be used"):
+        load_calibration(tmp_path)

@@ -27,8 +27,7 @@ from deepfsi.hardware.calibration.background import (
     expected_background,
     subtract_background,
 )
-from deepfsi.hardware.calibration.calibration_file import Calibration
-from deepfsi.hardware.calibration.view import view_dataset
+from deepfsi.hardware.calibration.view import Calibration, view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.gates import find_gates
 from deepfsi.hardware.patterns.mirrors import make_frames

@@ -9,15 +9,8 @@ from deepfsi.hardware.patterns.sequence import Patterns
 def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float]:
     """Dark and ambient rates of a run with the display black.
 
-    Parameters
-    ----------
-    on_rate, off_rate : array
-        Counts/s in the frames with all mirrors ON and OFF, as `acquisition.Counts` has them.
-
-    Returns
-    -------
-    dark, ambient : float
-        Counts/s. NaN passes are left out; an ambient rate below 0 is noise and becomes 0.
+    From counts/s in the frames with all mirrors ON and OFF, as `counts.Counts` has them. NaN passes
+    are left out; an ambient rate below 0 is noise and becomes 0.
 
     Raises
     ------

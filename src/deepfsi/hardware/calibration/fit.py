@@ -15,8 +15,7 @@ from skimage import measure, transform
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.background import black_rates
-from deepfsi.hardware.calibration.calibration_file import Calibration
-from deepfsi.hardware.calibration.view import geometry_matrix
+from deepfsi.hardware.calibration.view import Calibration, geometry_matrix
 from deepfsi.hardware.patterns.sequence import Grid
 from deepfsi.hardware.recording.counts import Counts
 
@@ -130,10 +129,6 @@ def calibrate(
     dark, ambient : float
         Counts/s, as `black_rates` gives them.
 
-    Returns
-    -------
-    Calibration
-
     Raises
     ------
     InputError
@@ -146,7 +141,7 @@ def calibrate(
     pictures = pictures - floor
     shown, measured = _centroids(scenes), find_spots(pictures)
     fit = find_homography(shown, measured, cells)
-    blur = find_blur(scenes, pictures, fit.matrix, grid)
+    blur = _find_blur(scenes, pictures, fit.matrix, grid)
     flat = None if white is None else find_flat(white - floor, scenes.shape[1:], fit.matrix, blur)
     return Calibration(
         homography=fit.matrix.tolist(),
@@ -217,8 +212,8 @@ def calibrate_run(
         place = list(names).index(BLACK)
         dark, ambient = black_rates(counts.on_rate[[place]], counts.off_rate[[place]])
     return calibrate(
-        np.stack([shown[name] for name in spots]) if spots else np.empty((0, 1, 1)),
-        np.stack([measured[name] for name in spots]) if spots else np.empty((0, 1, 1)),
+        np.array([shown[name] for name in spots]),
+        np.array([measured[name] for name in spots]),
         grid,
         white=measured.get(WHITE),
         black=measured.get(BLACK),
@@ -228,11 +223,7 @@ def calibrate_run(
 
 
 def find_spots(pictures: np.ndarray) -> np.ndarray:
-    """Place of the spot in each picture.
-
-    Parameters
-    ----------
-    pictures : array, shape (n, down, across)
+    """Place of the spot in each picture (n, down, across).
 
     Returns
     -------
@@ -257,8 +248,7 @@ def find_spots(pictures: np.ndarray) -> np.ndarray:
             spot += np.clip(step, -1, 1)
             if np.abs(step).max() < 1e-6:
                 break
-        inside = (spot > -0.5).all() and (spot < np.array(smooth.shape) - 0.5).all()
-        if inside:
+        if (spot > -0.5).all() and (spot < np.array(smooth.shape) - 0.5).all():
             out[place] = (spot[::-1] + 0.5) / smooth.shape[::-1]
     return out
 
@@ -278,10 +268,6 @@ def find_homography(
         Down and across, the unit of residuals.
     seed : int
         Of RANSAC's draws.
-
-    Returns
-    -------
-    Homography
 
     Raises
     ------
@@ -316,32 +302,15 @@ def find_homography(
     distance = model.residuals(source[inliers], target[inliers])
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
     matrix /= matrix[2, 2]
-    return Homography(
-        matrix=matrix,
-        residual=float(np.sqrt((distance**2).mean())),
-        spots=int(inliers.sum()),
-    )
+    return Homography(matrix, float(np.sqrt((distance**2).mean())), int(inliers.sum()))
 
 
-def find_blur(
+def _find_blur(
     scenes: np.ndarray, pictures: np.ndarray, homography: Any, grid: Grid
 ) -> tuple[float, float]:
     """Blur that explains pictures of spots best, each spot with a brightness of its own.
 
-    Parameters
-    ----------
-    scenes : array, shape (n, h, w)
-        What was displayed.
-    pictures : array, shape (n, down, across)
-        What was measured.
-    homography : 3 x 3 numbers
-    grid : Grid
-        Gives the shape of a cell: the blur is round on the device.
-
-    Returns
-    -------
-    tuple of float
-        Standard deviation down and across, in the device's unit square.
+    Standard deviation down and across, in the device's unit square: round on the device.
     """
     cells = (grid.down, grid.across)
     flat_scenes = np.asarray(scenes, dtype=float).reshape(len(scenes), -1)
@@ -352,9 +321,8 @@ def find_blur(
         return width * side / (grid.down * grid.height), width * side / (grid.across * grid.width)
 
     def misfit(width: float) -> float:
-        model = (
-            geometry_matrix(scenes.shape[1:], cells, homography, in_square(width)) @ flat_scenes.T
-        ).T
+        view = geometry_matrix(scenes.shape[1:], cells, homography, in_square(width))
+        model = (view @ flat_scenes.T).T
         power = (model**2).sum(axis=1)
         match = (model * measured).sum(axis=1)
         explained = np.divide(match**2, power, out=np.zeros_like(power), where=power > 0)
@@ -378,18 +346,8 @@ def find_flat(
     not become part of the view; it follows what a lens does, but no dust. Cells that the display
     fills less than half have the value of the nearest cell that it fills.
 
-    Parameters
-    ----------
-    white : array, shape (down, across)
-    image_shape : tuple of int
-        Pixels of the display.
-    homography : 3 x 3 numbers
-    blur : tuple of float
-
-    Returns
-    -------
-    array, shape (down, across)
-        Relative to its largest value.
+    The picture's shape is (down, across), as the flat field's, which is relative to its largest
+    value. Other parameters as for `geometry_matrix`.
 
     Raises
     ------
@@ -397,9 +355,8 @@ def find_flat(
         If the display fills no cell or the picture is dark.
     """
     white = np.asarray(white, dtype=float)
-    filled = (
-        geometry_matrix(image_shape, white.shape, homography, blur).sum(axis=1).reshape(white.shape)
-    )
+    view = geometry_matrix(image_shape, white.shape, homography, blur)
+    filled = view.sum(axis=1).reshape(white.shape)
     seen = filled > LEAST_FILLED
     if not (seen.any() and white[seen].mean() > 0):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Scenes as the cells of a mask see them: where, how sharp and how bright.
+"""Calibration of a camera and its display, and scenes as the cells of a mask see them.
 
 Places on the display and on the device are (across, down) in a *unit square* each: the displayed
 image, and the area of the device that the cells of a mask fill. So a calibration made with a few
@@ -12,14 +12,17 @@ scenes is what makes a design fit the camera.
 
 import hashlib
 from dataclasses import replace
-from typing import Any
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from scipy import ndimage, sparse
 
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.calibration_file import Calibration
+from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import write_atomically
 
 POINTS_PER_CELL = 24, 32
 """Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
@@ -27,19 +30,90 @@ POINTS_PER_CELL = 24, 32
 SCENES_AT_ONCE = 4096
 """Scenes that are viewed at once."""
 
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+"""Number from 0 to 1."""
+
+Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Finite number from 0 on."""
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+"""Row of a homography."""
+
+
+class Calibration(BaseModel):
+    """View of one display through one camera, and the counts that come from neither.
+
+    Attributes
+    ----------
+    homography : 3 x 3 numbers
+        Display → device, unit squares, (across, down, 1).
+    residual : float
+        Root mean square distance of the spots from it, cells.
+    spots, shown : int
+        Spots that it rests on, and spots that were shown.
+    blur : tuple of float
+        Standard deviation of a Gaussian, down and across, in the device's unit square.
+    flat : rows of numbers, shape (down, across)
+        Light of each cell relative to the brightest, for a uniform scene that fills the view.
+    dark : float
+        Counts/s with all mirrors OFF and the display black.
+    ambient : float
+        Counts/s that all mirrors ON add to it, the display black.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = 1
+    deepfsi: str = version("deepfsi")
+    homography: tuple[Row, Row, Row]
+    residual: Rate
+    spots: int = Field(ge=4)
+    shown: int = Field(ge=4)
+    blur: tuple[Share, Share] = (0.0, 0.0)
+    flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
+    dark: Rate = 0.0
+    ambient: Rate = 0.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Calibration":
+        if len({len(row) for row in self.flat}) != 1 or not self.flat[0]:
+            raise ValueError("the rows of the flat field differ in length")
+        if not any(map(any, self.flat)):
+            raise ValueError("the flat field is dark everywhere")
+        if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
+            raise ValueError("the homography cannot be inverted")
+        return self
+
+
+def save_calibration(calibration: Calibration, folder: Path) -> Path:
+    """Write `calibration.json` into a folder, which is made if need be."""
+    return write_atomically(
+        folder / "calibration.json", calibration.model_dump_json(indent=1).encode()
+    )
+
+
+def load_calibration(folder: Path) -> Calibration:
+    """Read `calibration.json` of a folder.
+
+    Raises
+    ------
+    InputError
+        If it is missing or damaged.
+    """
+    path = Path(folder) / "calibration.json"
+    try:
+        with as_input_error(f"'{path}'", "calibrate the camera again"):
+            return Calibration.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(
+            f"no calibration at '{path}' ({error.strerror}): calibrate the camera first"
+        ) from None
+
 
 def view_matrix(
     image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, int]
 ) -> sparse.csr_array:
-    """Matrix from a displayed scene to what each cell sees of it.
-
-    Parameters
-    ----------
-    image_shape : tuple of int
-        (h, w) of the scene.
-    calibration : Calibration
-    cells_shape : tuple of int
-        Cells of a mask, down and across.
+    """Matrix from a displayed scene to what each cell sees of it. Parameters as for `camera_view`.
 
     Returns
     -------
@@ -106,32 +180,21 @@ def camera_view(
 def view_dataset(
     data: Dataset, calibration: Calibration, cells_shape: tuple[int, int] | None = None
 ) -> Dataset:
-    """Data set of scenes as the camera sees them, to train on.
+    """Data set of images as the camera sees them, to train on. Parameters as for `camera_view`.
 
-    Parameters
-    ----------
-    data : Dataset
-        Images.
-    calibration : Calibration
-    cells_shape : tuple of int, optional
-        Cells of a mask, down and across; as the images unless given.
-
-    Returns
-    -------
-    Dataset
-        Its preprocessing names the calibration.
+    Its preprocessing names the calibration.
 
     Raises
     ------
     InputError
         If the scenes are no images.
     """
-    content = calibration.model_dump_json().encode()
     shape = cells_shape or data.image_shape
     if len(shape) != 2:
         raise InputError(
             f"{data.name}: scenes of shape {shape} are no images: give a data set of some"
         )
+    digest = hashlib.sha256(calibration.model_dump_json().encode()).hexdigest()
     return replace(
         data,
         x_train=camera_view(data.x_train, data.image_shape, calibration, shape),
@@ -139,7 +202,7 @@ def view_dataset(
         image_shape=shape,
         preprocessing=(
             f"{data.preprocessing} Then as {shape[0]}x{shape[1]} cells of a camera see it "
-            f"(calibration {hashlib.sha256(content).hexdigest()[:12]})."
+            f"(calibration {digest[:12]})."
         ),
     )
 
@@ -197,7 +260,7 @@ def geometry_matrix(
 
 
 def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array, np.ndarray]:
-    """Average of blurred light over each cell of an axis, (cells, points), and the points.
+    """Average of blurred light over each cell of an axis (cells, points), and the points.
 
     Points lie beyond the cells as far as the blur reaches.
     """
@@ -222,8 +285,5 @@ def _at_cells(values: np.ndarray, cells_shape: tuple[int, int]) -> np.ndarray:
         (np.arange(n) + 0.5) / n * size - 0.5
         for n, size in zip(cells_shape, values.shape, strict=True)
     ]
-    return np.asarray(
-        ndimage.map_coordinates(
-            values, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"
-        )
-    )
+    grid = np.meshgrid(*places, indexing="ij")
+    return np.asarray(ndimage.map_coordinates(values, grid, order=1, mode="nearest"))
