@@ -98,7 +98,16 @@ def series(points: Iterable[T], axes: Fields) -> dict[tuple[str, ...], list[T]]:
 def series_names(
     points: Iterable[Measured], axes: Fields, field: str = "label"
 ) -> dict[tuple[str, ...], str]:
-    """Name of each series: the design's, and the other axes where these tell two apart."""
+    """Name of each series: the design's, and the other axes where these tell two apart.
+
+    Parameters
+    ----------
+    points : iterable
+    axes : tuple of str
+        Fields that tell series apart, the design first.
+    field : {"label", "title"}
+        Name of a design that is taken.
+    """
     rows = list(series(points, axes).items())
     names = {}
     for key, members in rows:

@@ -99,7 +99,17 @@ def masks_figure(
 
 
 def mask_axes(ax: Axes, mask: np.ndarray, end: float, colours: str = DIVERGING) -> None:
-    """Draw a mask (height, width) as an image on a scale from −`end` to `end`."""
+    """Draw a mask as an image.
+
+    Parameters
+    ----------
+    ax : Axes
+    mask : array, shape (height, width)
+    end : float
+        End of the scale, which begins at −`end`.
+    colours : str
+        Name of a colour map.
+    """
     finer = -(-128 // max(mask.shape))  # printers smooth pixels: leave them little to smooth
     ax.imshow(
         mask.repeat(finer, axis=0).repeat(finer, axis=1),

@@ -44,6 +44,17 @@ def summarise(
 
     The interval of a point is Student's over its trials (training seeds); of a single trial, the
     one over its test images.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    data : Dataset
+    records : sequence of mapping
+        From `run_trials`, of the recipe's trials.
+    command : str
+        Command that repeats the comparison.
+    seconds : float
+        Time that it took.
     """
     held_out = recipe.held_out(data)
     groups = defaultdict(list)
