@@ -207,8 +207,7 @@ def contour_figure(
     """
     difference = second - first
     norm, steps = _accuracy_range((first, second)), difference_levels(difference)
-    low = round(10 * float(norm.vmin or 0))
-    levels = [*(k / 10 for k in range(low, 10)), 0.95, 1.0]
+    levels = [*(k / 10 for k in range(round(10 * float(norm.vmin or 0)), 10)), 0.95, 1.0]
     accuracy_norm, difference_norm = BoundaryNorm(levels, 256), BoundaryNorm(steps, 256)
     figure = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -217,23 +216,26 @@ def contour_figure(
         _contours(ax, x, y, values, accuracy_norm, SEQUENTIAL)
         _dots(ax, x, y, values, np.isfinite(values), "o", accuracy_norm, SEQUENTIAL)
         ax.set_title(heading)
-    clear = np.zeros(difference.shape, dtype=bool) if apart is None else np.asarray(apart)
-    _difference_panel(axes[2], x, y, difference, clear, difference_norm)
+    _difference_panel(axes[2], x, y, difference, apart, difference_norm)
     for ax in axes:
         _logarithmic(ax, budgets, ratios)
     if pixels and _dim_lines(axes, pixels):
-        key = Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
-        words = "0.1 photons per pixel and measurement; fewer above and left of it"
-        figure.legend(
-            [key], [words], loc="outside lower center", frameon=False, fontsize=8, handlelength=3
-        )
+        _name_dim_lines(figure)
     axes[0].set_ylabel("compression ratio m/N")
-    bar = _bar_beside(axes[:2], accuracy_norm, SEQUENTIAL, "accuracy")
-    bar.set_ticks(levels[::-2], labels=[f"{level:g}" for level in levels[::-2]])
+    bar, ticks = _bar_beside(axes[:2], accuracy_norm, SEQUENTIAL, "accuracy"), levels[::-2]
+    bar.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
     middles = (steps[1:] + steps[:-1]) / 2
     bar = _bar_beside(axes[2:], difference_norm, DIVERGING, f"{names[1]}\n− {names[0]}")
     bar.set_ticks(middles, labels=[signed_text(value) for value in middles])
     return figure
+
+
+def _name_dim_lines(figure: Figure) -> None:
+    key = Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
+    words = "0.1 photons per pixel and measurement; fewer above and left of it"
+    figure.legend(
+        [key], [words], loc="outside lower center", frameon=False, fontsize=8, handlelength=3
+    )
 
 
 def _difference_panel(
@@ -241,11 +243,12 @@ def _difference_panel(
     x: np.ndarray,
     y: np.ndarray,
     values: np.ndarray,
-    clear: np.ndarray,
+    apart: np.ndarray | None,
     norm: BoundaryNorm,
 ) -> None:
     """Draw differences, as triangles where they are clear, in log10 coordinates."""
     _contours(ax, x, y, values, norm, DIVERGING)
+    clear = np.zeros(values.shape, dtype=bool) if apart is None else np.asarray(apart)
     up, down = clear & (values > 0), clear & (values < 0)
     same = np.isfinite(values) & ~up & ~down
     for marker, where in (("o", same), ("^", up), ("v", down)):
