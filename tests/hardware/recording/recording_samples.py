@@ -65,10 +65,6 @@ def schedule(pictures: list[int], sentinel: int = 1000) -> Manifest:
     )
 
 
-EQUAL = schedule([1000] * 16)
-FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 1900])
-
-
 def train(
     manifest: Manifest,
     scenes: int,
@@ -209,6 +205,13 @@ class Run:
         shutil.copytree(self.folder, folder)
         return replace(self, folder=folder)
 
+    def record(self, starts: np.ndarray, markers: np.ndarray, photons: np.ndarray) -> None:
+        """Record again, with other times or photons."""
+        inputs = (2, 1)[: photons.shape[-1]]
+        length = self.patterns.manifest.picture_s
+        path = self.folder / "photons.ptu"
+        record(path, starts, markers, photons, bit=4, inputs=inputs, length=length)
+
     def edit(self, **changes) -> None:
         path = self.folder / "acquisition.json"
         path.write_text(json.dumps(json.loads(path.read_text()) | changes))
@@ -222,26 +225,23 @@ class Run:
 def made(tmp: Path, light: str = "equal-dwell", scenes: int = 3, **settings) -> Run:
     patterns = patterns_of(tmp / "patterns", light)
     arms = 2 if light == "two-arm" else 1
-    inputs = (2, 1)[:arms]
-    given = {"inputs": inputs, "marker_bit": 4, **settings}
+    given = {"inputs": (2, 1)[:arms], "marker_bit": 4, **settings}
     prepare(tmp / "run", tmp / "patterns", named(scenes, **given))
     starts = train(patterns.manifest, scenes, 1.5e-4)
-    photons = shining(patterns, scenes, arms)
-    length = patterns.manifest.picture_s
-    record(
-        tmp / "run" / "photons.ptu",
-        starts,
-        starts.ravel(),
-        photons,
-        bit=4,
-        inputs=inputs,
-        length=length,
-    )
-    return Run(tmp / "run", patterns, starts, photons)
+    run = Run(tmp / "run", patterns, starts, shining(patterns, scenes, arms))
+    run.record(starts, starts.ravel(), run.photons)
+    return run
 
 
-def counted(tmp: Path) -> Run:
-    """A recording of three scenes on one arm, counted."""
-    run = made(tmp, exposure_s=DWELL * 11 * 0.97)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Run:
+    """A recording of three scenes on one arm, counted: do not change it."""
+    run = made(tmp_path_factory.mktemp("whole"), exposure_s=DWELL * 11 * 0.97)
     count(run.folder)
     return run
+
+
+@pytest.fixture
+def run(whole, tmp_path) -> Run:
+    """A copy of it to change."""
+    return whole.copy(tmp_path / "run")

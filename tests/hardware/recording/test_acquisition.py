@@ -7,9 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
+import recording_samples
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_samples import Run, counted, made, many, named
+from recording_samples import made, many, named
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.recording.acquisition import prepare
@@ -17,17 +18,7 @@ from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Run:
-    """A recording of three scenes on one arm: do not change it."""
-    return counted(tmp_path_factory.mktemp("whole"))
-
-
-@pytest.fixture
-def run(whole, tmp_path) -> Run:
-    """A copy of it to change."""
-    return whole.copy(tmp_path / "run")
+run, whole = recording_samples.run, recording_samples.whole
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import recording_samples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from recording_samples import (
     DWELL,
     TICK,
-    Run,
-    counted,
     made,
     many,
     named,
     patterns_of,
-    record,
     train,
     troubles,
     unseen,
@@ -30,17 +30,7 @@ from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.progress import Report
 
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Run:
-    """A recording of three scenes on one arm: do not change it."""
-    return counted(tmp_path_factory.mktemp("whole"))
-
-
-@pytest.fixture
-def run(whole, tmp_path) -> Run:
-    """A copy of it to change."""
-    return whole.copy(tmp_path / "run")
+run, whole = recording_samples.run, recording_samples.whole
 
 
 def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
@@ -110,8 +100,7 @@ def test_gates_open_and_close_when_they_should(tmp_path):
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
 def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
     starts = train(run.patterns.manifest, 3, drift)
-    given = {"bit": 4, "inputs": (2,), "length": run.patterns.manifest.picture_s}
-    record(run.folder / "photons.ptu", starts, starts.ravel(), run.photons, **given)
+    run.record(starts, starts.ravel(), run.photons)
     wanted = read_counts(run.folder).counts
     counts = count(run.folder, exposure_s=11 * DWELL, settle_s=0.0)
     assert (counts.counts == wanted).all()
@@ -141,15 +130,7 @@ def test_a_scene_with_faults_is_counted_or_given_up(whole, tmp_path):
     markers = np.delete(whole.starts.ravel(), [7, whole.starts.shape[1]])
     markers[20] += 2e-4
     prepare(tmp_path / "run", whole.folder / "patterns", read_acquisition(whole.folder)[0])
-    record(
-        tmp_path / "run" / "photons.ptu",
-        whole.starts,
-        markers,
-        whole.photons,
-        bit=4,
-        inputs=(2,),
-        length=whole.patterns.manifest.picture_s,
-    )
+    replace(whole, folder=tmp_path / "run").record(whole.starts, markers, whole.photons)
     counts, wanted = count(tmp_path / "run"), read_counts(whole.folder)
     assert counts.valid.all()
     assert np.abs(counts.counts - wanted.counts).max() <= 1
@@ -183,9 +164,7 @@ def test_a_valid_exposure_holds_the_photons_of_its_frames(whole, tmp_path, troub
     assume(len(markers) and not unseen(markers, starts))
     if not folder.exists():
         prepare(folder, whole.folder / "patterns", read_acquisition(whole.folder)[0])
-    length = patterns.manifest.picture_s
-    given = {"bit": 4, "inputs": (2,), "length": length}
-    record(folder / "photons.ptu", starts, markers, whole.photons, **given)
+    replace(whole, folder=folder).record(starts, markers, whole.photons)
     try:
         counts = count(folder)
     except InputError as error:
@@ -200,10 +179,8 @@ def test_a_valid_exposure_holds_the_photons_of_its_frames(whole, tmp_path, troub
 
 
 def test_a_recording_of_other_patterns_is_refused(run):
-    starts = run.starts
     photons = np.roll(run.photons, 3, axis=1)  # not where ON and OFF should be
-    given = {"bit": 4, "inputs": (2,), "length": run.patterns.manifest.picture_s}
-    record(run.folder / "photons.ptu", starts, starts.ravel(), photons, **given)
+    run.record(run.starts, run.starts.ravel(), photons)
     with pytest.raises(InputError, match="bright and a dark frame"):
         count(run.folder)
 

@@ -6,24 +6,15 @@ import zipfile
 
 import numpy as np
 import pytest
-from recording_samples import Run, counted
+import recording_samples
+from recording_samples import Run
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Run:
-    """A recording of three scenes on one arm: do not change it."""
-    return counted(tmp_path_factory.mktemp("whole"))
-
-
-@pytest.fixture
-def run(whole, tmp_path) -> Run:
-    """A copy of it to change."""
-    return whole.copy(tmp_path / "run")
+run, whole = recording_samples.run, recording_samples.whole
 
 
 def test_counts_are_read_as_they_were_written(run):

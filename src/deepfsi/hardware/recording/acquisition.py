@@ -35,14 +35,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Scene(BaseModel):
-    """One scene.
-
-    Attributes
-    ----------
-    name : str
-    label : str or None
-        Its class, where known.
-    """
+    """One scene, with its class as label where that is known."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -118,12 +111,7 @@ def prepare(
     patterns_folder : path
         The patterns that are shown.
     acquisition : Acquisition
-        What is recorded.
-
-    Returns
-    -------
-    Acquisition
-        As written, with the hash of the manifest.
+        What is recorded; returned as written, with the hash of the manifest.
 
     Raises
     ------
@@ -149,8 +137,7 @@ def prepare(
         (draft / "patterns").mkdir()
         for name, held in content.items():
             (draft / "patterns" / name).write_bytes(held)
-        text = acquisition.model_dump_json(indent=1)
-        (draft / "acquisition.json").write_text(text, encoding="utf-8")
+        (draft / "acquisition.json").write_bytes(acquisition.model_dump_json(indent=1).encode())
     return acquisition
 
 
@@ -199,7 +186,7 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             f"{MOST_FRAMES} frames are allowed: split it"
         )
     try:
-        gates_of(acquisition, manifest, None, None, None)
+        gates_of(acquisition, manifest)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 
@@ -207,22 +194,11 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
 def gates_of(
     acquisition: Acquisition,
     manifest: Manifest,
-    exposure_s: float | None,
-    settle_s: float | None,
-    repeats: int | None,
+    exposure_s: float | None = None,
+    settle_s: float | None = None,
+    repeats: int | None = None,
 ) -> Gates:
-    """Gates to count an acquisition with.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-        What was recorded.
-    manifest : Manifest
-        Of the patterns that were shown.
-    exposure_s, settle_s : float or None
-        Total exposure and settle time, seconds; as recorded where None.
-    repeats : int or None
-        Gates in each frame; as recorded where all are None, else as many as fit.
+    """Gates to count an acquisition of a manifest's patterns with. Parameters as of `count`.
 
     Raises
     ------
@@ -260,16 +236,11 @@ def read_limited(path: Path, largest: int, hint: str) -> bytes:
     Parameters
     ----------
     path : Path
-        Of the file.
+        Of the file; `InputError` if it cannot be read.
     largest : int
-        Bytes that it has at most.
+        Bytes that it has at most; `InputError` if there are more.
     hint : str
-        What to do if it cannot be read.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is larger.
+        What to do about either.
     """
     try:
         with path.open("rb") as file:

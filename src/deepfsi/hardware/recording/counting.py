@@ -13,7 +13,7 @@ from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.recording.acquisition import Acquisition, gates_of, read_acquisition
 from deepfsi.hardware.recording.alignment import align, find_steps
-from deepfsi.hardware.recording.counts import Counts, save_counts
+from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.progress import SILENT, Report
 
@@ -84,7 +84,7 @@ def count(
     rates = photons[fits] / spent[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
     counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure, tuple(faults))
-    save_counts(Path(folder) / "counts.npz", counts, acquisition)
+    counts.save(Path(folder) / "counts.npz", acquisition)
     return counts
 
 

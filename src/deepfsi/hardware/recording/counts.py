@@ -47,7 +47,6 @@ _UNREADABLE = (
     ValueError,
     OSError,
     EOFError,
-    NotImplementedError,
     RuntimeError,
     struct.error,
 )
@@ -114,6 +113,20 @@ class Counts:
         """
         return self.flux * self.exposure_s
 
+    def save(self, path: Path, acquisition: Acquisition) -> None:
+        """Write counts.npz, with the hash of the acquisition that was counted."""
+        about = {
+            "acquisition": acquisition.digest,
+            "repeats": self.counts.shape[1],
+            "exposure_s": self.exposure_s,
+            "settle_s": self.settle_s,
+            "faults": [fault.model_dump() for fault in self.faults],
+        }
+        text = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        file = io.BytesIO()
+        np.savez(file, about=text, **{name: getattr(self, name) for name in _ARRAYS})
+        write_atomically(path, file.getvalue())
+
 
 def read_counts(folder: str | os.PathLike[str]) -> Counts:
     """Counts of a folder as `count` wrote them.
@@ -127,49 +140,8 @@ def read_counts(folder: str | os.PathLike[str]) -> Counts:
     return load_counts(Path(folder) / "counts.npz", acquisition, patterns.manifest)
 
 
-def save_counts(path: Path, counts: Counts, acquisition: Acquisition) -> None:
-    """Write counts.npz.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    counts : Counts
-        What was counted.
-    acquisition : Acquisition
-        Of what; its hash is written.
-    """
-    about = {
-        "acquisition": acquisition.digest,
-        "repeats": counts.counts.shape[1],
-        "exposure_s": counts.exposure_s,
-        "settle_s": counts.settle_s,
-        "faults": [fault.model_dump() for fault in counts.faults],
-    }
-    text = np.frombuffer(json.dumps(about).encode(), np.uint8)
-    arrays = {name: getattr(counts, name) for name in _ARRAYS}
-    file = io.BytesIO()
-    np.savez(file, about=text, **arrays)
-    write_atomically(path, file.getvalue())
-
-
 def load_counts(path: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
-    """Counts as `save_counts` wrote them.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    acquisition : Acquisition
-        What was counted.
-    manifest : Manifest
-        Of the patterns that were shown.
-
-    Raises
-    ------
-    InputError
-        If there are none, or they are damaged or of another acquisition.
-    """
+    """Counts of an acquisition of a manifest's patterns. Parameters as of `Counts.save`."""
     content = read_limited(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
     damaged = InputError(
         f"{path} is not a whole file of counts: make it with `deepfsi camera count`"

@@ -46,15 +46,13 @@ class Fault(BaseModel):
     detail: str
 
     def __str__(self) -> str:
-        where = ["" if self.scene is None else f" scene {self.scene}"]
-        where += ["" if self.frame is None else f" frame {self.frame}"]
-        return f"{self.kind}{','.join(part for part in where if part)}: {self.detail}"
+        places = {"scene": self.scene, "frame": self.frame}
+        where = [f" {name} {place}" for name, place in places.items() if place is not None]
+        return f"{self.kind}{','.join(where)}: {self.detail}"
 
 
 def name_faults(
-    passes: list[Pass],
-    unknown: set[int],
-    markers: Markers,
+    passes: list[Pass], unknown: set[int], markers: Markers
 ) -> tuple[np.ndarray, tuple[Fault, ...]]:
     """Times of frames, and every fault of their markers.
 

@@ -6,6 +6,7 @@ schedule say.
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -266,10 +267,9 @@ def nearest(times: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndarr
 def overlapping(passes: list[Pass], schedule: Schedule) -> set[int]:
     """Passes that begin before the one before has ended."""
     out = set()
-    for place in range(len(passes) - 1):
-        length = schedule.pictures[-1] * (1 - MOST_DRIFT)
-        end = passes[place].expected[-1] + length - 2 * schedule.tolerance
-        if passes[place + 1].expected[0] < end:
+    length = schedule.pictures[-1] * (1 - MOST_DRIFT)
+    for place, (one, other) in enumerate(pairwise(passes)):
+        if other.expected[0] < one.expected[-1] + length - 2 * schedule.tolerance:
             out |= {place, place + 1}
     return out
 
