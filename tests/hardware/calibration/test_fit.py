@@ -4,15 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from calibration_samples import (
-    GRID,
-    IDENTITY,
-    VIEW,
-    apply,
-    calibration_of,
-    pictures_of,
-    vignette,
-)
+from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.background import black_rates

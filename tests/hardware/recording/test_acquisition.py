@@ -22,8 +22,7 @@ run, whole = recording_samples.run, recording_samples.whole
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["acquisition.json", "photons.ptu", "patterns/manifest.json", "patterns/mirrors.npy"],
+    "name", ["acquisition.json", "photons.ptu", "patterns/manifest.json", "patterns/mirrors.npy"]
 )
 @pytest.mark.parametrize("content", [None, b"", b"garbage", b"[" * 100_000])
 def test_bad_files_are_named(run, name, content):

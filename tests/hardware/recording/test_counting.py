@@ -9,17 +9,7 @@ import pytest
 import recording_samples
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from recording_samples import (
-    DWELL,
-    TICK,
-    made,
-    many,
-    named,
-    patterns_of,
-    train,
-    troubles,
-    unseen,
-)
+from recording_samples import DWELL, TICK, made, many, named, patterns_of, train, troubles, unseen
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.writer import Writer

@@ -165,11 +165,7 @@ class _Windows:
 
 
 def _count_windows(
-    header: Header,
-    opens: np.ndarray,
-    length: np.ndarray,
-    inputs: tuple[int, ...],
-    report: Report,
+    header: Header, opens: np.ndarray, length: np.ndarray, inputs: tuple[int, ...], report: Report
 ) -> tuple[np.ndarray, np.ndarray]:
     """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g).
 
