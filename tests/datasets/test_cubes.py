@@ -38,9 +38,7 @@ def test_envi(tmp_path, interleave):
         str(tmp_path / "farm.hdr"), numbered(LABELS), metadata=metadata, interleave=interleave
     )
     envi.save_classification(
-        str(tmp_path / "farm_gt.hdr"),
-        LABELS,
-        class_names=["none", "oak", "ash", "elm", "yew"],
+        str(tmp_path / "farm_gt.hdr"), LABELS, class_names=["none", "oak", "ash", "elm", "yew"]
     )
     image = load_spectra(tmp_path / "farm.hdr")
     assert image.class_names == ("oak", "ash", "elm", "yew")

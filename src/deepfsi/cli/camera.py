@@ -5,21 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import options
-from deepfsi.cli.common import (
-    check_picture,
-    check_writable,
-    draw,
-    print_json,
-    print_table,
-    progress,
-    read_toml,
-)
+from deepfsi.cli import common, options
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.sequence import Patterns
-    from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.virtual.camera import Camera
 
 dmd = typer.Typer(
@@ -81,20 +71,11 @@ def dmd_export(
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     made.exposure.check_fixed()
-    check_writable(out.parent)
-    with progress("patterns", quiet=as_json) as report:
-        patterns = export_patterns(
-            DesignRails(
-                made.rails.numpy(),
-                made.light,
-                made.image_shape,
-                made.summed_reflectance,
-                file.read_bytes(),
-            ),
-            settings,
-            out,
-            report,
-        )
+    common.check_writable(out.parent)
+    content, reflectance = file.read_bytes(), made.summed_reflectance
+    rails = DesignRails(made.rails.numpy(), made.light, made.image_shape, reflectance, content)
+    with common.progress("patterns", quiet=as_json) as report:
+        patterns = export_patterns(rails, settings, out, report)
     _print_patterns(patterns, out, as_json)
 
 
@@ -109,7 +90,7 @@ def dmd_check(
     """
     from deepfsi.hardware.patterns.folder import check_patterns
 
-    with progress("frames", quiet=as_json) as report:
+    with common.progress("frames", quiet=as_json) as report:
         patterns = check_patterns(folder, report)
     _print_patterns(patterns, folder, as_json)
 
@@ -149,11 +130,11 @@ def camera_simulate(
         seed,
     )
     images = read_display(scene)
-    check_writable(out.parent)
-    with progress("photons", quiet=as_json) as report:
+    common.check_writable(out.parent)
+    with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
-        print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
+        common.print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
         return
     print(
         f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:g} s each\n"
@@ -177,7 +158,7 @@ def camera_count(
     """
     from deepfsi.hardware.recording.counting import count
 
-    with progress("counting", quiet=as_json) as report:
+    with common.progress("counting", quiet=as_json) as report:
         counts = count(
             folder,
             exposure_s=options.optional_seconds("exposure", exposure),
@@ -185,16 +166,19 @@ def camera_count(
             repeats=repeats,
             report=report,
         )
-    summary = _summary(counts)
+    summary: dict[str, Any] = {
+        "scenes": len(counts.counts),
+        "exposures": int(counts.valid.size),
+        "whole": int(counts.valid.sum()),
+        "exposure_s": counts.exposure_s,
+        "photons_counted": int(counts.counts.sum()),
+        "photons": float(counts.photons),
+        "dark_rate": counts.dark_rate.tolist(),
+    }
     if as_json:
-        print_json(
-            {
-                **summary,
-                "faults": [fault.model_dump() for fault in counts.faults],
-                "counts": counts.counts.tolist(),
-                "valid": counts.valid.tolist(),
-            }
-        )
+        faults = [fault.model_dump() for fault in counts.faults]
+        measured = {"counts": counts.counts.tolist(), "valid": counts.valid.tolist()}
+        common.print_json({**summary, "faults": faults, **measured})
         return
     for fault in counts.faults:
         print(f"marker {fault}")
@@ -245,20 +229,20 @@ def camera_classify(
             }
         )
     if as_json:
-        print_json({"photons": float(photons or counts.photons), "scenes": scenes})
+        common.print_json({"photons": float(photons or counts.photons), "scenes": scenes})
         return
     rows = [
         (
             str(s["scene"]),
             str(s["class"] or "no whole exposure"),
             f"{s['probability']:.3f}" if s["probability"] is not None else "",
-            f"{_share(s['guesses'], s['class'])}",
+            f"{s['guesses'].count(s['class'])} of {len(s['guesses'])}" if s["guesses"] else "",
             str(s["label"] or ""),
         )
         for s in scenes
     ]
     heads = ("scene", "class", "mean probability", "of its exposures", "labelled")
-    print_table(f"{made.name}, {made.masks} masks", heads, rows)
+    common.print_table(f"{made.name}, {made.masks} masks", heads, rows)
     known = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
     if known:
         right = sum(guess == label for guess, label in known)
@@ -281,10 +265,10 @@ def camera_image(
     from deepfsi.report.pictures import pictures_figure
 
     target = out or folder / "picture.png"
-    check_picture(target)
+    common.check_picture(target)
     acquisition, _ = read_acquisition(folder)
     figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])
-    draw(figure, target)
+    common.draw(figure, target)
 
 
 @camera.command("inspect")
@@ -297,10 +281,10 @@ def camera_inspect(
     """
     from deepfsi.hardware.ptu.reader import inspect
 
-    with progress("records", quiet=as_json) as report:
+    with common.progress("records", quiet=as_json) as report:
         contents = inspect(file, report)
     if as_json:
-        print_json(contents.model_dump())
+        common.print_json(contents.model_dump())
         return
     rows = [
         ("record type", contents.kind),
@@ -313,7 +297,7 @@ def camera_inspect(
         ("span", f"{contents.span_s:.6f} s"),
         *(("problem", problem) for problem in contents.problems),
     ]
-    print_table(str(file), ("what", "value"), rows)
+    common.print_table(str(file), ("what", "value"), rows)
 
 
 @camera.command("spots")
@@ -334,15 +318,10 @@ def camera_spots(
     from deepfsi.datasets import write_pictures
     from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
 
-    height, width = options.size_of(size) or (32, 32)
-    shape = (height, width)
+    shape = options.size_of(size) or (32, 32)
     pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape))}
     uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
-    written = write_pictures({**pictures, **uniform}, out)
-    if as_json:
-        print_json([str(path) for path in written])
-    else:
-        print(f"{len(written)} pictures: {out}")
+    common.print_pictures(write_pictures({**pictures, **uniform}, out), out, as_json)
 
 
 @camera.command("calibrate")
@@ -374,10 +353,12 @@ def camera_calibrate(
         read_counts(folder),
         patterns.manifest.grid,
     )
-    check_writable(out)
+    common.check_writable(out)
     path = save_calibration(found, out)
     if as_json:
-        print_json({"calibration": str(path), **found.model_dump(mode="json", exclude={"flat"})})
+        common.print_json(
+            {"calibration": str(path), **found.model_dump(mode="json", exclude={"flat"})}
+        )
         return
     print(
         f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); "
@@ -394,7 +375,7 @@ def _camera(text: str) -> "Camera":
     if not text.endswith(".toml"):
         raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return Camera.model_validate(read_toml(Path(text)))
+        return Camera.model_validate(common.read_toml(Path(text)))
 
 
 def _check_shown(file: Path, patterns: "Patterns") -> None:
@@ -419,7 +400,7 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
     longest = longest_exposure(manifest, manifest.device.settle_us * 1e-6)
     cost = find_cost(manifest, find_gates(manifest, longest))
     if as_json:
-        print_json(
+        common.print_json(
             {
                 "patterns": str(folder),
                 "frames": len(manifest.frames),
@@ -445,19 +426,3 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
             "equal-dwell instead"
         )
     print(f"patterns: {folder}")
-
-
-def _summary(counts: "Counts") -> dict[str, Any]:
-    return {
-        "scenes": len(counts.counts),
-        "exposures": int(counts.valid.size),
-        "whole": int(counts.valid.sum()),
-        "exposure_s": counts.exposure_s,
-        "photons_counted": int(counts.counts.sum()),
-        "photons": float(counts.photons),
-        "dark_rate": counts.dark_rate.tolist(),
-    }
-
-
-def _share(guesses: list[str], name: object) -> str:
-    return f"{guesses.count(str(name))} of {len(guesses)}" if guesses else ""

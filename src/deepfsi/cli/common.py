@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from deepfsi.errors import InputError
 from deepfsi.progress import Report
@@ -20,23 +20,11 @@ if TYPE_CHECKING:
 
 
 def load(
-    data: str,
-    size: tuple[int, int] | None,
-    view: Path | None = None,
-    split: str | None = None,
+    data: str, size: tuple[int, int] | None, view: Path | None = None, split: str | None = None
 ) -> "Dataset":
-    """Data set of a name or path.
+    """Data set of a name or path, as the camera whose calibration is in the folder `view` sees it.
 
-    Parameters
-    ----------
-    data : str
-        Name or path.
-    size : (int, int), optional
-        Height and width of images.
-    view : Path, optional
-        Folder of a camera's calibration: the scenes are as it sees them.
-    split : str, optional
-        Of a hyperspectral image.
+    Parameters as of `load_dataset`.
     """
     from deepfsi.datasets import load_dataset
 
@@ -86,11 +74,9 @@ def draw(figure: "Figure", path: Path) -> None:
 
 def read_matrix(source: str | None) -> "np.ndarray | None":
     """A user's own sensing matrix (m, N)."""
-    if source is None:
-        return None
     from deepfsi.optics import mask_files
 
-    return mask_files.read_matrix(source)
+    return None if source is None else mask_files.read_matrix(source)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -109,9 +95,7 @@ def check_writable(folder: Path) -> None:
     """Fail before the work rather than after it, and leave nothing behind."""
     import tempfile
 
-    there = folder
-    while not there.exists():
-        there = there.parent
+    there = next(each for each in (folder, *folder.parents) if each.exists())
     try:
         with tempfile.TemporaryFile(dir=there):
             pass
@@ -131,23 +115,22 @@ def print_json(value: Any) -> None:
     print(json.dumps(value, indent=1))
 
 
-def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table whose first column is words.
+def print_pictures(written: Sequence[Path], folder: Path, as_json: bool) -> None:
+    """Say which pictures were written to a folder."""
+    if as_json:
+        print_json([str(path) for path in written])
+    else:
+        print(f"{len(written)} pictures: {folder}")
 
-    Parameters
-    ----------
-    title : str
-    heads : sequence of str
-    rows : sequence of sequence of str
-        As long as the heads.
-    """
+
+def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table whose first column is words."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
     for number, head in enumerate(heads):
-        side: Literal["left", "right"] = "left" if number == 0 else "right"
-        table.add_column(head, justify=side, overflow="fold")
+        table.add_column(head, justify="right" if number else "left", overflow="fold")
     for row in rows:
         table.add_row(*row)
     Console().print(table)

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deepfsi.cli import options
-from deepfsi.cli.common import load, print_json, print_table
+from deepfsi.cli import common, options
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -24,13 +23,10 @@ def data_list(as_json: options.Json = False) -> None:
 
     known = list_datasets()
     if as_json:
-        print_json([entry._asdict() for entry in known])
+        common.print_json([entry._asdict() for entry in known])
         return
-    rows = [
-        (entry.name, str(entry.images), str(entry.pixels), str(entry.classes), str(entry.where))
-        for entry in known
-    ]
-    print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
+    rows = [tuple(map(str, entry)) for entry in known]
+    common.print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
 
 
 @app.command("download")
@@ -56,10 +52,10 @@ def data_check(
 
     files = check(name)
     if as_json:
-        print_json([entry._asdict() for entry in files])
+        common.print_json([entry._asdict() for entry in files])
     else:
         rows = [(str(f.file), "good" if f.ok else "BAD", f.detail) for f in files]
-        print_table(name, ("file", "state", "detail"), rows)
+        common.print_table(name, ("file", "state", "detail"), rows)
     if not all(entry.ok for entry in files):
         raise typer.Exit(1)
 
@@ -79,8 +75,5 @@ def data_export(
     """
     from deepfsi.datasets import write_display
 
-    written = write_display(load(name, options.size_of(size)), out, per_class, seed)
-    if as_json:
-        print_json([str(path) for path in written])
-    else:
-        print(f"{len(written)} pictures: {out}")
+    written = write_display(common.load(name, options.size_of(size)), out, per_class, seed)
+    common.print_pictures(written, out, as_json)

@@ -7,17 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deepfsi.cli import options
-from deepfsi.cli.common import (
-    check_file,
-    check_writable,
-    command_line,
-    load,
-    open_design,
-    print_json,
-    print_table,
-    progress,
-)
+from deepfsi.cli import common, options
 
 
 def export(
@@ -39,8 +29,8 @@ def export(
     from deepfsi.files import write_atomically
 
     target = out or file.with_suffix(".onnx")
-    check_file(target, ".onnx")
-    design = open_design(file)
+    common.check_file(target, ".onnx")
+    design = common.open_design(file)
     write_atomically(target, to_onnx(design))
     shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
     print(
@@ -88,16 +78,16 @@ def plan(
 
     accuracy = options.number("target", target)
     recipe = options.recipe_from(context.params, {"ratios": (0.01, 0.04, 0.16)})
-    scenes = load(data, options.size_of(size))
+    scenes = common.load(data, options.size_of(size))
     check_plan(recipe, scenes, accuracy)
-    check_writable(out)
-    with progress("plan", quiet=as_json) as report:
+    common.check_writable(out)
+    with common.progress("plan", quiet=as_json) as report:
         found, results = photons_needed(
             recipe,
             scenes,
             accuracy,
             out,
-            command=command_line(),
+            command=common.command_line(),
             device=device,
             workers=Workers(workers),
             report=report,
@@ -105,7 +95,7 @@ def plan(
     write_atomically(out / "plan.json", json.dumps(found, indent=1).encode())
     write_results(out / "results.json", results)
     if as_json:
-        print_json(found)
+        common.print_json(found)
         return
     _print_needs(found, [axis for axis in ("light", "rails") if len(getattr(recipe, axis)) > 1])
     print(f"plan: {out / 'plan.json'}")
@@ -134,7 +124,7 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
         for need in needs
     ]  # fmt: skip
     heads = ("design", *axes, "photons", "95 % interval", "masks", "budgets tried")
-    print_table(f"{plan['data']['name']}: accuracy {plan['target']:g} needs", heads, rows)
+    common.print_table(f"{plan['data']['name']}: accuracy {plan['target']:g} needs", heads, rows)
     print(f"interval: {plan['covers']}")
     print(
         "mask counts and added budgets were chosen on validation data; accuracies are of test data"

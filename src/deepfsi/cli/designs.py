@@ -6,19 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepfsi.cli import options
-from deepfsi.cli.common import (
-    check_file,
-    check_picture,
-    check_writable,
-    draw,
-    load,
-    open_design,
-    print_json,
-    print_table,
-    progress,
-    read_matrix,
-)
+from deepfsi.cli import common, options
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,19 +47,19 @@ def design(
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.training.learning import learn
 
-    own = read_matrix(matrix)
+    own = common.read_matrix(matrix)
     budgets = dict.fromkeys(options.budget_range(photons))
-    scenes = load(data, options.size_of(size), view)
+    scenes = common.load(data, options.size_of(size), view)
     settings = options.job_settings(context.params, scenes, own)
-    check_file(out, ".safetensors")
+    common.check_file(out, ".safetensors")
     shown = scenes.hold_out(hold_out) if hold_out else scenes
-    with progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
+    with common.progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
         made = learn(shown, matrix=own, device=device, report=report, **settings)
     results = test(made, scenes, list(budgets), noise=noise, sigma=sigma)
     made.save(out)
     if as_json:
         tests = [result.as_dict() for result in results]
-        print_json({"design": str(out), "info": made.info, "test": tests[0], "tests": tests})
+        common.print_json({"design": str(out), "info": made.info, "test": tests[0], "tests": tests})
         return
     for result in results:
         print(
@@ -108,23 +96,18 @@ def evaluate(
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
-    made = open_design(file).to(find_device(device))
+    made = common.open_design(file).to(find_device(device))
     if first is not None:
         made = made.first(first)
-    scenes = load(data, options.size_of(size), view)
-    with progress("evaluate", quiet=as_json) as report:
+    scenes = common.load(data, options.size_of(size), view)
+    with common.progress("evaluate", quiet=as_json) as report:
         results = test(
-            made,
-            scenes,
-            budgets,
-            noise=noise,
-            sigma=sigma,
-            draws=draws,
-            seed=seed,
-            report=report,
+            made, scenes, budgets, noise=noise, sigma=sigma, draws=draws, seed=seed, report=report
         )
     if as_json:
-        print_json({"design": str(file), "results": [result.as_dict() for result in results]})
+        common.print_json(
+            {"design": str(file), "results": [result.as_dict() for result in results]}
+        )
         return
     rows = [
         (
@@ -137,7 +120,7 @@ def evaluate(
         for r in results
     ]
     heads = ("photons", "accuracy, 95 % interval", "worst class", "counted", "counts per mask")
-    print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
+    common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
     print(f"interval: {results[0].covers}")
 
 
@@ -170,13 +153,13 @@ def stop(
 
     budget = options.number("photons", photons)
     made = Design.load(file, find_device(device))
-    scenes = load(data, options.size_of(size))
-    with progress("stop", quiet=as_json):
+    scenes = common.load(data, options.size_of(size))
+    with common.progress("stop", quiet=as_json):
         found = run(
             made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
         )
     if as_json:
-        print_json({"design": str(file), **found.as_dict()})
+        common.print_json({"design": str(file), **found.as_dict()})
         return
     _print_stopped(found, _size(made))
 
@@ -187,16 +170,18 @@ def _size(made: "Design") -> str:
 
 
 def _print_stopped(found: "Stopped", size: str) -> None:
-    rows = []
-    for heading, rate in (
-        ("share of photons used", found.used),
-        ("accuracy, whole exposures", found.whole),
-        ("accuracy, stopped", found.stopped),
-        ("difference, paired", found.difference),
-    ):
-        rows.append((heading, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]"))
+    rates = {
+        "share of photons used": found.used,
+        "accuracy, whole exposures": found.whole,
+        "accuracy, stopped": found.stopped,
+        "difference, paired": found.difference,
+    }
+    rows = [
+        (head, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]")
+        for head, rate in rates.items()
+    ]
     title = f"{size}, {found.photons:g} photons, stopped above {found.rule.threshold:.5g}"
-    print_table(title, ("", "mean", "95 % interval"), rows)
+    common.print_table(title, ("", "mean", "95 % interval"), rows)
     kept = {round(each["accepted"], 2): each["stopped"] for each in found.rejection}
     print(
         f"calibration error of the answers: {found.calibration_error:.4f} "
@@ -218,15 +203,15 @@ def show(
     from deepfsi import report
     from deepfsi.design.artifact import Design
 
-    check_picture(out)
+    common.check_picture(out)
     if count < 1:
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = Design.load(file)
-    check_writable(out.parent)
+    common.check_writable(out.parent)
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
     figure = report.masks_figure(made.matrix, made.mask_shape, title=title, count=count)
-    draw(figure, out)
+    common.draw(figure, out)
 
 
 def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:

@@ -96,21 +96,7 @@ def words(text: str | None) -> list[str] | None:
 
 
 def numbers(option: str, text: str | None, whole: bool = False) -> list[Any] | None:
-    """Numbers separated by commas.
-
-    Parameters
-    ----------
-    option : str
-        Name of the option, for the `InputError` of what is no number.
-    text : str or None
-        Its value; without one there are no numbers either.
-    whole : bool
-        Take whole numbers only.
-
-    Returns
-    -------
-    list of float or of int, or None
-    """
+    """Numbers of an option, separated by commas, or `InputError`; None where it is not given."""
     parts = words(text)
     if parts is None:
         return None
@@ -137,13 +123,11 @@ def whole_number(option: str, text: str) -> int:
 
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
-    value, scale = text.strip().lower(), 1.0
-    for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)):
-        if value.endswith(unit):
-            value, scale = value.removesuffix(unit), factor
-            break
+    value = text.strip().lower()
+    units = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "": 1.0}
+    unit = next(each for each in units if value.endswith(each))
     try:
-        time = float(value) * scale
+        time = float(value.removesuffix(unit)) * units[unit]
     except ValueError:
         time = math.nan
     if not (math.isfinite(time) and time >= 0):
@@ -179,21 +163,10 @@ def budget_range(text: str) -> tuple[float, float]:
 def job_settings(
     options: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
 ) -> dict[str, Any]:
-    """Settings of `learn` that the options of `design` ask for.
+    """Settings of `learn` that the options of `design` ask for, but for device, matrix and report.
 
-    Parameters
-    ----------
-    options : mapping
-        Values of the options by the names of their parameters.
-    data : Dataset
-        What the design is for; it decides how many masks a design of a fixed number has.
-    matrix : array, shape (m, N), or None
-        The user's own masks.
-
-    Returns
-    -------
-    dict
-        All that is no device, matrix or report.
+    The options are by the names of their parameters. The data decides how many masks a design of a
+    fixed number has; the matrix, (m, N), is the user's own.
     """
     from deepfsi.sweeps.recipe import TRAINING_NOISE
 
@@ -240,16 +213,8 @@ def _design_and_masks(
 def recipe_from(options: Mapping[str, Any], base: Mapping[str, Any]) -> "Recipe":
     """Recipe that the options of `compare` or `plan` ask for.
 
-    Parameters
-    ----------
-    options : mapping
-        Values of the options by the names of their parameters; None where one is not given.
-    base : mapping
-        Settings of the recipe that hold where no option overrides them.
-
-    Returns
-    -------
-    Recipe
+    The options are by the names of their parameters, None where one is not given; settings of
+    `base` hold where no option overrides them.
     """
     from deepfsi.sweeps.recipe import Recipe
 

@@ -5,17 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import options
-from deepfsi.cli.common import (
-    check_writable,
-    command_line,
-    load,
-    print_json,
-    print_table,
-    progress,
-    read_matrix,
-    read_toml,
-)
+from deepfsi.cli import common, options
 from deepfsi.errors import as_input_error
 
 if TYPE_CHECKING:
@@ -64,12 +54,13 @@ def compare(
     """
     from deepfsi.sweeps.recipe_files import only
 
-    own = read_matrix(matrix)
+    own = common.read_matrix(matrix)
     asked = dict(context.params)
     base: dict[str, Any] = {}
     if recipe:
-        base = only(read_toml(recipe))
-        asked["data"] = data if _given(context, "data") else None
+        base = only(common.read_toml(recipe))
+        source = context.get_parameter_source("data")
+        asked["data"] = data if source and source.name == "COMMANDLINE" else None
     elif data == "digits" and not (ratios or masks or trials):
         base = QUICK
     chosen = options.recipe_from(asked, base)
@@ -111,12 +102,12 @@ def sweep(
     if table is not None:
         check_table(table)
     with as_input_error():
-        chosen = Recipe.model_validate(only(read_toml(recipe), part, quick))
+        chosen = Recipe.model_validate(only(common.read_toml(recipe), part, quick))
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return
     if table is not None:
-        check_writable(table.parent)
+        common.check_writable(table.parent)
     results, records = _run(chosen, out, "sweep", as_json, device=device, workers=workers, ray=ray)
     _finish(results, out, as_json)
     if table is not None:
@@ -160,12 +151,12 @@ def reproduce(
         _list_experiments(as_json)
         return
     chosen = experiments.find(name)
-    check_writable(out)
+    common.check_writable(out)
     for each in chosen:
-        with progress(each.name, quiet=as_json) as report:
+        with common.progress(each.name, quiet=as_json) as report:
             each.run(
                 out,
-                command=command_line(),
+                command=common.command_line(),
                 quick=quick,
                 trials=trials,
                 device=device,
@@ -177,7 +168,7 @@ def reproduce(
     sections = [section for each in chosen if (section := each.section(out))]
     if as_json:
         claims = {section.name: [asdict(claim) for claim in section.claims] for section in sections}
-        print_json({"report": str(page), "claims": claims})
+        common.print_json({"report": str(page), "claims": claims})
         return
     for section in sections:
         _print_claims(section)
@@ -201,18 +192,14 @@ def report(
 def _list_experiments(as_json: bool) -> None:
     from deepfsi import experiments
 
+    known = [(study, each) for study, every in experiments.STUDIES.items() for each in every]
     if as_json:
-        print_json(
-            [
-                {"name": study, "part": each.name, "title": each.title}
-                for study, members in experiments.STUDIES.items()
-                for each in members
-            ]
+        common.print_json(
+            [{"name": s, "part": each.name, "title": each.title} for s, each in known]
         )
         return
-    for study, members in experiments.STUDIES.items():
-        for each in members:
-            print(f"{study if each is members[0] else '':14s}{each.title}")
+    for study, each in known:
+        print(f"{study if each is experiments.STUDIES[study][0] else '':14s}{each.title}")
 
 
 def _print_claims(section: "Section") -> None:
@@ -242,14 +229,14 @@ def _run(
     from deepfsi.sweeps.run import compare as run
     from deepfsi.sweeps.workers import Workers
 
-    scenes = load(recipe.data, recipe.size, split=recipe.split)
-    check_writable(out)
-    with progress(what, quiet=quiet) as report:
+    scenes = common.load(recipe.data, recipe.size, split=recipe.split)
+    common.check_writable(out)
+    with common.progress(what, quiet=quiet) as report:
         return run(
             recipe,
             scenes,
             out,
-            command=command_line(),
+            command=common.command_line(),
             matrix=matrix,
             device=device,
             workers=Workers(workers, ray),
@@ -264,7 +251,7 @@ def _finish(results: "Results", out: Path, as_json: bool) -> None:
     write_results(out / "results.json", results)
     page = build(out)
     if as_json:
-        print_json(results.as_dict())
+        common.print_json(results.as_dict())
         return
     _print_points(results)
     print(f"report: {page}")
@@ -275,11 +262,11 @@ def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_
 
     from deepfsi.sweeps.forecast import forecast_cost
 
-    scenes = load(recipe.data, recipe.size, split=recipe.split)
-    with progress("timing a few steps of each kind", quiet=as_json):
+    scenes = common.load(recipe.data, recipe.size, split=recipe.split)
+    with common.progress("timing a few steps of each kind", quiet=as_json):
         expected = forecast_cost(recipe, scenes, out, device, workers)
     if as_json:
-        print_json(asdict(expected))
+        common.print_json(asdict(expected))
         return
     print(
         f"{expected.trials} trials, {expected.done} of them done\n"
@@ -295,17 +282,8 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-QUICK: dict[str, Any] = {
-    "ratios": (0.06, 0.16, 0.36),
-    "trials": 3,
-    "training": {"epochs": 30},
-}
+QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
 """Recipe of a comparison on digits, where no ratios, masks or trials are given."""
-
-
-def _given(context: typer.Context, name: str) -> bool:
-    source = context.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
 
 
 def _print_points(results: "Results") -> None:
@@ -329,7 +307,7 @@ def _print_points(results: "Results") -> None:
         )
         for p in best
     ]
-    print_table(results.title, heads, rows)
+    common.print_table(results.title, heads, rows)
     print("interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("counted: share of the budget that reaches a detector")
     if results.chosen_on == "validation":

@@ -20,13 +20,7 @@ NUMBERS = (
 
 
 def read_npy(path: Path) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged or holds something else than real numbers.
-    """
+    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
     try:
         # mapped, so that no more is read than the file holds
         values: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
@@ -40,18 +34,9 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the numeric variables in a ``.mat`` file, by their names.
+    """Shapes of the numeric variables in a ``.mat`` file that have so many dimensions, by name.
 
-    Parameters
-    ----------
-    path : Path
-    dimensions : sequence of int
-        Numbers of dimensions that a listed variable may have.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged or of version 7.3.
+    Raises `InputError` if the file is damaged or of version 7.3.
     """
     from scipy.io import whosmat
 

@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,17 @@ from deepfsi.errors import InputError
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
 """Scenes (n, H, W) or (n, N), and their labels (n,)."""
+
+
+class Options(NamedTuple):
+    """Options of `load_dataset`, which says what they are."""
+
+    size: int | tuple[int, int] | None
+    seed: int
+    rescale: Range | None
+    images: int | None
+    split: str | None
+
 
 SPLIT_MINIMUM = 5
 """Scenes of a class at least where a test part is drawn: a fifth of fewer may be none."""
@@ -91,16 +102,9 @@ def split_arrays(
     rescale: Range | None,
     values: str,
 ) -> Dataset:
-    """`from_arrays` with a description of the values.
+    """`from_arrays` with a description of the values, for `Dataset.preprocessing`.
 
-    Parameters
-    ----------
-    train, test : (array, array)
-        Scenes and labels; without a test part, it is drawn from the others.
-    classes, name, seed, rescale
-        As in `from_arrays`.
-    values : str
-        How the values came about, for `Dataset.preprocessing`.
+    Parameters as of `from_arrays`; without a test part, it is drawn from the training part.
     """
     check_seed(seed)
     x, y = _scenes_and_labels(train, name, "")
@@ -124,22 +128,15 @@ def split_arrays(
         if count == 0:
             raise InputError(f"{name}: class '{names[fewest]}' has no training scenes; give some")
         order = np.random.default_rng(seed).permutation(len(labels))
-        tested = _test_part(test, name, numbers, x.shape[1:])
+        x_test, y_test = _scenes_and_labels(test, name, "_test")
+        tested = x_test, _class_numbers(y_test, numbers, f"{name}: y_test")
+        if x_test.shape[1:] != x.shape[1:]:
+            raise InputError(
+                f"{name}: a scene has shape {x.shape[1:]} in x but {x_test.shape[1:]} in x_test; "
+                "bring both to one shape"
+            )
     trained = x[order], labels[order]
     return assemble(name, trained, tested, classes=names, values=values, rescale=rescale)
-
-
-def _test_part(
-    part: Scenes, name: str, numbers: dict[int | str, int], shape: tuple[int, ...]
-) -> tuple[Reflectance, Labels]:
-    x, y = _scenes_and_labels(part, name, "_test")
-    labels = _class_numbers(y, numbers, f"{name}: y_test")
-    if x.shape[1:] != shape:
-        raise InputError(
-            f"{name}: a scene has shape {shape} in x but {x.shape[1:]} in x_test; bring both to "
-            "one shape"
-        )
-    return x, labels
 
 
 def check_seed(seed: int) -> None:
@@ -226,16 +223,8 @@ def assemble(
 ) -> Dataset:
     """Data set of scenes that are ready but for rescaling, which is done in place.
 
-    Parameters
-    ----------
-    name, classes, wavelengths
-        As in `Dataset`.
-    train, test : (array, array)
-        Reflectance, (n, H, W) or (n, N), and classes, (n,).
-    values : str
-        How the values came about, for `Dataset.preprocessing`.
-    rescale : (float, float), optional
-        Low and high, to which [0, 1] is mapped.
+    Parameters as of `split_arrays` and `Dataset`; each part is reflectance, (n, H, W) or (n, N),
+    and classes, (n,).
     """
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
@@ -288,16 +277,8 @@ def draw_stratified(
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def load_npz(path: Path, seed: int, rescale: Range | None) -> Dataset:
-    """Data set of the arrays `x` and `y`, and of a test part where it is there.
-
-    Parameters
-    ----------
-    path : Path
-        ``.npz`` file.
-    seed, rescale
-        As in `from_arrays`.
-    """
+def load_npz(path: Path, options: Options) -> Dataset:
+    """Data set of the arrays `x` and `y`, and of a test part where it is there."""
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
     try:
@@ -313,4 +294,4 @@ def load_npz(path: Path, seed: int, rescale: Range | None) -> Dataset:
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
             "give x and y, optionally x_test and y_test, and no other names"
         )
-    return from_arrays(**arrays, name=path.stem, seed=seed, rescale=rescale)
+    return from_arrays(**arrays, name=path.stem, seed=options.seed, rescale=options.rescale)

@@ -70,18 +70,8 @@ def download(name: str) -> Path:
     """Make sure that the files of a data set are here, and undamaged.
 
     What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
-    into it, each from the first mirror that gives it whole.
-
-    Parameters
-    ----------
-    name : str
-        ``"mnist"``, ``"fashion-mnist"`` or ``"cifar10"``; of the others, which cannot be
-        downloaded, this finds the files that are here.
-
-    Returns
-    -------
-    Path
-        The folder or file, checked by its hash where one is known.
+    into it, each from the first mirror that gives it whole. Of names that cannot be downloaded,
+    this finds the files that are here. Gives the folder or file.
 
     Raises
     ------
@@ -100,21 +90,8 @@ def download(name: str) -> Path:
 def check(name: str) -> list[FileCheck]:
     """Compare the files of a data set with the hashes of the originals.
 
-    Parameters
-    ----------
-    name : str
-        One of those that `list_datasets` gives.
-
-    Returns
-    -------
-    list of FileCheck
-        One for each file, in the folder where all are, or else where they belong. Where no hash
-        is known, the content is looked at instead.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown.
+    They are in the folder where all are, or else where they belong. Where no hash is known, the
+    content is looked at instead.
     """
     _check_name(name)
     if name == "digits":

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Range, draw_stratified, split_arrays
+from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.pickles import read_batch
 from deepfsi.datasets.pictures import (
@@ -30,18 +30,7 @@ from deepfsi.datasets.pictures import (
 from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, data_root, retrieve
 from deepfsi.errors import InputError
 
-CLASSES = (
-    "airplane",
-    "automobile",
-    "bird",
-    "cat",
-    "deer",
-    "dog",
-    "frog",
-    "horse",
-    "ship",
-    "truck",
-)
+CLASSES = ("airplane", "automobile", "bird", "cat", "deer", "dog", "frog", "horse", "ship", "truck")
 """Names of the classes, in the order of the labels."""
 
 MIRRORS = ("https://www.cs.toronto.edu/~kriz/",)
@@ -87,22 +76,13 @@ def where(name: str) -> Path | None:
     return None
 
 
-def load(
-    name: str, size: int | Shape | None, seed: int, rescale: Range | None, images: int | None
-) -> Dataset:
-    """Load grey CIFAR-10 in its own split; the training part is shuffled.
-
-    Parameters
-    ----------
-    name : {"cifar10", "cifar10-jpeg"}
-    size, seed, rescale, images
-        As in `load_dataset`.
-    """
-    shape = as_shape(size)
+def load(name: str, options: Options) -> Dataset:
+    """Load grey CIFAR-10, or its copy in JPEG, in its own split; the training part is shuffled."""
+    shape, seed, images = as_shape(options.size), options.seed, options.images
     if shape is not None:
         check_total(6 * BATCH, shape)
     if name == "cifar10-jpeg":
-        return _load_jpeg(shape, seed, rescale, images)
+        return _load_jpeg(options)
     pixels, labels = read_batches(download(name))
     n = len(labels) - BATCH
     train = np.arange(n) if images is None else draw_stratified(labels[:n], images, seed, name)
@@ -112,7 +92,7 @@ def load(
         classes=CLASSES,
         name="CIFAR-10",
         seed=seed,
-        rescale=rescale,
+        rescale=options.rescale,
         values=describe(shape, True, images),
     )
 
@@ -220,9 +200,7 @@ def _contents(path: Path) -> list[tuple[bytes, str]]:
 # ---------------------------------------------------------------- the copy in JPEG
 
 
-def _load_jpeg(
-    shape: Shape | None, seed: int, rescale: Range | None, images: int | None
-) -> Dataset:
+def _load_jpeg(options: Options) -> Dataset:
     path = _jpeg_path()
     with open_listings(path) as listings:
         detail = _unlike(listings)
@@ -230,15 +208,7 @@ def _load_jpeg(
             raise InputError(
                 f"{path}: {detail}; replace it, or give its path to load it as any zip file"
             )
-        return from_listings(
-            listings,
-            shape,
-            name=JPEG_NAME,
-            seed=seed,
-            rescale=rescale,
-            images=images,
-            bilinear=True,
-        )
+        return from_listings(listings, JPEG_NAME, options, bilinear=True)
 
 
 def _jpeg_path() -> Path:

@@ -15,27 +15,12 @@ from deepfsi.errors import InputError
 
 
 def ambient(data: Dataset, share: float) -> Dataset:
-    """Scenes under stray light, the same on every pixel.
+    """Scenes under stray light, the same on every pixel: `share` times their mean light, 0 or more.
 
     A feature's mean over scenes is subtracted before it is classified, and stray light changes
-    nothing else but its noise: so this is light whose mean is known and subtracted.
-
-    Parameters
-    ----------
-    data : Dataset
-    share : float
-        Stray light over the training scenes' mean light, at least 0.
-
-    Returns
-    -------
-    Dataset
-        With every scene dimmed by one factor, so that reflectance stays in [0, 1]. A budget of it
-        is of all the light: (1 + share) times that of the scene.
-
-    Raises
-    ------
-    InputError
-        If the share is negative or not finite.
+    nothing else but its noise: so this is light whose mean is known and subtracted. Every scene is
+    dimmed by one factor, so that reflectance stays in [0, 1]. A budget is then of all the light:
+    (1 + share) times that of the scene.
     """
     if not (math.isfinite(share) and share >= 0):
         raise InputError(f"ambient light {share!r} is not allowed: give a share, 0 or more")

@@ -39,15 +39,7 @@ class Display(NamedTuple):
 def read_display(path: str | os.PathLike[str]) -> Display:
     """Read one picture, a folder of them, or a folder with one sub-folder for each class.
 
-    Parameters
-    ----------
-    path : str or path
-        Pictures have 8 bits and one size; colours are turned to grey.
-
-    Raises
-    ------
-    InputError
-        If there is none, one cannot be read, or they differ in size.
+    Pictures have 8 bits and one size, or raise `InputError`; colours are turned to grey.
     """
     source = Path(path)
     labels: tuple[str, ...] | None = None
@@ -104,13 +96,7 @@ def write_display(
 def write_pictures(
     pictures: Mapping[str, np.ndarray], folder: str | os.PathLike[str]
 ) -> list[Path]:
-    """Write reflectances (H, W) in [0, 1] as grey pictures, by their names in a new folder.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something.
-    """
+    """Write reflectances (H, W) in [0, 1] as grey pictures, by their names in a new folder."""
     from PIL import Image
 
     with new_folder(folder) as draft:

@@ -46,22 +46,10 @@ WATER = np.r_[103:108, 149:163, 219]
 """Bands, counted from 0, that the corrected file lacks."""
 
 CLASSES = (
-    "Alfalfa",
-    "Corn-notill",
-    "Corn-mintill",
-    "Corn",
-    "Grass-pasture",
-    "Grass-trees",
-    "Grass-pasture-mowed",
-    "Hay-windrowed",
-    "Oats",
-    "Soybean-notill",
-    "Soybean-mintill",
-    "Soybean-clean",
-    "Wheat",
-    "Woods",
-    "Buildings-Grass-Trees-Drives",
-    "Stone-Steel-Towers",
+    *("Alfalfa", "Corn-notill", "Corn-mintill", "Corn"),
+    *("Grass-pasture", "Grass-trees", "Grass-pasture-mowed", "Hay-windrowed", "Oats"),
+    *("Soybean-notill", "Soybean-mintill", "Soybean-clean"),
+    *("Wheat", "Woods", "Buildings-Grass-Trees-Drives", "Stone-Steel-Towers"),
 )
 """Names of the classes 1 to 16."""
 

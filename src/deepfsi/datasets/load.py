@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from deepfsi.datasets import cifar, idx, indian_pines
-from deepfsi.datasets.arrays import Range, from_arrays, load_npz, split_arrays
+from deepfsi.datasets.arrays import Options, Range, from_arrays, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset
@@ -24,16 +24,6 @@ TAKERS = {
     "split": ("a split", "a hyperspectral image takes"),
 }
 """For messages, each option that only some sources take, and the sources."""
-
-
-class Options(NamedTuple):
-    """Options of `load_dataset`."""
-
-    size: int | tuple[int, int] | None
-    seed: int
-    rescale: Range | None
-    images: int | None
-    split: str | None
 
 
 def load_dataset(
@@ -100,21 +90,8 @@ def load_dataset(
 def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:
     """Load a hyperspectral image with its label map, as a whole: for maps and overviews.
 
-    Parameters
-    ----------
-    source : str or path
-        One of the names that begin with ``indian-pines``, or the path of a cube, as in
-        `load_dataset`.
-
-    Returns
-    -------
-    SpectralImage
-        Its `dataset` makes the scenes that `load_dataset` gives.
-
-    Raises
-    ------
-    InputError
-        As `load_dataset`.
+    The source is one of the names that begin with ``indian-pines``, or the path of a cube, as in
+    `load_dataset`; the image's `dataset` makes the scenes that `load_dataset` gives.
     """
     name = os.fspath(source)
     if name in indian_pines.SOURCES:
@@ -147,14 +124,14 @@ def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
 
 
 def _load_name(name: str, options: Options) -> Dataset:
-    size, seed, rescale, images, split = options
+    seed, rescale = options.seed, options.rescale
     if name in CIFAR:
         _refuse(options, name, "size", "images")
-        return cifar.load(name, size, seed, rescale, images)
+        return cifar.load(name, options)
     if name in indian_pines.SOURCES:
         _refuse(options, name, "split")
         scene = indian_pines.load_scene(name)
-        return scene.dataset(split or "random", seed, indian_pines.BANDS, rescale)
+        return scene.dataset(options.split or "random", seed, indian_pines.BANDS, rescale)
     _refuse(options, name)
     if name == "digits":
         return _load_digits(seed, rescale or DIM_BLACK)
@@ -162,15 +139,15 @@ def _load_name(name: str, options: Options) -> Dataset:
 
 
 def _load_path(path: Path, options: Options) -> Dataset:
-    size, seed, rescale, images, split = options
     if path.is_dir() or path.suffix.lower() == ".zip":
         _refuse(options, path.name, "size", "images")
-        return load_pictures(path, size, seed, rescale, images)
+        return load_pictures(path, options)
     if path.suffix in SUFFIXES:
         _refuse(options, path.name, "split")
-        return read_cube(path).dataset(split or "random", seed, rescale=rescale)
+        split = options.split or "random"
+        return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
     _refuse(options, path.name)
-    return load_npz(path, seed, rescale)
+    return load_npz(path, options)
 
 
 def _refuse(options: Options, name: str, *taken: str) -> None:
@@ -184,7 +161,11 @@ def _load_digits(seed: int, rescale: Range) -> Dataset:
     from sklearn.datasets import load_digits
 
     digits = load_digits()
-    scenes = digits.images / 16, digits.target
     return split_arrays(
-        scenes, None, name="digits", seed=seed, rescale=rescale, values="Divided by 16"
+        (digits.images / 16, digits.target),
+        None,
+        name="digits",
+        seed=seed,
+        rescale=rescale,
+        values="Divided by 16",
     )

@@ -39,13 +39,9 @@ class _Array:
         self.values = np.frombuffer(content, np.uint8).reshape(shape)
 
 
-def _start_array(*_: object) -> _Array:
-    return _Array()
-
-
 _STAND_INS = {
-    ("numpy.core.multiarray", "_reconstruct"): _start_array,
-    ("numpy._core.multiarray", "_reconstruct"): _start_array,
+    ("numpy.core.multiarray", "_reconstruct"): lambda *_: _Array(),
+    ("numpy._core.multiarray", "_reconstruct"): lambda *_: _Array(),
     ("numpy", "ndarray"): _Array,
     ("numpy", "dtype"): _ByteType,
 }
@@ -60,24 +56,9 @@ class _Reader(pickle.Unpickler):
 
 
 def read_batch(content: bytes, where: str) -> tuple[npt.NDArray[np.uint8], list[int]]:
-    """Read the images and labels of one pickled batch.
+    """Pixels (n, 3072) and labels of one pickled batch; messages call it `where`.
 
-    Parameters
-    ----------
-    content : bytes
-        The pickle.
-    where : str
-        Its name in messages.
-
-    Returns
-    -------
-    pixels : array, shape (n, 3072), uint8
-    labels : list of int
-
-    Raises
-    ------
-    InputError
-        If it is damaged, or holds anything but that.
+    Raises `InputError` if it is damaged, or holds anything but that.
     """
     try:
         batch = _Reader(io.BytesIO(content), encoding="bytes").load()

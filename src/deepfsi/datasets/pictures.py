@@ -19,7 +19,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Range, draw_stratified, split_arrays
+from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.errors import InputError
 
@@ -49,68 +49,27 @@ class Picture(NamedTuple):
     open: Callable[[], IO[bytes]]
 
 
-def load_pictures(
-    path: Path,
-    size: int | Shape | None,
-    seed: int,
-    rescale: Range | None,
-    images: int | None = None,
-) -> Dataset:
+def load_pictures(path: Path, options: Options) -> Dataset:
     """Load a folder or a zip file of images.
-
-    Parameters
-    ----------
-    path : Path
-        The folder or zip file.
-    size : int or (int, int), optional
-        Side or (H, W) in pixels to which images are brought by averaging over areas.
-    seed : int
-        Draws the test part where there is none, the order, and the `images` to keep.
-    rescale : (float, float), optional
-        Low and high, to which [0, 1] is mapped.
-    images : int, optional
-        Training images to keep; only where there is a test part.
 
     Raises
     ------
     InputError
         If the folders are not as above, or an image cannot be read or differs in size.
     """
-    shape = as_shape(size)
+    name = path.resolve().stem if path.is_file() else path.resolve().name
     with open_listings(path) as listings:
-        return from_listings(
-            listings,
-            shape,
-            name=path.resolve().stem if path.is_file() else path.resolve().name,
-            seed=seed,
-            rescale=rescale,
-            images=images,
-        )
+        return from_listings(listings, name, options)
 
 
 def from_listings(
-    listings: list[list[Picture]],
-    shape: Shape | None,
-    *,
-    name: str,
-    seed: int,
-    rescale: Range | None,
-    images: int | None = None,
-    bilinear: bool = False,
+    listings: list[list[Picture]], name: str, options: Options, bilinear: bool = False
 ) -> Dataset:
     """Data set of the images of one part, or of a training and a test part.
 
-    Parameters
-    ----------
-    listings : list of list of Picture
-        Of one part, or of the training and the test part.
-    shape : (int, int), optional
-        Height and width to which images are brought.
-    name, seed, rescale, images
-        As in `load_pictures`.
-    bilinear : bool
-        Resize bilinearly instead of averaging over areas.
+    Parameters as of `load_dataset` and `read_all`.
     """
+    shape, images = as_shape(options.size), options.images
     train, *test = listings
     if images is not None:
         if not test:
@@ -118,7 +77,7 @@ def from_listings(
                 f"{name}: {images} training images were asked for; that needs images with their "
                 "own train and test folders, leave it out"
             )
-        kept = draw_stratified([picture.label for picture in train], images, seed, name)
+        kept = draw_stratified([p.label for p in train], images, options.seed, name)
         train = [train[i] for i in kept]
     wanted = [*train, *(test[0] if test else [])]
     pixels = read_all(wanted, shape, bilinear)
@@ -128,23 +87,16 @@ def from_listings(
         (pixels[:n], labels[:n]),
         (pixels[n:], labels[n:]) if test else None,
         name=name,
-        seed=seed,
-        rescale=rescale,
-        values=describe(shape, bilinear, n if images is not None else None),
+        seed=options.seed,
+        rescale=options.rescale,
+        values=describe(shape, bilinear, images),
     )
 
 
 def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
     """Preprocessing of images, as the beginning of a sentence.
 
-    Parameters
-    ----------
-    shape : (int, int) or None
-        Height and width to which they were brought.
-    bilinear : bool
-        Resized bilinearly instead of averaged over areas.
-    images : int or None
-        Number of training images that were drawn.
+    Parameters as of `read_all`; `images` is the number of training images that were drawn.
     """
     how = "resized bilinearly" if bilinear else "averaged"
     resized = "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels,"
@@ -352,16 +304,7 @@ def _read_grey(picture: Picture, shape: Shape | None, bilinear: bool) -> npt.NDA
 
 
 def resized(grey: PillowImage, shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
-    """Levels of one of Pillow's grey images, resized where a shape is given.
-
-    Parameters
-    ----------
-    grey : PIL.Image.Image
-    shape : (int, int) or None
-        Height and width.
-    bilinear : bool
-        Resize bilinearly instead of averaging over areas.
-    """
+    """Levels of one of Pillow's grey images, (H, W); parameters as of `read_all`."""
     from PIL import Image
 
     if shape is not None:

@@ -116,22 +116,10 @@ class SpectralImage:
         return low, high
 
     def scenes(self, bands: int | None = None) -> Reflectance:
-        """Every pixel as a scene, labelled or not, row by row.
+        """Every pixel as a scene, (H W, N) float32 in [0, 1], labelled or not, row by row.
 
-        Parameters
-        ----------
-        bands : int, optional
-            N, to which the spectra are padded with darkness; by default as many as there are.
-
-        Returns
-        -------
-        Reflectance
-            (H W, N) float32 in [0, 1], scaled as the scenes of `dataset`.
-
-        Raises
-        ------
-        InputError
-            If there are more than `bands`.
+        The spectra are padded with darkness to N = `bands`, by default as many as there are. Raises
+        `InputError` if there are more.
         """
         given = self.cube.shape[2]
         bands = given if bands is None else bands
@@ -197,9 +185,8 @@ class SpectralImage:
         best: tuple[Mask, Mask] | None = None
         merit = (0, 0.0)
         for _ in range(TRIES):
-            folds = StratifiedGroupKFold(
-                TEST_SHARE, shuffle=True, random_state=int(rng.integers(2**31))
-            )
+            state = int(rng.integers(2**31))
+            folds = StratifiedGroupKFold(TEST_SHARE, shuffle=True, random_state=state)
             for _, chosen in folds.split(rows, kinds, blocks):
                 test = np.zeros(labels.shape, bool)
                 test[rows[chosen], columns[chosen]] = True
@@ -243,11 +230,6 @@ class SpectralImage:
             Its test scenes are in the order of the image, row by row; its training scenes
             shuffled. What `Dataset.hold_out` sets aside has neighbours among the rest under
             either split: only the test part of ``"blocks"`` is apart.
-
-        Raises
-        ------
-        InputError
-            As `scenes` and `parts`.
         """
         spectra = self.scenes(bands)
         y = np.searchsorted(np.unique(self.labels[self.labels != 0]), self.labels.ravel())

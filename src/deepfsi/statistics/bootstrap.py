@@ -14,7 +14,11 @@ from scipy import stats
 from deepfsi.errors import InputError
 
 CONFIDENCE = 0.95
+"""Of the intervals."""
+
 RESAMPLES = 9999
+"""Draws of a bootstrap."""
+
 DECIMALS = 12
 """Differences of rates that agree to so many decimals are equal.
 
@@ -52,22 +56,8 @@ class Wilcoxon(NamedTuple):
 def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
     """Percentile interval of the mean rate, classes drawn with replacement.
 
-    Parameters
-    ----------
-    rates : array, shape (C,)
-        Success rate of each class, two or more.
-    seed : int
-        Of the resampling.
-
-    Returns
-    -------
-    Interval
-        Of no width where all classes have one rate.
-
-    Raises
-    ------
-    InputError
-        For a single class, which says nothing of others, or rates that are not finite.
+    The rates, (C,), are those of two classes or more: a single class says nothing of others. Of no
+    width where all classes have one rate.
 
     Notes
     -----
@@ -88,24 +78,7 @@ def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
 
 
 def studentised_bootstrap(rates: ArrayLike, seed: int) -> Interval:
-    """Bootstrap-t interval of the mean rate, classes drawn with replacement.
-
-    Parameters
-    ----------
-    rates : array, shape (C,)
-        Success rate of each class, two or more.
-    seed : int
-        Of the resampling.
-
-    Returns
-    -------
-    Interval
-        Of no width where all classes have one rate. Not held inside 0 to 1.
-
-    Raises
-    ------
-    InputError
-        As `cluster_bootstrap`.
+    """Bootstrap-t interval of the mean rate, as `cluster_bootstrap`; not held inside 0 to 1.
 
     Notes
     -----
@@ -131,24 +104,9 @@ def wilcoxon_signed_rank(a: ArrayLike, b: ArrayLike) -> Wilcoxon:
 
     The rule is the paper's. The null distribution is the exact one where no class has equal rates
     on both sides. Otherwise such classes are dropped, and the normal approximation is taken, with
-    its correction for ties and none for continuity.
-
-    Parameters
-    ----------
-    a, b : array, shape (C,)
-        Success rates of the classes, in one order. Which of the two is the reference does not
-        matter.
-
-    Returns
-    -------
-    Wilcoxon
-        Statistic 0, p 1 and rank-biserial 0 where all rates are equal: nothing speaks for a
-        difference.
-
-    Raises
-    ------
-    InputError
-        If there are no rates, not as many on both sides, or some are not finite.
+    its correction for ties and none for continuity. Both sides are rates of the classes, (C,), in
+    one order; which of the two is the reference does not matter. Statistic 0, p 1 and
+    rank-biserial 0 where all rates are equal: nothing speaks for a difference.
 
     Notes
     -----

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 CONFIDENCE = 0.95
+"""Of the intervals."""
 
 
 class Trials(Protocol):
