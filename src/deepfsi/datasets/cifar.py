@@ -76,7 +76,7 @@ def where(name: str) -> Path | None:
     return None
 
 
-def load(name: str, options: Options) -> Dataset:
+def load_cifar(name: str, options: Options) -> Dataset:
     """Load grey CIFAR-10, or its copy in JPEG, in its own split; the training part is shuffled."""
     shape, seed, images = as_shape(options.size), options.seed, options.images
     if shape is not None:

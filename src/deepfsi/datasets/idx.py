@@ -71,7 +71,7 @@ ORIGINALS = {
 """Data sets of this format, by name."""
 
 
-def load(name: str, rescale: Range) -> Dataset:
+def load_idx(name: str, rescale: Range) -> Dataset:
     """Load the original in its own split and order, framed to 32x32."""
     folder = download(name)
     images, labels, images_test, labels_test = (

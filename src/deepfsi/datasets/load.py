@@ -127,7 +127,7 @@ def _load_name(name: str, options: Options) -> Dataset:
     seed, rescale = options.seed, options.rescale
     if name in CIFAR:
         _refuse(options, name, "size", "images")
-        return cifar.load(name, options)
+        return cifar.load_cifar(name, options)
     if name in indian_pines.SOURCES:
         _refuse(options, name, "split")
         scene = indian_pines.load_scene(name)
@@ -135,7 +135,7 @@ def _load_name(name: str, options: Options) -> Dataset:
     _refuse(options, name)
     if name == "digits":
         return _load_digits(seed, rescale or DIM_BLACK)
-    return idx.load(name, rescale or DIM_BLACK)
+    return idx.load_idx(name, rescale or DIM_BLACK)
 
 
 def _load_path(path: Path, options: Options) -> Dataset:
