@@ -9,7 +9,7 @@ import torch
 
 from conftest import RECIPE
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.adaptive import AdaptiveDwells, Exposure, expose
+from deepfsi.design.adaptive import AdaptiveDwells, expose
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
@@ -352,12 +352,6 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
         fixed.classify_live(lambda dwell: np.zeros(6), 1e3)
     with pytest.raises(InputError, match="leave dwell out"):
         fixed.classify(np.zeros(6), 1e3, dwell=np.ones(6) / 6)
-
-
-def test_an_exposure_says_what_it_has_seen():
-    seen = Exposure(torch.tensor([2.0, 0.0]), torch.tensor([0.75, 0.25]))
-    inputs = seen.inputs(torch.tensor([1.0, 2.0]), torch.tensor([0.5, 0.5]))
-    assert inputs.tolist() == [1.0, -2.0, 0.5, pytest.approx(0.5 / 3)]
 
 
 def test_at_the_command_line(call, tmp_path):

@@ -11,7 +11,7 @@ import torch
 
 from conftest import every_optics, generator, quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.conditioning import Conditioning, chances
+from deepfsi.design.conditioning import Conditioning
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
@@ -70,10 +70,10 @@ def test_conditioning_inputs_are_written_out():
 
 
 def test_chances_are_of_the_fewest_masks_and_more():
-    assert chances(4, 0).tolist() == [0, 0, 0, 1]
-    assert chances(4, 4).tolist() == [0, 0, 0, 1]
+    found = {fewest: Conditioning(1.0, 1.0, 4, fewest).chances.tolist() for fewest in (0, 2, 4)}
+    assert found[0] == found[4] == [0, 0, 0, 1]
     few = [0.75 * part / 13 for part in (0, 6, 4, 3)]
-    assert chances(4, 2).tolist() == pytest.approx([*few[:3], few[3] + 0.25])
+    assert found[2] == pytest.approx([*few[:3], few[3] + 0.25])
 
 
 @pytest.mark.parametrize("scale", ["each", "common"])
@@ -92,7 +92,7 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     used = constraints.used(design.rails, design.light).numpy()
     for _ in range(repeats):
         budget = 300.0 * span ** rng.random((n, 1))
-        likely = chances(6, nested).double().numpy()
+        likely = design.exposure.chances.double().numpy()
         shown = rng.choice(6, n, p=likely / likely.sum())[:, None] + 1
         mean = digits.x_train @ design.matrix.T / design.summed_reflectance
         light = digits.x_train @ np.abs(design.matrix).T / design.summed_reflectance
@@ -131,7 +131,7 @@ def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
 def test_the_noise_of_a_range_is_its_mean_over_budgets():
     """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
     used = constraints.used(torch.rand(1, 2, 2, 5, generator=generator()), "column")
-    factor, often = mean_over_exposures(used, 1000.0, chances(2, 0))
+    factor, often = mean_over_exposures(used, 1000.0, Conditioning(1.0, 1000.0, 2).chances)
     draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
     error = 5 * draws.std() / 1000
     assert float(factor[0, 0]) == pytest.approx(draws.mean(), abs=error)

@@ -7,8 +7,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from deepfsi.design.answers import Estimate
-from deepfsi.design.stopping import Stopped, StoppingRule
+from deepfsi.design.stopping import Estimate, Stopped, StoppingRule
 from deepfsi.experiments.flexible import claims as flexible
 from deepfsi.experiments.flexible.measures import Measures, Prefix
 from shared.results import a_point, some_results

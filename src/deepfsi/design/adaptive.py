@@ -10,7 +10,7 @@ over the looks hold all that they say of the scene, and are what both networks a
 The classifier learns to answer after every look, so that an exposure may end when it is sure.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
@@ -34,13 +34,9 @@ A mask that is never shown is never learned, and the scores would not come back 
 
 
 def expose(
-    choose: Callable[[Tensor], Tensor],
-    show: Show,
-    looks: int,
-    mean: Tensor,
-    std: Tensor,
+    choose: Callable[[Tensor], Tensor], show: Show, looks: int, mean: Tensor, std: Tensor
 ) -> Iterator[Exposure]:
-    """Take one exposure, or many at once: the same loop in training, in tests and at a camera.
+    """Exposures after each look: one loop for training, tests and a camera, for one or many.
 
     Parameters
     ----------
@@ -54,11 +50,6 @@ def expose(
         K, each 1 / K of the exposure.
     mean, std : tensor, shape (..., m)
         As for `Exposure.inputs`, with the leading axes of the exposures.
-
-    Yields
-    ------
-    Exposure
-        After each look.
     """
     features = total = torch.zeros_like(mean)
     seen = Exposure(features, total)
@@ -94,17 +85,12 @@ class AdaptiveDwells(ExposureKind):
         """Entry of the design file's header, of which `restored` makes the kind again."""
         return AdaptiveShape(self.looks, self.network.hidden)
 
-    @property
-    def networks(self) -> Sequence[Mlp]:
-        """Networks besides the classifier."""
-        return (self.network,)
-
     def to(self, device: str | torch.device) -> "AdaptiveDwells":
-        """The same on a device."""
+        """The kind on a device."""
         return replace(self, network=self.network.to(device))
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails (1, m, N) have equal dwells on one device."""
+        """Raise `ValueError` unless rails fit, parameters as for `ExposureKind.check`."""
         equal = constraints.excess(rails, "equal-dwell") < constraints.SLACK
         if not (equal and light == "free-dwell" and len(rails) == 1):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
@@ -116,10 +102,7 @@ class AdaptiveDwells(ExposureKind):
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
     ) -> Iterator[Exposure]:
-        """Exposures after each look; rates (..., 1, m) are those of equal dwells.
-
-        Parameters as for `ExposureKind.expose`.
-        """
+        """Exposures after each look, parameters as for `ExposureKind.expose`."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             shown = rates * (photons * rates.shape[-1] * dwell.unsqueeze(-2))
@@ -128,7 +111,7 @@ class AdaptiveDwells(ExposureKind):
         return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
-        """Exposures after each look at a camera, which shows what is asked for."""
+        """Exposures after each look at a camera, parameters as for `ExposureKind.expose`."""
         return expose(self.network, show, self.looks, mean, std)
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:

@@ -14,10 +14,9 @@ from pydantic import BaseModel
 from torch import Tensor, nn
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact_file import Header, pack, read_design, state_of
+from deepfsi.design import artifact_file
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.exposure import Exposure, ExposureKind, FixedDwells
-from deepfsi.design.readouts import LiveReadouts, as_readouts
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.optics import constraints
@@ -25,8 +24,8 @@ from deepfsi.optics.budget import check_budget
 from deepfsi.optics.constraints import Light
 from deepfsi.optics.scanner import Scanner, subtract
 
-STATISTICS = ("mean", "std", "shares")
-"""Tensors of a design, one number a mask."""
+LONGEST_LOOK = 1.05
+"""Longest time of a look over that asked for: frames last whole microseconds."""
 
 
 @dataclass
@@ -155,11 +154,10 @@ class Design:
         photons : float
             Budget Φ.
         """
-
-        def read(expected: Tensor) -> Tensor:
-            return subtract(scanner.read(expected, generator))
-
-        return self.exposure.expose(read, rates, photons, self.mean, self.std)
+        return self.exposure.expose(
+            lambda expected: subtract(scanner.read(expected, generator)),
+            rates, photons, self.mean, self.std,
+        )  # fmt: skip
 
     def classify_live(
         self,
@@ -188,14 +186,21 @@ class Design:
             If the design has fixed dwells, or counts or photons are not as `classify` takes them.
         """
         budget = check_budget(photons)
-        camera = LiveReadouts(read, budget, self.masks)
-        looks = self.exposure.expose_live(camera.show, self.mean, self.std)
+        counted = np.zeros(self.masks)
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            nonlocal counted
+            counts, shown = _look(read, dwell)
+            counted = counted + counts
+            return torch.from_numpy(counts / budget).to(dwell), torch.from_numpy(shown).to(dwell)
+
+        looks = self.exposure.expose_live(show, self.mean, self.std)
         with torch.no_grad():
             for look, seen in enumerate(looks, start=1):
                 if until is None and look < self.exposure.looks:
                     continue
-                counted = torch.from_numpy(camera.counted).to(self.rails)
-                logits = self.logits(counted, budget, seen.dwell)
+                features = torch.from_numpy(counted).to(self.rails)
+                logits = self.logits(features, budget, seen.dwell)
                 chances, enough = logits.softmax(dim=-1).cpu().numpy(), False
                 if until is not None:
                     chances, enough = until(look, chances)
@@ -229,7 +234,7 @@ class Design:
         """
         self.exposure.check_dwell(dwell is not None)
         wanted = (2, self.masks) if len(self.rails) == 2 else (self.masks,)
-        read, budget, shown = as_readouts(counts, photons, dwell, wanted)
+        read, budget, shown = _readouts(counts, photons, dwell, wanted)
         device = self.rails.device
         with torch.no_grad():
             features = subtract(read) if len(self.rails) == 2 else read
@@ -250,8 +255,8 @@ class Design:
     def quantised(self, levels: int) -> "Design":
         """The design as a device of that many grey levels shows it, dark included (paper: 769).
 
-        Masks are multiples of 1 / (levels − 1) of each frame's peak. Classifier and statistics stay
-        as they are; `TrainingSettings.levels` trains for such a device.
+        Classifier and statistics stay as they are; `TrainingSettings.levels` trains for such a
+        device.
         """
         return replace(self, rails=constraints.quantise(self.rails, self.light, levels))
 
@@ -322,13 +327,7 @@ class Design:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one safetensors file, all or nothing.
-
-        Raises
-        ------
-        InputError
-            As `to_bytes`.
-        """
+        """Write one safetensors file, all or nothing."""
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:
@@ -337,29 +336,21 @@ class Design:
         Raises
         ------
         InputError
-            If the classifier is not of this package: a module of your own cannot be rebuilt from a
-            file.
+            If the classifier is a module of your own, which no file can rebuild.
         """
         if not isinstance(self.classifier, Mlp | Vit):
             raise InputError(
                 f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
                 "only Mlp can; save its state_dict() yourself"
             )
-        header = Header(
-            name=self.name,
-            light=self.light,
-            summed_reflectance=self.summed_reflectance,
-            image_shape=self.image_shape,
-            classes=self.classes,
+        header = artifact_file.Header(
             exposure=self.exposure.header(),
             classifier=self.classifier.header,  # type: ignore[arg-type]
-            info=self.info,
+            **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
-        tensors = {name: getattr(self, name) for name in ("rails", *STATISTICS)}
-        tensors |= state_of("classifier.", self.classifier)
-        for network in self.exposure.networks:
-            tensors |= state_of("exposure.", network)
-        return pack(header, tensors)
+        tensors = {name: getattr(self, name) for name in artifact_file.TENSORS}
+        networks = {"classifier": self.classifier, "exposure": self.exposure.network}
+        return artifact_file.pack(header, tensors, networks)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], device: str | torch.device = "cpu") -> "Design":
@@ -370,7 +361,7 @@ class Design:
         InputError
             If the file is missing, damaged, truncated, not a design, or of a newer schema.
         """
-        return cls(**read_design(path)).to(device)
+        return cls(**artifact_file.read_design(path)).to(device)
 
 
 def provenance(
@@ -386,3 +377,66 @@ def provenance(
         "device": device.type,
         "seconds": seconds,
     }
+
+
+def _readouts(
+    counts: Any, photons: Any, dwell: Any, wanted: tuple[int, ...]
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked."""
+
+    def tensor(values: Any) -> Tensor:
+        return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
+
+    try:
+        read, budget = tensor(counts), tensor(photons)
+        shown = None if dwell is None else tensor(dwell)
+    except (TypeError, ValueError):
+        raise InputError("counts, photons and dwell must be arrays of numbers") from None
+    if tuple(read.shape[-len(wanted) :]) != wanted:
+        raise InputError(
+            f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
+            f"{', '.join(map(str, wanted))})"
+        )
+    if not bool(torch.isfinite(read).all()):
+        raise InputError("counts hold NaN or infinity: give finite counts")
+    if shown is not None and (
+        shown.shape != read.shape or not bool((torch.isfinite(shown) & (shown >= 0)).all())
+    ):
+        raise InputError(
+            f"dwells of shape {tuple(shown.shape)} do not fit counts of shape "
+            f"{tuple(read.shape)}: give a share of 0 or more for each count"
+        )
+    if not bool((torch.isfinite(budget) & (budget > 0)).all()):
+        raise InputError("photons must be a finite number above 0 for every exposure")
+    try:
+        budget = budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
+    except RuntimeError:
+        raise InputError(
+            f"photons of shape {tuple(budget.shape)} do not fit counts of shape "
+            f"{tuple(read.shape)}: give one number, or one for each exposure"
+        ) from None
+    return read, budget, shown
+
+
+def _look(read: Callable[[np.ndarray], Any], dwell: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Counts (m,) of one look of a camera and the dwells (m,) shown, checked."""
+    asked = dwell.cpu().numpy()
+    seen = read(asked.copy())
+    pair = seen if isinstance(seen, tuple) else (seen, asked)
+    try:
+        counts, shown = (np.asarray(part, dtype=float) for part in pair)
+    except (TypeError, ValueError):
+        counts, shown = np.empty(0), asked
+    if not counts.shape == shown.shape == asked.shape:
+        raise InputError(
+            f"a look does not fit this design: return {asked.shape} counts, or a pair of "
+            "counts and shares shown"
+        )
+    if not np.isfinite(counts).all():
+        raise InputError("a look holds NaN or infinity: return finite counts")
+    if not 0 <= shown.sum() <= asked.sum() * LONGEST_LOOK:
+        raise InputError(
+            f"a look that took {shown.sum():.4g} of the exposure was to take "
+            f"{asked.sum():.4g}: show each mask for at most the shares asked"
+        )
+    return counts, shown

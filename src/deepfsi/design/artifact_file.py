@@ -17,14 +17,20 @@ from torch import Tensor, nn
 from deepfsi.design.adaptive import AdaptiveShape
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.conditioning import Conditioning
-from deepfsi.design.exposure import STRICT, FixedDwells
-from deepfsi.design.patchwise import PatchExposure
+from deepfsi.design.exposure import STRICT, FixedDwells, PatchExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
+
+WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
+"""Fields of a design that its header holds as they are."""
+
+STATISTICS = ("mean", "std", "shares")
+TENSORS = ("rails", *STATISTICS)
+"""Fields of a design that are tensors; statistics have one number a mask."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -92,9 +98,24 @@ class Header(BaseModel):
         return self
 
 
-def pack(header: Header, tensors: Mapping[str, Tensor]) -> bytes:
-    """Content of a design file."""
-    whole = {key: value.detach().cpu().contiguous() for key, value in tensors.items()}
+def pack(
+    header: Header, tensors: Mapping[str, Tensor], networks: Mapping[str, nn.Module | None]
+) -> bytes:
+    """Content of a design file.
+
+    Parameters
+    ----------
+    header : Header
+    tensors : mapping of tensor
+        Those named in `TENSORS`.
+    networks : mapping of nn.Module
+        By part of the design; None where that has none.
+    """
+    every = dict(tensors)
+    for part, network in networks.items():
+        state = network.state_dict() if network is not None else {}
+        every |= {f"{part}.{key}": value for key, value in state.items()}
+    whole = {key: value.detach().cpu().contiguous() for key, value in every.items()}
     words = header.model_dump(mode="json", by_alias=True)
     return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
 
@@ -115,58 +136,48 @@ def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
             tensors = {k: torch.from_numpy(file.get_tensor(k)) for k in file.keys()}  # noqa: SIM118
         schema = int(json.loads(text)["schema"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
-        raise damaged(path) from error
+        raise _damaged(path) from error
     if schema > SCHEMA:
         raise InputError(
             f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"
         )
     try:
-        return restore(Header.model_validate_json(text), tensors)
+        return _fields(Header.model_validate_json(text), tensors)
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-        raise damaged(path) from error
+        raise _damaged(path) from error
 
 
-def restore(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
+def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     """Fields of `artifact.Design`, or an error where header and tensors do not fit together."""
-    rails = tensors["rails"]
-    if rails.ndim != 3 or not all(bool(torch.isfinite(part).all()) for part in tensors.values()):
+    if not all(bool(torch.isfinite(part).all()) for part in tensors.values()):
         raise ValueError("tensors are not finite")
-    masks = rails.shape[1]
-    statistics = {name: tensors[name] for name in ("mean", "std", "shares")}
-    if {part.shape for part in statistics.values()} != {(masks,)} or (tensors["std"] <= 0).any():
+    fields = {name: tensors[name] for name in TENSORS}
+    rails, masks = fields["rails"], fields["rails"].shape[1]
+    if {fields[name].shape for name in STATISTICS} != {(masks,)} or (fields["std"] <= 0).any():
         raise ValueError("statistics are not those of the masks")
     constraints.check_light(header.light, {1: "single", 2: "dual"}[len(rails)])
     constraints.check(rails, header.light)
-    exposure = header.exposure.restored(weights_of(tensors, "exposure."), masks)
+    exposure = header.exposure.restored(_weights(tensors, "exposure."), masks)
     exposure.check(rails, header.light, header.image_shape)
     if math.prod(header.image_shape) != rails.shape[2] * header.classifier.patches:
         raise ValueError("images have other pixels than masks on all patches")
     classifier = restored(
         {"mlp": Mlp, "vit": Vit}[header.classifier.kind],
-        weights_of(tensors, "classifier."),
+        _weights(tensors, "classifier."),
         inputs=exposure.input_count(masks),
         classes=len(header.classes),
         **header.classifier.model_dump(exclude={"kind"}),
     )
-    kept = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
-    fields = {name: getattr(header, name) for name in kept}
-    return {
-        **fields, **statistics, "rails": rails, "exposure": exposure, "classifier": classifier
-    }  # fmt: skip
+    words = {name: getattr(header, name) for name in WORDS}
+    return {**words, **fields, "exposure": exposure, "classifier": classifier}
 
 
-def state_of(part: str, network: nn.Module) -> dict[str, Tensor]:
-    """Tensors of a network in a design file, whose names begin with its part of the design."""
-    return {f"{part}{key}": value for key, value in network.state_dict().items()}
-
-
-def weights_of(tensors: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
-    """State of a network among the tensors of a design file; inverse of `state_of`."""
+def _weights(tensors: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
+    """State of a network among the tensors of a design file."""
     return {key.removeprefix(part): value for key, value in tensors.items() if key.startswith(part)}
 
 
-def damaged(path: str | os.PathLike[str]) -> InputError:
-    """Error for a file that is no whole design."""
+def _damaged(path: str | os.PathLike[str]) -> InputError:
     return InputError(
         f"{path} is not a whole deepfsi design file: give a .safetensors file that "
         "`deepfsi design` or Design.save wrote"

@@ -55,7 +55,7 @@ class Conditioning(ExposureKind):
     kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails (2 or 1, m, N) can be exposed so."""
+        """Raise `ValueError` unless rails fit, parameters as for `ExposureKind.check`."""
         if rails.shape[1] > self.masks:
             raise ValueError("more masks than in the whole sequence")
 
@@ -75,7 +75,7 @@ class Conditioning(ExposureKind):
         return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1]))
 
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
-        """First layer for features and a `BudgetLevel`.
+        """First layer for features and a `BudgetLevel`, parameters as for `ExposureKind.fold`.
 
         Masks not shown read 0, and how many are is one number for a design: both fold away.
         """
@@ -84,15 +84,24 @@ class Conditioning(ExposureKind):
 
     @property
     def chances(self) -> Tensor:
-        """Chance of each number of masks 1 .. m to be shown in training, shape (m,)."""
-        return chances(self.masks, self.nested)
+        """Chance of each number of masks 1 .. m to be shown in training, shape (m,).
+
+        Inverse to the number from the fewest on, so that few masks, which do worst, learn as much
+        as many, but for the share `ALL_MASKS_SHARE` of exposures that show all: else the last masks
+        would hardly learn.
+        """
+        count = torch.arange(1, self.masks + 1, dtype=torch.float32)
+        weight = torch.where(count >= self.fewest_masks(self.masks), 1 / count, 0.0)
+        chance = (1 - ALL_MASKS_SHARE) * weight / weight.sum()
+        chance[-1] += ALL_MASKS_SHARE
+        return chance
 
     def fewest_masks(self, masks: int) -> int:
         """Fewest first masks, of m, that do by themselves."""
         return self.nested or masks
 
     def using(self, used: float) -> "Conditioning":
-        """The same for masks that take another share of the light constraint, see `used`."""
+        """The kind for masks that take another share of the light constraint, see `used`."""
         return replace(self, used=used)
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
@@ -137,17 +146,3 @@ class Conditioning(ExposureKind):
 def first(masks: int, shown: Tensor) -> Tensor:
     """Mask (..., m), true for the first `shown` (..., 1) of m masks."""
     return torch.arange(masks, device=shown.device) < shown
-
-
-def chances(masks: int, fewest: int) -> Tensor:
-    """Chance of each number of masks 1 .. m to be shown in training, shape (m,).
-
-    Inverse to the number from the fewest on, so that few masks, which do worst, learn as much as
-    many, but for the share `ALL_MASKS_SHARE` of exposures that show all: else the last masks would
-    hardly learn. The whole sequence alone if `fewest` is 0.
-    """
-    count = torch.arange(1, masks + 1, dtype=torch.float32)
-    weight = torch.where(count >= (fewest or masks), 1 / count, 0.0)
-    chance = (1 - ALL_MASKS_SHARE) * weight / weight.sum()
-    chance[-1] += ALL_MASKS_SHARE
-    return chance

@@ -1,16 +1,16 @@
 """Kinds of exposure, and the counts and dwells of an exposure so far.
 
-There are four kinds, and nobody but these classes asks which one a design has: `FixedDwells` here,
-`conditioning.Conditioning`, `adaptive.AdaptiveDwells` and `patchwise.PatchExposure`.
+There are four kinds, and nobody but these classes asks which one a design has: `FixedDwells` and
+`PatchExposure` here, `conditioning.Conditioning` and `adaptive.AdaptiveDwells`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
@@ -81,23 +81,21 @@ class ExposureKind:
         K, number of looks.
     used : float
         Share of the light constraint that the masks take within the whole sequence.
+    network : Mlp, optional
+        A network besides the classifier.
     """
 
     kind: str
     looks: int = 1
     used: float = 1.0
+    network: Mlp | None = None
 
     def header(self) -> Any:
         """Entry of the design file's header, of which `restored` makes the kind again."""
         return self
 
-    @property
-    def networks(self) -> Sequence[Mlp]:
-        """Networks besides the classifier."""
-        return ()
-
     def restored(self, weights: dict[str, Tensor], masks: int) -> "ExposureKind":
-        """The kind with its networks' weights from a design file."""
+        """The kind with its network's weights from a design file."""
         return self
 
     def to(self, device: str | torch.device) -> "ExposureKind":
@@ -105,7 +103,7 @@ class ExposureKind:
         return self
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails (2 or 1, m, N) can be exposed so."""
+        """Raise `ValueError` unless rails (2 or 1, m, N), as a parameter of `Design`, fit."""
 
     def input_count(self, masks: int) -> int:
         """Number of the classifier's inputs for m masks."""
@@ -126,17 +124,8 @@ class ExposureKind:
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
         """First layer for features, and for a `BudgetLevel` if the classifier has it.
 
-        Parameters
-        ----------
-        masks : int
-            m of the design.
-        weight, bias : array
-            Of the classifier's first layer.
-
-        Returns
-        -------
-        tuple
-            Weight, bias, and the level or None.
+        Parameters of the classifier's first layer and m; returns weight, bias, and the level or
+        None.
         """
         return weight, bias, None
 
@@ -161,12 +150,9 @@ class ExposureKind:
             yield Exposure(features[..., :shown])
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
-        """Exposures after each look at a camera, which shows what is asked for.
+        """Exposures after each look at a camera, or `InputError` if dwells are fixed.
 
-        Raises
-        ------
-        InputError
-            If dwells are fixed.
+        Parameters as for `expose`.
         """
         raise InputError(
             "the dwells of this design are fixed: show all masks and use `classify`, or learn "
@@ -178,7 +164,7 @@ class ExposureKind:
         return masks
 
     def using(self, used: float) -> "ExposureKind":
-        """The same kind for masks that take another share of the light constraint, see `used`."""
+        """The kind for masks that take another share of the light constraint, see `used`."""
         return self
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
@@ -220,3 +206,71 @@ class FixedDwells(ExposureKind):
     """Exposure of which all masks are needed, each with its own dwell."""
 
     kind: Literal["fixed"] = field(default="fixed", kw_only=True)
+
+
+@validated(frozen=True, config=STRICT)
+class PatchExposure(ExposureKind):
+    """Exposure of fixed dwells, with a detector for each patch of an image.
+
+    Features have the shape (..., P, m), and a budget is of the whole image.
+
+    Attributes
+    ----------
+    side : int
+        Of a patch, pixels.
+    """
+
+    side: Annotated[int, Field(ge=1)]
+    kind: Literal["patches"] = field(default="patches", kw_only=True)
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails (2 or 1, m, N) are of patches of such images."""
+        height, width = image_shape
+        if rails.shape[-1] != self.side**2 or height % self.side or width % self.side:
+            raise ValueError("masks are not of a patch")
+
+    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Shape of a mask, that of a patch."""
+        return self.side, self.side
+
+    def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
+        """Patches (..., P, N) of images (..., H · W), as the masks see them."""
+        return cut(scenes, image_shape, self.side)
+
+    def check_fixed(self) -> None:
+        """Raise `InputError`: a sequence of patterns is for whole images."""
+        raise InputError(
+            "this design is of image patches, each with a detector of its own, which a fixed "
+            "sequence of patterns for one detector or one graph cannot: use Design.classify"
+        )
+
+
+def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
+    """Patches (..., P, side²) of images (..., H · W), row by row.
+
+    Parameters
+    ----------
+    scenes : tensor, shape (..., H · W)
+    image_shape : tuple of int
+        H and W.
+    side : int
+        Of a patch, pixels.
+
+    Raises
+    ------
+    InputError
+        If the sides of the image are no multiples of the patch's.
+    """
+    height, width = image_shape
+    if height % side or width % side:
+        raise InputError(
+            f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
+            "side that divides both"
+        )
+    blocks = scenes.unflatten(-1, (height // side, side, width // side, side))
+    return (
+        blocks.transpose(-3, -2)
+        .flatten(-2)
+        .flatten(-3, -2)
+        .reshape(*scenes.shape[:-1], -1, side * side)
+    )

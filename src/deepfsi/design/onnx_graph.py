@@ -34,14 +34,14 @@ def to_onnx(design: Design) -> bytes:
         Content of an ``.onnx`` file. Its inputs are float32 ``counts``, (batch, 2, m) for dual-rail
         designs and (batch, m) for single-rail ones, and ``photons``, (batch,), each finite and the
         budgets above 0, which the graph does not check; its output ``probabilities``, (batch, C).
-        Metadata: `metadata`, each value as JSON.
+        Metadata: each value as JSON.
 
     Raises
     ------
     InputError
         If the package onnx is not there, the classifier is not an `Mlp`, or dwells are not fixed.
     """
-    graph = Graph()
+    graph = _Graph()
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp can"
@@ -76,18 +76,12 @@ def to_onnx(design: Design) -> bytes:
     return graph.finish(
         {"counts": (2, design.masks)[2 - len(design.rails) :], "photons": ()},
         {"probabilities": (len(design.classes),)},
-        metadata(design),
+        _metadata(design),
     )
 
 
-class Graph:
-    """ONNX graph in the making, of nodes and constants with names.
-
-    Raises
-    ------
-    InputError
-        If the package onnx is not there.
-    """
+class _Graph:
+    """ONNX graph in the making, of nodes and constants with names."""
 
     def __init__(self) -> None:
         try:
@@ -118,15 +112,7 @@ class Graph:
     def finish(
         self, inputs: Mapping[str, Shape], outputs: Mapping[str, Shape], about: Mapping[str, Any]
     ) -> bytes:
-        """Content of the ``.onnx`` file.
-
-        Parameters
-        ----------
-        inputs, outputs : mapping of tuple of int
-            Names and shapes, after the axis of the batch.
-        about : mapping
-            Metadata, JSON types only.
-        """
+        """Content of the ``.onnx`` file, of shapes after the axis of the batch."""
         helper = self.onnx.helper
 
         def values(shapes: Mapping[str, Shape]) -> list[Any]:
@@ -151,7 +137,7 @@ class Graph:
         return model.SerializeToString(deterministic=True)
 
 
-def metadata(design: Design) -> dict[str, Any]:
+def _metadata(design: Design) -> dict[str, Any]:
     """Metadata of a design's graph, JSON types only."""
     return {
         "schema": SCHEMA,

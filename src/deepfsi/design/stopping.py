@@ -12,34 +12,45 @@ chosen on the same scenes, of which each half has the temperatures of the other;
 read once.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
-from scipy.special import log_softmax
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax, logsumexp
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.answers import (
-    THRESHOLDS,
-    Answers,
-    Estimate,
-    accuracy_of_surest,
-    at,
-    calibration_error,
-    confidence_groups,
-    fit_temperature,
-    logits_at_stops,
-)
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
+from deepfsi.statistics.intervals import wilson
+
+THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
+"""Confidences that are tried, and 1, which none is above."""
+
+BINS = 15
+"""Groups of answers of like confidence, all of one size, in which calibration is measured."""
+
+CHUNK = 1024
+"""Scenes that are exposed at once."""
 
 ACCEPTED_SHARES = tuple(k / 20 for k in range(10, 21))
 """Shares of accepted answers at which rejection is shown."""
 
 COVERS = "test images and noise draws, for this one trained design (images as the trials)"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Mean over images and noise draws with its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -177,6 +188,135 @@ class Stopped:
         return asdict(self)
 
 
+def logits_at_stops(
+    design: Design, x: np.ndarray, photons: float, draws: int, seed: int
+) -> np.ndarray:
+    """Logits (K, E, C) of exposures at each of K stops; draws of a scene follow one another.
+
+    Parameters
+    ----------
+    design : Design
+    x : array, shape (n, N)
+        Scenes.
+    photons : float
+        Budget Φ of a whole exposure.
+    draws : int
+        Noise draws of each scene: E is n times as many.
+    seed : int
+        Of the noise; that of `evaluation.evaluate`.
+    """
+    scanner = design.scanner()
+    generator = torch.Generator(design.rails.device).manual_seed(seed)
+    chunks = []
+    with torch.no_grad():
+        for rows in torch.arange(len(x)).split(CHUNK):
+            rates = design.rates(scanner, torch.from_numpy(x[rows]))
+            several = []
+            for _ in range(draws):
+                seen = design.expose(scanner, rates, generator, photons)
+                several.append(torch.stack([design.logits_of(each, photons) for each in seen]))
+            chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
+    return torch.cat(chunks, dim=-2).cpu().numpy()
+
+
+class _Answers:
+    """Answers of E exposures at K stops, right or wrong, and their confidences.
+
+    Parameters
+    ----------
+    logits : array, shape (K, E, C)
+        From `logits_at_stops`.
+    labels : array, shape (n,)
+        Classes of the scenes.
+    temperatures : sequence of float or of array, shape (E, 1)
+        Divisors of the logits at each stop.
+    """
+
+    def __init__(self, logits: np.ndarray, labels: np.ndarray, temperatures: Sequence[Any]) -> None:
+        draws = logits.shape[1] // len(labels)
+        self.images = np.repeat(np.arange(len(labels)), draws)
+        labels = labels[self.images]
+        true = np.arange(len(labels)), labels
+        confidence, raw, right, self.log_loss, self.raw_log_loss = [], [], [], 0.0, 0.0
+        for each, temperature in zip(logits, temperatures, strict=True):
+            wide = each.astype(float)
+            calibrated, plain = (log_softmax(z, axis=1) for z in (wide / temperature, wide))
+            confidence.append(np.exp(calibrated.max(axis=1)))
+            raw.append(np.exp(plain.max(axis=1)))
+            right.append(plain.argmax(axis=1) == labels)
+            self.log_loss -= float(calibrated[true].mean()) / len(temperatures)
+            self.raw_log_loss -= float(plain[true].mean()) / len(temperatures)
+        self.confidence, self.raw_confidence, self.right = (
+            np.stack(part, axis=1) for part in (confidence, raw, right)
+        )
+
+    def ends(self, threshold: float) -> np.ndarray:
+        """Stop (E,), from 0, at which each exposure ends."""
+        enough = self.confidence > threshold
+        enough[:, -1] = True
+        return enough.argmax(axis=1)
+
+    def least_threshold(self, used: np.ndarray) -> float:
+        """Threshold of fewest photons whose accuracy is not below that of whole exposures."""
+        whole = self.right[:, -1].mean()
+        costs = [(used[-1], 1.0)]
+        for threshold in THRESHOLDS:
+            ends = self.ends(threshold)
+            if _at(self.right, ends).mean() >= whole:
+                costs.append((used[ends].mean(), float(threshold)))
+        return min(costs)[1]
+
+    def estimate(self, values: np.ndarray) -> Estimate:
+        """Mean of values (E,), normal over the images as the trials; Wilson's if true or false."""
+        each = np.bincount(self.images, values) / np.bincount(self.images)
+        mean, count = float(each.mean()), len(each)
+        if values.dtype == bool:
+            return Estimate(mean, *wilson(mean, count))
+        half = 1.96 * float(each.std(ddof=1)) / count**0.5
+        return Estimate(mean, mean - half, mean + half)
+
+
+def _at(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Entries (E,) of values (E, K) at the stops (E,) at which exposures end."""
+    return values[np.arange(len(ends)), ends]
+
+
+def _fit_temperature(logits: np.ndarray, labels: np.ndarray) -> float:
+    """Temperature from 1/20 to 20 that gives logits (E, C) of known classes the least log loss."""
+
+    def log_loss(log: float) -> float:
+        scaled = logits / np.exp(log)
+        true = scaled[np.arange(len(labels)), labels]
+        return float((logsumexp(scaled, axis=1) - true).mean())
+
+    bounds, options = (-np.log(20), np.log(20)), {"xatol": 1e-3}
+    return float(
+        np.exp(minimize_scalar(log_loss, bounds=bounds, method="bounded", options=options).x)
+    )
+
+
+def confidence_groups(
+    confidence: np.ndarray, right: np.ndarray
+) -> list[tuple[float, float, float]]:
+    """Confidence, accuracy and weight of answers in `BINS` groups, the least sure first."""
+    order = np.argsort(confidence, kind="stable")
+    return [
+        (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
+        for part in np.array_split(order, min(BINS, len(order)))
+    ]
+
+
+def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
+    """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
+    return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
+
+
+def _accuracy_of_surest(confidence: np.ndarray, right: np.ndarray, share: float) -> float:
+    """Accuracy of a share of the answers, the surest."""
+    kept = np.argsort(-confidence, kind="stable")[: max(1, round(share * len(confidence)))]
+    return float(right[kept].mean())
+
+
 def stop(
     design: Design,
     data: Dataset,
@@ -226,12 +366,12 @@ def stop(
     kept = _held_out(design, data, held_out)
     logits = logits_at_stops(design, kept.x_test, budget, draws, seed ^ 2**31)
     halves, half = _temperatures(logits, kept.y_test, seed)
-    choice = Answers(logits, kept.y_test, [np.where(half, b, a)[:, None] for a, b in halves])
+    choice = _Answers(logits, kept.y_test, [np.where(half, b, a)[:, None] for a, b in halves])
     if threshold is None:
         threshold = choice.least_threshold(used)
     rule = StoppingRule(after, tuple(np.sqrt(halves.prod(axis=1)).tolist()), float(threshold))
     tested = logits_at_stops(design, data.x_test, budget, draws, seed)
-    return _stopped(rule, Answers(tested, data.y_test, rule.temperatures), choice, used, budget)
+    return _stopped(rule, _Answers(tested, data.y_test, rule.temperatures), choice, used, budget)
 
 
 def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
@@ -255,27 +395,27 @@ def _temperatures(
     half = np.random.default_rng(seed).permutation(len(labels)).repeat(draws) % 2 == 0
     labels = labels.repeat(draws)
     pairs = [
-        [fit_temperature(each[part].astype(float), labels[part]) for part in (half, ~half)]
+        [_fit_temperature(each[part].astype(float), labels[part]) for part in (half, ~half)]
         for each in logits
     ]
     return np.array(pairs), half
 
 
 def _stopped(
-    rule: StoppingRule, test: Answers, choice: Answers, used: np.ndarray, photons: float
+    rule: StoppingRule, test: _Answers, choice: _Answers, used: np.ndarray, photons: float
 ) -> Stopped:
     ends, chosen = test.ends(rule.threshold), choice.ends(rule.threshold)
-    confidence, right = at(test.confidence, ends), at(test.right, ends)
+    confidence, right = _at(test.confidence, ends), _at(test.right, ends)
     whole, whole_confidence = test.right[:, -1], test.confidence[:, -1]
     curve = []
     for threshold in (*THRESHOLDS.tolist(), 1.0):
         stops = test.ends(threshold)
-        accuracy = float(at(test.right, stops).mean())
+        accuracy = float(_at(test.right, stops).mean())
         curve.append(
             {"threshold": threshold, "used": float(used[stops].mean()), "accuracy": accuracy}
         )
     groups = confidence_groups(confidence, right)
-    raw_groups = confidence_groups(at(test.raw_confidence, ends), right)
+    raw_groups = confidence_groups(_at(test.raw_confidence, ends), right)
     images = int(test.images.max()) + 1
     return Stopped(
         photons=photons,
@@ -294,8 +434,8 @@ def _stopped(
         rejection=[
             {
                 "accepted": accepted,
-                "stopped": accuracy_of_surest(confidence, right, accepted),
-                "whole": accuracy_of_surest(whole_confidence, whole, accepted),
+                "stopped": _accuracy_of_surest(confidence, right, accepted),
+                "whole": _accuracy_of_surest(whole_confidence, whole, accepted),
             }
             for accepted in ACCEPTED_SHARES
         ],
@@ -303,7 +443,7 @@ def _stopped(
         validation={
             "used": float(used[chosen].mean()),
             "whole": float(choice.right[:, -1].mean()),
-            "stopped": float(at(choice.right, chosen).mean()),
+            "stopped": float(_at(choice.right, chosen).mean()),
         },
         images=images,
         draws=len(test.images) // images,

@@ -127,7 +127,7 @@ def train(
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report)
     if isinstance(masks, Learned):
         masks = final_masks(masks, training_set, first)
-    networks = [*classifiers, *(part for each in schedules for part in each.networks)]
+    networks = [*classifiers, *(each.network for each in schedules)]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
         raise Diverged(f"training of {first.design} diverged: lower lr and mask_lr")

@@ -23,7 +23,7 @@ from torch.nn import functional
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design, provenance
 from deepfsi.design.classifiers import Vit
-from deepfsi.design.patchwise import PatchExposure, cut
+from deepfsi.design.exposure import PatchExposure, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS, summed_reflectance

@@ -13,8 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy import stats
 
-from deepfsi.design.answers import Estimate
-from deepfsi.design.stopping import Stopped
+from deepfsi.design.stopping import Estimate, Stopped
 from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
 from deepfsi.experiments.flexible.figures import Line, Stops, lines_figure, stopping_figure
 from deepfsi.experiments.flexible.measures import Measures, Prefix, measure

@@ -1,4 +1,4 @@
-"""Images are cut in blocks, row by row."""
+"""Inputs of an exposure, and images cut in blocks, row by row."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.design.patchwise import cut
+from deepfsi.design.exposure import Exposure, cut
 from deepfsi.errors import InputError
 
 
@@ -22,3 +22,9 @@ def test_patches_are_the_blocks_of_the_image():
 def test_an_image_that_cannot_be_cut_so_is_refused():
     with pytest.raises(InputError, match="divides both"):
         cut(torch.zeros(1, 48), (6, 8), 4)
+
+
+def test_an_exposure_says_what_it_has_seen():
+    seen = Exposure(torch.tensor([2.0, 0.0]), torch.tensor([0.75, 0.25]))
+    inputs = seen.inputs(torch.tensor([1.0, 2.0]), torch.tensor([0.5, 0.5]))
+    assert inputs.tolist() == [1.0, -2.0, 0.5, pytest.approx(0.5 / 3)]
