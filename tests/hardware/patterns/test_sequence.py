@@ -10,8 +10,7 @@ from deepfsi.hardware.patterns.gates import find_gates
 
 
 @pytest.mark.parametrize(
-    ("dwell", "us"),
-    [(7e-4, 700), (123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001), (1e-6, 44)],
+    ("dwell", "us"), [(7e-4, 700), (123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001), (1e-6, 44)]
 )
 def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_can(
     tmp_path, dwell, us

@@ -355,10 +355,7 @@ def test_dark_and_ambient_rates_are_found_in_the_sentinels(tmp_path):
     counted = count(tmp_path / "run")
     manifest = shown.manifest
     seconds = manifest.picture_s[[frame.role == "on" for frame in manifest.frames]].sum()
-    for rate, expected in (
-        (counted.off_rate, 5e4),
-        (counted.on_rate, 5e4 + 0.5 * 3e5 * 24 / 26),
-    ):
+    for rate, expected in ((counted.off_rate, 5e4), (counted.on_rate, 5e4 + 0.5 * 3e5 * 24 / 26)):
         assert np.all(abs(rate - expected) <= 6 * np.sqrt(expected / seconds))
 
 

@@ -109,10 +109,8 @@ def non_paralysable_chances(load: float, length: float) -> np.ndarray:
 @pytest.mark.parametrize("detector", [PARALYSABLE, NON_PARALYSABLE], ids=["pmt", "spad"])
 def test_dead_time_follows_its_closed_form(detector, load):
     rate, seconds = load / TAU, 2e6 * TAU / load
-    expected = {
-        True: rate * np.exp(-rate * TAU),
-        False: rate / (1 + rate * TAU),
-    }[detector.paralysable] * seconds
+    registered = rate * np.exp(-load) if detector.paralysable else rate / (1 + load)
+    expected = registered * seconds
     events = record(detector, np.array([round(seconds / TICK_S)]), np.array([rate]))
     assert abs(len(events) - expected) <= 5 * np.sqrt(expected)  # dead time only calms counts
     assert detector.registered(rate) * seconds == pytest.approx(expected)

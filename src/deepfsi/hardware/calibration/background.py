@@ -38,7 +38,6 @@ def expected_background(
 
     Parameters
     ----------
-    patterns : Patterns
     exposure_s : float
         Total exposure, seconds; a frame's gate is its share of it.
     dark, ambient : float or array, shape (rails,)

@@ -191,8 +191,6 @@ def calibrate_run(
         Of the acquisition's scenes.
     pictures : array, shape (S, down, across)
         What was measured of each, by `acquisition.picture`.
-    counts : Counts
-    grid : Grid
 
     Raises
     ------

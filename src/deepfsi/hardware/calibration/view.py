@@ -148,7 +148,6 @@ def camera_view(
         Reflectance in [0, 1].
     image_shape : tuple of int
         (h, w) of a scene.
-    calibration : Calibration
     cells_shape : tuple of int, optional
         Down and across; as the scene unless given.
 

@@ -37,12 +37,11 @@ GRACE_S = 5.0
 """Time by which a pass may end later than planned, seconds."""
 
 # Constants of Vialux's alp.h
-AVAIL_MEMORY = 2003  # binary pictures that still fit the controller
+AVAIL_MEMORY, QUEUE_AVAIL = 2003, 2317  # binary pictures and sequences that still fit
 BIN_MODE, BIN_UNINTERRUPTED = 2104, 2106
 DATA_FORMAT, DATA_BINARY_TOPDOWN = 2110, 2
 MIN_PICTURE_TIME, MAX_PICTURE_TIME = 2211, 2213
 QUEUE_MODE, SEQUENCE_QUEUE = 2314, 1
-QUEUE_AVAIL = 2317
 RESET_QUEUE, DEFAULT = 2319, 0
 PROJ_STATE, PROJ_ACTIVE = 2400, 1200
 
@@ -111,13 +110,7 @@ class VialuxProjector:
             self.halt()
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
-        """Send the frames of a pattern folder to the device, in place of earlier ones.
-
-        Parameters
-        ----------
-        folder : path
-            As `export_patterns` writes it, in any format.
-        report : Report
+        """Send the frames of a folder of any format to the device, in place of earlier ones.
 
         Raises
         ------
@@ -171,7 +164,8 @@ class VialuxProjector:
 
     def halt(self) -> None:
         """Stop at once, and take what waits from the queue."""
-        self._check_open()
+        if self._alp is None:
+            raise InputError("the Vialux device is not open: use `with VialuxProjector() as ...`")
         with _refusals("be halted"), contextlib.ExitStack() as stack:
             stack.callback(self._alp.Halt)
             self._alp.ProjControl(RESET_QUEUE, DEFAULT)
@@ -227,10 +221,6 @@ class VialuxProjector:
                 f"{len(manifest.frames)} frames do not fit the Vialux controller, which has room "
                 f"for {free}: export fewer masks"
             )
-
-    def _check_open(self) -> None:
-        if self._alp is None:
-            raise InputError("the Vialux device is not open: use `with VialuxProjector() as ...`")
 
     def _running(self) -> bool:
         return self._ask(PROJ_STATE) == PROJ_ACTIVE

@@ -79,19 +79,13 @@ def export_patterns(
 ) -> Patterns:
     """Write what a device shows for a design, frame by frame, into a new folder.
 
+    Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
+    common factor `manifest.dimmed`.
+
     Parameters
     ----------
-    design : DesignRails
-    settings : FrameSettings
     folder : path
         New or empty. It appears when it is whole.
-    report : Report
-
-    Returns
-    -------
-    Patterns
-        With the realised matrix. Where the shares of the exposure would sum to more than 1
-        (`column`), all are dimmed by the common factor `manifest.dimmed`.
 
     Raises
     ------
@@ -153,7 +147,7 @@ def _write(folder: Path, patterns: Patterns, design: bytes | None) -> Patterns:
         (folder / "design.safetensors").write_bytes(design)
     digest = _digest(patterns.manifest.model_dump_json())
     manifest = patterns.manifest.model_copy(update={"sha256": digest})
-    (folder / "manifest.json").write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
+    (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
     return Patterns(manifest, patterns.on)
 
 
@@ -192,12 +186,7 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
 
 
 def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
-    """Packed frames of a folder in their order, one at a time.
-
-    Yields
-    ------
-    array, shape (rows, bytes of a row)
-        uint8.
+    """Packed frames of a folder in their order, one at a time: uint8 (rows, bytes of a row).
 
     Raises
     ------
@@ -209,11 +198,6 @@ def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
 
 def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts.
-
-    Parameters
-    ----------
-    folder : path
-    report : Report
 
     Raises
     ------

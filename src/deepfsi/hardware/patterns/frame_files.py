@@ -31,22 +31,14 @@ def write_frames(
     settings: FrameSettings,
     report: Report = SILENT,
 ) -> list[str]:
-    """Write frames as they come.
+    """Write frames as they come, and give the SHA-256 of the packed bits of each.
 
     Parameters
     ----------
-    folder : path
     frames : iterable of array, shape (rows, bytes of a row)
         Packed.
     total : int
         Number of frames.
-    settings : FrameSettings
-    report : Report
-
-    Returns
-    -------
-    list of str
-        SHA-256 of the packed bits of each frame.
     """
     hashes, device, format = [], settings.device, settings.format
     if format == "png":
@@ -119,7 +111,6 @@ def open_array(
 
     Parameters
     ----------
-    path : path
     kind : str or None
         Type of the numbers, if the file has a header of numpy's, which must say it and the shape.
     shape : tuple of int

@@ -46,16 +46,12 @@ def longest_exposure(manifest: Manifest, settle_s: float) -> float:
 
 
 def find_gates(
-    manifest: Manifest,
-    exposure_s: float,
-    settle_s: float | None = None,
-    repeats: int | None = None,
+    manifest: Manifest, exposure_s: float, settle_s: float | None = None, repeats: int | None = None
 ) -> Gates:
     """Gates of an exposure, as many of them in a frame as fit all frames.
 
     Parameters
     ----------
-    manifest : Manifest
     exposure_s : float
         Total exposure, seconds: the sum over frames is at most this.
     settle_s : float, optional

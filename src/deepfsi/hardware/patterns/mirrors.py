@@ -67,7 +67,6 @@ def count_mirrors(rails: np.ndarray, light: Light, mirrors: int) -> MaskFrames:
     Parameters
     ----------
     rails : array, shape (2 or 1, m, N)
-    light : Light
     mirrors : int
         K, mirrors of a cell.
     """
@@ -106,9 +105,6 @@ def make_frames(
     ----------
     on : iterable of array, shape (N,)
         Mirrors ON in each cell.
-    device : Device
-    grid : Grid
-    selection : {"ordered", "random"}
     seed : int
         For `random`.
 

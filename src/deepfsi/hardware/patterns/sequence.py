@@ -60,7 +60,6 @@ def check_known(what: str, name: str, known: object) -> None:
     ----------
     what : str
         What it names.
-    name : str
     known : Literal type
         Of the known names.
     """
@@ -73,7 +72,6 @@ class Device(BaseModel):
 
     Attributes
     ----------
-    name : str
     columns, rows : int
         Mirrors across and down.
     shortest_us : int
@@ -181,14 +179,12 @@ class FrameSettings:
 
     Parameters
     ----------
-    device : Device
     dwell_s : float
         Mean picture time of the masks' frames in seconds, at least the device's shortest.
     selection : {"ordered", "random"}
         Choice of the mirrors of a grey cell.
     seed : int
         Of the random selection.
-    format : {"npy", "raw", "png"}
 
     Raises
     ------
@@ -229,7 +225,6 @@ class FrameSettings:
         ----------
         shares : array, shape (f,)
             Of the exposure.
-        light : Light
 
         Raises
         ------
@@ -265,7 +260,6 @@ class Frame(BaseModel):
 
     Attributes
     ----------
-    role : {"mask", "on", "off"}
     mask : int or None
         Row of the sensing matrix.
     rail : {"plus", "minus", "both"} or None
@@ -307,7 +301,6 @@ class Manifest(BaseModel):
 
     Attributes
     ----------
-    device : Device
     image_shape : tuple of int
         Cells of a mask.
     masks, rails : int
@@ -323,10 +316,8 @@ class Manifest(BaseModel):
         Choice of the mirrors of a cell.
     seed : int
         Of the random selection.
-    format : {"npy", "raw", "png"}
     design_sha256 : str or None
         Of the design file.
-    frames : tuple of Frame
     sha256 : str or None
         Of all else in the manifest's file, so that a change of it is found; taken as it is
         without.
@@ -409,7 +400,6 @@ class Patterns:
 
     Attributes
     ----------
-    manifest : Manifest
     on : array, shape (f, N)
         Mirrors ON in each cell of each mask's frame, in the order of `Manifest.shown`.
     """

@@ -122,9 +122,6 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     ----------
     scenes : array, shape (S, h, w)
         Reflectance, 0 or more, of images of any size; pixels are squares.
-    camera : Camera
-    device : Device
-    grid : Grid
 
     Returns
     -------
@@ -183,10 +180,8 @@ def arrival_rates(
         Read frame by frame.
     scenes : array, shape (S, h, w), or (S, N) for masks of one axis
         Reflectance, 0 or more.
-    camera : Camera
     flux : float
         Photons/s on the device for a scene of the training scenes' mean summed reflectance.
-    report : Report
 
     Returns
     -------
@@ -249,11 +244,7 @@ def _blocks(folder: str | os.PathLike[str], device: Device) -> Iterator[tuple[in
 
 
 def draw_counts(
-    rates: np.ndarray,
-    manifest: Manifest,
-    gates: Gates,
-    camera: Camera,
-    rng: np.random.Generator,
+    rates: np.ndarray, manifest: Manifest, gates: Gates, camera: Camera, rng: np.random.Generator
 ) -> np.ndarray:
     """Draw what `count` would count, without a file.
 
@@ -261,12 +252,10 @@ def draw_counts(
     ----------
     rates : array, shape (S, F, arms)
         Of `arrival_rates`.
-    manifest : Manifest
     gates : Gates
         Any number of repeats: they are drawn independently.
     camera : Camera
         Its detector; `detector.draw` says how exact.
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -292,7 +281,6 @@ class RecordingSettings:
 
     Parameters
     ----------
-    camera : Camera
     flux : float
         Photons/s on the device for a scene of the training scenes' mean summed reflectance.
     exposure_s, settle_s, repeats
@@ -323,7 +311,6 @@ def record(
 
     Parameters
     ----------
-    patterns_folder : path
     scenes : array, shape (S, h, w), or (S, N) for masks of one axis
         Reflectance, 0 or more.
     names : sequence of str
@@ -332,8 +319,6 @@ def record(
         Class of each scene.
     out : path
         New. It appears when it is whole.
-    settings : RecordingSettings
-    report : Report
 
     Raises
     ------
@@ -394,13 +379,8 @@ def write_photons(
 
     Parameters
     ----------
-    path : path
-    manifest : Manifest
     rates : array, shape (S, F, arms)
         Of `arrival_rates`.
-    camera : Camera
-    rng : numpy.random.Generator
-    report : Report
     """
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))

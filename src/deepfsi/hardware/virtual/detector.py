@@ -75,7 +75,7 @@ class Detector(BaseModel):
 def draw(
     detector: Detector, rate: np.ndarray, length_s: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw the counts of gates in which the rate has long been steady.
+    """Draw the counts, int64, of gates in which the rate has long been steady.
 
     Parameters
     ----------
@@ -85,12 +85,6 @@ def draw(
         Arrivals/s.
     length_s : array, broadcastable with `rate`
         Length of each gate, seconds.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array
-        int64 counts.
 
     Notes
     -----
@@ -217,17 +211,8 @@ def _share_inside(detector: Detector, length: np.ndarray) -> np.ndarray:
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events.
 
-    Parameters
-    ----------
-    durations : int64 array, shape (F,)
-        Ticks.
-    rates : array, shape (F, A)
-        Arrivals/s at each detector.
-
-    Yields
-    ------
-    durations, rates : arrays, shapes (p,), (p, A)
-        A chunk's pieces; what takes long is cut into several.
+    From durations in ticks, int64 (F,), and arrivals/s at each detector (F, A), to those of each
+    chunk's pieces; what takes long is cut into several.
     """
     expected = rates.sum(axis=1) * (durations * TICK_S)
     parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
@@ -242,13 +227,7 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
 
 
 class Stream:
-    """Events of one detector in order of time, from one chunk to the next.
-
-    Parameters
-    ----------
-    detector : Detector
-    rng : numpy.random.Generator
-    """
+    """Events of one detector in order of time, from one chunk to the next."""
 
     def __init__(self, detector: Detector, rng: np.random.Generator) -> None:
         self.detector, self.rng = detector, rng
@@ -325,20 +304,9 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
 def thin(times: np.ndarray, dead: int) -> np.ndarray:
     """Arrivals that a non-paralysable counter registers if it is not blind at the first one.
 
-    Parameters
-    ----------
-    times : int64 array, shape (n,)
-        Arrivals, rising.
-    dead : int
-        Dead time.
+    Of rising times, int64 (n,), the first, and each that comes at least `dead` after the last one
+    kept.
 
-    Returns
-    -------
-    int64 array
-        The first, and each that comes at least `dead` after the last one kept.
-
-    Notes
-    -----
     An arrival at least `dead` after the one before it is always kept and starts a cluster; all
     clusters are followed at once, from one kept arrival to the next.
     """

@@ -56,8 +56,6 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
 
     Parameters
     ----------
-    projector : VirtualProjector
-    camera : Camera
     flux : float
         Photons/s on the device for a scene of the training scenes' mean summed reflectance.
     seed : int
