@@ -156,6 +156,23 @@ def done(call) -> Callable[..., str]:
     return run
 
 
+@pytest.fixture
+def refuse(call, tmp_path) -> Callable[..., str]:
+    """Run a command line that is refused in one line and writes nothing; gives the line."""
+
+    def run(*words):
+        before = sorted(tmp_path.rglob("*"))
+        code, out, errors = call(*words)
+        assert (code, out) == (2, ""), errors
+        assert errors.startswith("deepfsi: ")
+        assert errors.count("\n") == 1, errors
+        assert "Traceback" not in errors
+        assert sorted(tmp_path.rglob("*")) == before
+        return errors
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def digits() -> Dataset:
     return _digits()

@@ -29,43 +29,28 @@ def test_python(block, tmp_path, monkeypatch):
         assert names["loss"].item() < 1.0
 
 
-def test_commands(tmp_path, monkeypatch):
-    from deepfsi import cli
-
+def test_commands(tmp_path, monkeypatch, done):
     monkeypatch.chdir(tmp_path)
     assert len(COMMANDS) == 7
     for command in sorted(COMMANDS, key=lambda line: "design" not in line):
-        words = shlex.split(command.replace("mnist", "digits"))
-        words += shlex.split(BRIEFLY.get(words[1], ""))
-        monkeypatch.setattr("sys.argv", words)
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 0, command
+        words = shlex.split(command.replace("mnist", "digits"))[1:]
+        done(*words, *shlex.split(BRIEFLY.get(words[0], "")))
     assert (tmp_path / "runs/digits/report.html").stat().st_size > 10_000
     assert (tmp_path / "masks.png").stat().st_size > 1000
 
 
-def test_a_camera_by_files_alone(tmp_path, monkeypatch, capsys):
+def test_a_camera_by_files_alone(tmp_path, monkeypatch, done):
     """The README's lines, word for word: at 1e5 photons all ten digits but one or two are right."""
-    from deepfsi import cli
-
     monkeypatch.chdir(tmp_path)
-    printed = {}
-    for line in CAMERA:
-        monkeypatch.setattr("sys.argv", shlex.split(line))
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 0, line
-        printed[line.split()[2]] = capsys.readouterr().out
+    printed = {line.split()[2]: done(*shlex.split(line)[1:]) for line in CAMERA}
     right = re.search(r"right: (\d+) of 10 exposures", printed["classify"])
     assert int(right.group(1)) >= 8
     assert "Generic T2" in printed["inspect"]
 
 
 @pytest.mark.slow
-def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
+def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch, done):
     """On digits, small, in one process; the cluster's line is for `test_cluster`."""
-    from deepfsi import cli
     from deepfsi.experiments import experiment
     from shared.experiments import EVERY, tiny
 
@@ -80,9 +65,6 @@ def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch):
     lines = [line for line in LINES if "--ray" not in line]
     assert len(lines) == len(LINES) - 1 == 5
     for line in lines:
-        monkeypatch.setattr("sys.argv", shlex.split(line))
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 0, line
+        done(*shlex.split(line)[1:])
     for made in ("runs/quick/report.html", "runs/quick.csv", "runs/paper/report.html"):
         assert (tmp_path / made).stat().st_size > 100

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pooch
 import pytest
-from cifar_samples import BATCH, BINARY, PYTHON, RECORDS
-from dataset_samples import refused
+from dataset_samples import BATCH, BINARY, PYTHON, RECORDS, refused
 from PIL import Image
 
 from deepfsi.datasets import check, cifar, download, list_datasets, load_dataset
@@ -45,15 +44,14 @@ def home(tmp_path, monkeypatch):
 
 def put(home, form, monkeypatch, **spoilt):
     """Put CIFAR-10 there in one of its forms, with the hash that goes with it."""
+    binary = BINARY | {f"{name}.bin": content for name, content in spoilt.items()}
     if form == "unpacked":
         path = home / cifar.UNPACKED
         path.mkdir()
-        for name, content in (BINARY | {f"{k}.bin": v for k, v in spoilt.items()}).items():
+        for name, content in binary.items():
             (path / name).write_bytes(content)
         return path
-    contents = (
-        BINARY | {f"{k}.bin": v for k, v in spoilt.items()} if form == "binary" else PYTHON | spoilt
-    )
+    contents = binary if form == "binary" else PYTHON
     path = home / f"cifar-10-{form}.tar.gz"
     path.write_bytes(archive(contents, f"cifar-10-batches-{form[:3]}"))
     known = hashlib.md5(path.read_bytes()).hexdigest()

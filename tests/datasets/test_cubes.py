@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import refused
+from dataset_samples import IMAGE, LABELS, numbered, refused
 from scipy.io import savemat
-from spectra_samples import IMAGE, LABELS, numbered
 from spectral.io import envi
 
 from deepfsi.datasets import cubes, load_dataset, load_spectra

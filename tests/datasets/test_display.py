@@ -23,7 +23,7 @@ def test_scenes_are_written_and_read_back(digits, tmp_path):
         write_display(digits, tmp_path / "again", per_class=1)
 
 
-def test_one_picture_or_a_plain_folder_is_read(digits, tmp_path):
+def test_one_picture_or_a_plain_folder_is_read(tmp_path):
     for number in range(2):
         Image.fromarray(np.full((4, 6), 51 * number, np.uint8)).save(tmp_path / f"{number}.png")
     shown = read_display(tmp_path)

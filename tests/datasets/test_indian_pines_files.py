@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_samples import refused
+from dataset_samples import NM, refused
 from scipy.io import savemat
-from spectra_samples import NM
 
 from deepfsi.datasets import (
     check,
@@ -31,12 +30,12 @@ def home(tmp_path, monkeypatch):
     labels = np.kron(np.arange(1, 26).reshape(5, 5), np.ones((29, 29))).astype(np.uint8)
     labels[labels > 16] = 0
     cube = rng.integers(955, 9605, (145, 145, 220)).astype(np.uint16)
-    corrected = np.delete(cube, indian_pines.WATER, axis=2)
-    for name, array in (
-        ("indian_pines", cube),
-        ("indian_pines_corrected", corrected),
-        ("indian_pines_gt", labels),
-    ):
+    arrays = {
+        "indian_pines": cube,
+        "indian_pines_corrected": np.delete(cube, indian_pines.WATER, axis=2),
+        "indian_pines_gt": labels,
+    }
+    for name, array in arrays.items():
         savemat(folder / f"{name.capitalize()}.mat", {name: array}, do_compression=True)
     rows = [f"{nm:.6f}\t9.780000\t0.920000\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
     (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")

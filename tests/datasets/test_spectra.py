@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dataset_samples import refused
+from dataset_samples import IMAGE, LABELS, fields, numbered, refused
 from scipy.ndimage import distance_transform_cdt
-from spectra_samples import IMAGE, LABELS, fields, numbered
 
 from deepfsi.datasets import SpectralImage
 

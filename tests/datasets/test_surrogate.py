@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from spectra_samples import NM, fields
+from dataset_samples import NM, fields
 
 from deepfsi.datasets import indian_pines, load_spectra, surrogate
 

@@ -16,6 +16,10 @@ from deepfsi.statistics.bootstrap import (
     wilcoxon_signed_rank,
 )
 
+INTERVALS = (cluster_bootstrap, studentised_bootstrap)
+
+each_interval = pytest.mark.parametrize("interval", INTERVALS)
+
 UNTIED = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
 """Sizes of differences, in tenths, so that each is its own rank."""
 
@@ -148,13 +152,13 @@ def test_the_papers_intervals_follow_from_rates_that_have_its_mean():
     assert (low, high) == (pytest.approx(0.939, abs=2e-3), pytest.approx(0.998, abs=2e-3))
 
 
-def coverage(interval, draw, mean: float, trials: int, seed: int) -> float:
+TRIALS = 2000
+
+
+def coverage(interval, draw, mean: float, seed: int, trials: int = TRIALS) -> float:
     rng = np.random.default_rng(seed)
     intervals = np.array([interval(draw(rng), trial) for trial in range(trials)])
     return float(((intervals[:, 0] <= mean) & (mean <= intervals[:, 1])).mean())
-
-
-TRIALS = 2000
 
 
 def five_sigma(share: float) -> float:
@@ -167,26 +171,21 @@ def test_the_percentile_interval_is_as_narrow_as_few_classes_make_it(classes):
     narrow = stats.norm.isf((1 - CONFIDENCE) / 2) * ((classes - 1) / classes) ** 0.5
     expected = 1 - 2 * stats.t.sf(narrow, classes - 1)
     assert expected == pytest.approx({10: 0.904, 30: 0.936}[classes], abs=5e-4)
-    found = coverage(
-        cluster_bootstrap, lambda rng: rng.normal(0.6, 0.1, classes), 0.6, TRIALS, classes
-    )
+    found = coverage(cluster_bootstrap, lambda rng: rng.normal(0.6, 0.1, classes), 0.6, classes)
     assert found == pytest.approx(expected, abs=five_sigma(expected))
     if classes == 10:
         assert found < CONFIDENCE - 0.02
 
 
 def test_the_studentised_interval_covers_what_it_says():
-    found = coverage(
-        studentised_bootstrap, lambda rng: rng.normal(0.6, 0.1, 10), 0.6, TRIALS, seed=3
-    )
+    found = coverage(studentised_bootstrap, lambda rng: rng.normal(0.6, 0.1, 10), 0.6, seed=3)
     assert found == pytest.approx(CONFIDENCE, abs=five_sigma(CONFIDENCE))
 
 
 def test_skewed_rates_near_one_are_covered_better_by_the_studentised_interval():
     """Classes of rate Beta(4, 1), skewed as those of a good camera are."""
     shares = [
-        coverage(interval, lambda rng: rng.beta(4, 1, 10), 0.8, TRIALS, seed=4)
-        for interval in (cluster_bootstrap, studentised_bootstrap)
+        coverage(interval, lambda rng: rng.beta(4, 1, 10), 0.8, seed=4) for interval in INTERVALS
     ]
     assert shares[0] < 0.904 + five_sigma(0.904)
     assert shares[1] > shares[0] + five_sigma(0.95)
@@ -195,22 +194,22 @@ def test_skewed_rates_near_one_are_covered_better_by_the_studentised_interval():
 def test_where_most_classes_never_fail_the_studentised_interval_is_too_narrow():
     """Ten exposures of each class, rates Beta(9.7, 0.3): as its docstring warns."""
     shares = [
-        coverage(interval, lambda rng: rng.binomial(10, rng.beta(9.7, 0.3, 10)) / 10, 0.97, 500, 5)
-        for interval in (cluster_bootstrap, studentised_bootstrap)
+        coverage(interval, lambda rng: rng.binomial(10, rng.beta(9.7, 0.3, 10)) / 10, 0.97, 5, 500)
+        for interval in INTERVALS
     ]
     assert shares[1] < shares[0] < CONFIDENCE
 
 
 def test_an_interval_holds_its_mean_repeats_and_follows_its_seed():
     rates = np.random.default_rng(5).random(10)
-    for interval in (cluster_bootstrap, studentised_bootstrap):
+    for interval in INTERVALS:
         low, high = interval(rates, 1)
         assert low < rates.mean() < high
         assert interval(rates, 1) == (low, high)
         assert interval(rates, 2) != (low, high)
 
 
-@pytest.mark.parametrize("interval", [cluster_bootstrap, studentised_bootstrap])
+@each_interval
 def test_an_interval_shrinks_as_the_root_of_the_classes_and_scales_with_the_rates(interval):
     rates = np.random.default_rng(6).normal(0.5, 0.1, 400)
     low, high = interval(rates, 0)
@@ -219,12 +218,12 @@ def test_an_interval_shrinks_as_the_root_of_the_classes_and_scales_with_the_rate
     assert interval(rates / 2, 0) == (pytest.approx(low / 2), pytest.approx(high / 2))
 
 
-@pytest.mark.parametrize("interval", [cluster_bootstrap, studentised_bootstrap])
+@each_interval
 def test_classes_that_are_all_alike_leave_no_width(interval):
     assert interval(np.full(10, 0.7), 0) == (pytest.approx(0.7), pytest.approx(0.7))
 
 
-@pytest.mark.parametrize("interval", [cluster_bootstrap, studentised_bootstrap])
+@each_interval
 def test_a_single_class_has_no_interval_over_classes(interval):
     with pytest.raises(InputError, match="single class"):
         interval([0.7], 0)
