@@ -27,6 +27,12 @@ from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera
 
 
+def off_corners(found):
+    """By how much a view of the display's corners is off, in sides of the device."""
+    corners = np.array([[x, y] for x in (0.05, 0.95) for y in (0.05, 0.95)])
+    return np.abs(apply(found.homography, corners) - apply(VIEW, corners)).max()
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 @pytest.mark.parametrize("blur_cells", [0.4, 1.0])
 def test_a_calibration_finds_what_was_done(blur_cells, noise):
@@ -37,8 +43,7 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
     pictures = pictures_of(shown, VIEW, blur, flat, noise)
     found = calibrate(scenes, pictures[:-1], GRID, white=pictures[-1], dark=3.0, ambient=5.0)
-    corners = np.array([[x, y] for x in (0.05, 0.95) for y in (0.05, 0.95)])
-    assert 32 * np.abs(apply(found.homography, corners) - apply(VIEW, corners)).max() < 0.15
+    assert 32 * off_corners(found) < 0.15
     assert found.residual < 0.08
     assert (found.spots, found.shown) == (25, 25)
     np.testing.assert_allclose(found.blur, blur, rtol=0.05)
@@ -59,8 +64,7 @@ def test_other_device_and_cell_number():
     scenes = spot_scenes((30, 40), (4, 6), 3)
     pictures = pictures_of(scenes, VIEW, (0.03, 0.03), ((1.0,),), 0.003, grid=grid)
     found = calibrate(scenes, pictures, grid)
-    corners = np.array([[x, y] for x in (0.05, 0.95) for y in (0.05, 0.95)])
-    assert 20 * np.abs(apply(found.homography, corners) - apply(VIEW, corners)).max() < 0.15
+    assert 20 * off_corners(found) < 0.15
     assert found.flat == ((1.0,),)
 
 
@@ -167,8 +171,8 @@ def test_words_on_arrays_that_do_not_fit():
 
 def test_the_virtual_camera_is_calibrated():
     """Spots, white and black shown to it, counted, and found again."""
-    grid = find_grid(Device(name="d", columns=512, rows=384), (32, 32))
     device = Device(name="d", columns=512, rows=384)
+    grid = find_grid(device, (32, 32))
     eyes = camera.Camera(view=tuple(map(tuple, VIEW.tolist())), blur=7.0, vignetting=0.3)
     spots = spot_scenes((32, 32))
     shown = np.concatenate([spots, np.ones((1, 32, 32), np.float32)])
@@ -207,15 +211,8 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     dark, ambient = black_rates(counts.on_rate[-1:], counts.off_rate[-1:])
     assert dark == pytest.approx(1e3, abs=6 * np.sqrt(1e3 / 8e-3))
     assert ambient == pytest.approx(2e4, abs=6 * np.sqrt(2e4 / 8e-3))
-    found = calibrate(
-        spots,
-        pictures[:-2],
-        grid,
-        white=pictures[-2],
-        black=pictures[-1],
-        dark=dark,
-        ambient=ambient,
-    )
+    uniform = {"white": pictures[-2], "black": pictures[-1]}
+    found = calibrate(spots, pictures[:-2], grid, **uniform, dark=dark, ambient=ambient)
     save_calibration(found, tmp_path / "run" / "calibration")
     found = load_calibration(tmp_path / "run" / "calibration")
     scene = np.random.default_rng(0).random((4, 8, 8)).repeat(4, axis=1).repeat(4, axis=2)

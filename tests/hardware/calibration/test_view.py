@@ -137,12 +137,8 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
     eyes = camera.Camera(view=tuple(map(tuple, VIEW.tolist())), blur=blur, vignetting=0.3)
     scenes = np.random.default_rng(0).random((3, 16, 16), dtype=np.float32)
     mirrors = camera.irradiance(scenes, eyes, device, grid)
-    kept = mirrors[
-        :,
-        grid.top : grid.top + grid.down * grid.height,
-        grid.left : grid.left + grid.across * grid.width,
-    ]
-    cells = kept.reshape(3, grid.down, grid.height, grid.across, grid.width).sum(axis=(2, 4))
+    shape_of_cells = 3, grid.down, grid.height, grid.across, grid.width
+    cells = mirrors[:, *grid.window].reshape(shape_of_cells).sum(axis=(2, 4))
     sigma = blur / (grid.down * grid.height), blur / (grid.across * grid.width)
     calibration = calibration_of(VIEW, sigma, vignette(shape, 0.3))
     seen = camera_view(scenes.reshape(3, -1), (16, 16), calibration, shape)

@@ -153,16 +153,13 @@ def library(monkeypatch):
     return fake
 
 
-def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE):
+def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE, dwell=1e-3):
     rng = np.random.default_rng(3)
     rails = rng.random((1, masks, 32)) * rng.uniform(0.1, 1, (1, masks, 1))
-    if light == "equal-dwell":
-        rails /= masks
-    else:
-        rails /= rails.max(axis=2).sum()
+    rails /= masks if light == "equal-dwell" else rails.max(axis=2).sum()
     export_patterns(
         DesignRails(rails, light, (4, 8), summed_reflectance=10.0),
-        FrameSettings(device, 1e-3, format=format),
+        FrameSettings(device, dwell, format=format),
         folder,
     )
     return folder
@@ -285,17 +282,13 @@ def test_loading_again_replaces(library, tmp_path):
 def test_what_the_device_cannot_show_is_refused(library, tmp_path):
     folder = patterns(tmp_path / "patterns")
     other = patterns(tmp_path / "other", device=Device(name="other", columns=72, rows=24))
-    slow = export_patterns(
-        DesignRails(np.ones((1, 1, 32)), "equal-dwell", (4, 8), summed_reflectance=10.0),
-        FrameSettings(DEVICE, 20.0),
-        tmp_path / "slow",
-    )
-    assert slow.manifest.frames[0].picture_us == 20_000_000
+    slow = patterns(tmp_path / "slow", "equal-dwell", masks=1, dwell=20.0)
+    assert read_patterns(slow).manifest.frames[0].picture_us == 20_000_000
     with vialux.VialuxProjector() as projector:
         with pytest.raises(InputError, match="made for 72 x 24 mirrors"):
             projector.load(other)
         with pytest.raises(InputError, match="44 to 10000000 µs"):
-            projector.load(tmp_path / "slow")
+            projector.load(slow)
         library.memory = 50
         with pytest.raises(InputError, match="has room for 50"):
             projector.load(folder)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,6 @@ from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.frame_files import load_frames, open_array, write_frames
 from deepfsi.hardware.patterns.mirrors import (
     MaskFrames,
-    all_frames,
     count_mirrors,
     make_frames,
     recount,
@@ -101,7 +101,8 @@ def export_patterns(
     if total > MOST_FRAMES:
         raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
     pictures = settings.picture_us(counted.shares, design.light)
-    every = all_frames(counted.on, grid)
+    ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
+    every = chain(ends, counted.on, ends)
     with new_folder(folder) as draft:
         frames = make_frames(every, device, grid, settings.selection, settings.seed)
         hashes = write_frames(draft, frames, total, settings, report)

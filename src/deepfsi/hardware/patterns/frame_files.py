@@ -78,23 +78,27 @@ def _png(place: int, total: int) -> str:
 
 
 def _read_png(path: Path, device: Device) -> np.ndarray:
+    with _reading(f"frame {path}"), PngImagePlugin.PngImageFile(path) as picture:
+        if picture.mode != "1" or picture.size != (device.columns, device.rows):
+            raise InputError(
+                f"{path} is a {picture.size[0]} x {picture.size[1]} PNG of mode {picture.mode}, "
+                f"not {device.columns} x {device.rows} at one bit a pixel: export the patterns "
+                "again"
+            )
+        return np.frombuffer(picture.tobytes(), dtype=np.uint8)
+
+
+@contextmanager
+def _reading(name: str) -> Iterator[None]:
+    """Turn errors of reading a file into one `InputError`."""
     try:
-        with PngImagePlugin.PngImageFile(path) as picture:
-            if picture.mode != "1" or picture.size != (device.columns, device.rows):
-                raise InputError(
-                    f"{path} is a {picture.size[0]} x {picture.size[1]} PNG of mode "
-                    f"{picture.mode}, not {device.columns} x {device.rows} at one bit a pixel: "
-                    "export the patterns again"
-                )
-            return np.frombuffer(picture.tobytes(), dtype=np.uint8)
+        yield
     except FileNotFoundError:
-        raise InputError(f"frame {path} is missing: export the patterns again") from None
+        raise InputError(f"{name} is missing: export the patterns again") from None
     except InputError:
         raise
     except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(
-            f"frame {path} cannot be read ({error}): export the patterns again"
-        ) from None
+        raise InputError(f"{name} cannot be read ({error}): export the patterns again") from None
 
 
 def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
@@ -123,32 +127,24 @@ def open_array(
         If the file is missing, cut, too long or another array's.
     """
     again = "export the patterns again"
-    try:
-        with path.open("rb") as file:
-            dtype = np.dtype(kind or "u1")
-            if kind is not None:
-                header = io.BytesIO()
-                _write_header(header, dtype, shape)
-                if file.read(len(header.getvalue())) != header.getvalue():
-                    raise InputError(
-                        f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
-                        f"manifest.json says: {again}"
-                    )
-            size = dtype.itemsize
-            wanted = size * math.prod(shape)
-            here = path.stat().st_size - file.tell()
-            if here != wanted:
-                per = size * math.prod(shape[1:])
+    with _reading(str(path)), path.open("rb") as file:
+        dtype = np.dtype(kind or "u1")
+        if kind is not None:
+            header = io.BytesIO()
+            _write_header(header, dtype, shape)
+            if file.read(len(header.getvalue())) != header.getvalue():
                 raise InputError(
-                    f"{path} has {here} bytes of data, and manifest.json says {wanted}: it breaks "
-                    f"off in frame {first + here // per}; {again}"
-                    if here < wanted
-                    else f"{path} has {here - wanted} bytes too many: {again}"
+                    f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
+                    f"manifest.json says: {again}"
                 )
-            yield file
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: {again}") from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read ({error}): {again}") from None
+        wanted = dtype.itemsize * math.prod(shape)
+        here = path.stat().st_size - file.tell()
+        if here > wanted:
+            raise InputError(f"{path} has {here - wanted} bytes too many: {again}")
+        if here < wanted:
+            place = first + here // (dtype.itemsize * math.prod(shape[1:]))
+            raise InputError(
+                f"{path} has {here} bytes of data, and manifest.json says {wanted}: it breaks "
+                f"off in frame {place}; {again}"
+            )
+        yield file

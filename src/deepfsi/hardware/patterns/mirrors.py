@@ -11,7 +11,6 @@ begins a new byte.
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -124,12 +123,6 @@ def make_frames(
 def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
     """Mirrors of a packed frame, bool (rows, columns), True where ON."""
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
-
-
-def all_frames(on: np.ndarray, grid: Grid) -> Iterator[np.ndarray]:
-    """Mirrors ON in each cell of every frame of a pass: two sentinels, the masks', and two more."""
-    ends = np.full_like(on[0], grid.mirrors), np.zeros_like(on[0])
-    return chain(ends, on, ends)
 
 
 def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:

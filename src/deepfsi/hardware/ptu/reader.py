@@ -104,16 +104,13 @@ def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
             first, last = min(first, int(times.min())), max(last, int(times.max()))
         if part.fault:
             problems.append(part.fault)
+    set_bits = {bit: int(markers[np.arange(16) & bit != 0].sum()) for bit in (1, 2, 4, 8)}
     return Contents(
         kind=kind.name,
         tick_s=header.tick_s,
         records=records,
         photons={k - kind.first: int(n) for k, n in enumerate(photons) if n},
-        markers={
-            bit: int(markers[np.arange(16) & bit != 0].sum())
-            for bit in (1, 2, 4, 8)
-            if markers[np.arange(16) & bit != 0].any()
-        },
+        markers={bit: n for bit, n in set_bits.items() if n},
         overflows=overflows,
         syncs=syncs,
         first=first if last >= 0 else None,

@@ -8,6 +8,7 @@ import struct
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,17 +30,6 @@ LARGEST_COUNTS = 2**27
 
 NPY_HEADER = 128
 """Bytes of the header of a vector in numpy's format."""
-
-_ARRAYS = {
-    "counts": "<i8",
-    "valid": "|b1",
-    "gate_s": "<f8",
-    "on_rate": "<f8",
-    "off_rate": "<f8",
-    "dark_rate": "<f8",
-    "lengths_s": "<f8",
-}
-"""Types of the arrays of a file."""
 
 _UNREADABLE = (
     zipfile.BadZipFile,
@@ -123,8 +113,11 @@ class Counts:
             "faults": [fault.model_dump() for fault in self.faults],
         }
         text = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        arrays: dict[str, Any] = {
+            name: held for name, held in vars(self).items() if isinstance(held, np.ndarray)
+        }
         file = io.BytesIO()
-        np.savez(file, about=text, **{name: getattr(self, name) for name in _ARRAYS})
+        np.savez(file, about=text, **arrays)
         write_atomically(path, file.getvalue())
 
 
@@ -155,18 +148,16 @@ def load_counts(path: Path, acquisition: Acquisition, manifest: Manifest) -> Cou
                     "`deepfsi camera count`"
                 )
             scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
-            shapes = {
-                "counts": (scenes, about.repeats, rails, masks),
-                "valid": (scenes, about.repeats),
-                "gate_s": (len(manifest.shown),),
-                "on_rate": (scenes,),
-                "off_rate": (scenes,),
-                "dark_rate": (rails,),
-                "lengths_s": (rails, masks),
+            kinds: dict[str, tuple[str, tuple[int, ...]]] = {
+                "counts": ("<i8", (scenes, about.repeats, rails, masks)),
+                "valid": ("|b1", (scenes, about.repeats)),
+                "gate_s": ("<f8", (len(manifest.shown),)),
+                "on_rate": ("<f8", (scenes,)),
+                "off_rate": ("<f8", (scenes,)),
+                "dark_rate": ("<f8", (rails,)),
+                "lengths_s": ("<f8", (rails, masks)),
             }
-            arrays = {
-                name: _member(archive, name, dtype, shapes[name]) for name, dtype in _ARRAYS.items()
-            }
+            arrays = {name: _member(archive, name, *kind) for name, kind in kinds.items()}
     except InputError:
         raise
     except _UNREADABLE:
