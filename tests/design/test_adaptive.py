@@ -17,7 +17,7 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
-from deepfsi.optics.feature_noise import FeatureNoise
+from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import Learned
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import AdaptiveFeatures

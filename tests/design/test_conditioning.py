@@ -16,8 +16,8 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import photons_per_pixel
+from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.scanner import measure
-from deepfsi.optics.standardisation import mean_over_exposures
 from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product_dtype
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

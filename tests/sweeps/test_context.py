@@ -9,7 +9,7 @@ from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan
 from deepfsi.training.learning import train
-from deepfsi.training.memory import footprint
+from deepfsi.training.loop import footprint
 from deepfsi.training.training_set import TrainingSet
 from shared.trials import small, train_trials
 

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import (
-    PHOTONS,
-    RECIPE,
-    quick,
-)
+from conftest import PHOTONS, RECIPE, quick
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints

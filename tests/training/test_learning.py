@@ -1,24 +1,197 @@
-"""Designs that training makes: statistics, noises, shapes of scenes."""
+"""Designs that training makes: masks, own matrices, grey levels, statistics, shapes of scenes."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from conftest import (
     FIXED,
+    FLOAT32,
     PHOTONS,
+    RECIPE,
     every_optics,
     generator,
     light_on,
+    own_matrix,
     quick,
+    same,
     synthetic,
+    two_valued,
 )
+from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
+from deepfsi.optics import codes, constraints
+from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.learning import learn, train
 from deepfsi.training.training_set import TrainingSet
+
+SETTINGS = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
+
+
+@every_optics
+def test_learned_masks_are_dark_where_no_scene_varies(digits, made, light, rails):
+    """Light from there is noise alone; on two arms one of them gets it in any case."""
+    constant = torch.from_numpy((digits.x_train == digits.x_train[0]).all(axis=0))
+    rails_there = made("deepfsi", light, rails).rails[..., constant]
+    assert constant.any()
+    assert (rails_there > 0).all() if light == "two-arm" else not rails_there.any()
+
+
+@pytest.mark.parametrize("design", FIXED)
+def test_fixed_designs_keep_their_masks(made, digits, design):
+    found = made(design, "column", "dual").rails
+    if design == "raster":
+        assert torch.equal(found[0], torch.eye(64) / 64)
+        return
+    matrix = torch.from_numpy(codes.sensing_matrix(design, found.shape[1], digits, 0)).float()
+    single = codes.DESIGNS[design].single_rail
+    wanted = constraints.fit(matrix, "column", "single" if single else "dual")
+    assert torch.allclose(found, wanted, atol=1e-8)
+
+
+@every_optics
+def test_learned_masks_change_from_their_start(made, light, rails):
+    short, longer = made("deepfsi", light, rails), made("pca", light, rails)
+    assert not torch.allclose(short.rails, longer.rails, atol=1e-4)
+
+
+@every_optics
+def test_the_control_group_has_the_masks_learned_under_gaussian_noise(digits, light, rails):
+    settings = {"light": light, "rails": rails, "sigma": 2.0}
+    control = quick(digits, "control", **settings)
+    source = quick(digits, "deepfsi", noise="gaussian", **settings)
+    assert torch.allclose(control.rails, source.rails, rtol=1e-6, atol=1e-9)
+    assert not same(control, source)
+
+
+@pytest.mark.parametrize("start", ["pca", "truncated-hadamard", "random", "lda"])
+@every_optics
+def test_masks_may_start_from_any_design(digits, start, light, rails):
+    assert quick(digits, start=start, light=light, rails=rails).masks == 7
+
+
+@pytest.mark.parametrize("rails", ["dual", "single"])
+@pytest.mark.parametrize("start", ["impulse", "raster", "hadamard"])
+def test_masks_may_start_from_a_design_of_all_pixels(digits, start, rails):
+    assert quick(digits, masks=64, start=start, rails=rails).masks == 64
+
+
+@pytest.mark.parametrize("light", ["column", "equal-dwell", "free-dwell", "two-arm"])
+def test_impulse_imaging_is_column_whatever_else_is_compared(digits, light):
+    one = quick(digits, "impulse", light=light)
+    assert one.light == "column"
+    assert torch.equal(one.rails[0], torch.eye(64))
+
+
+@every_optics
+def test_a_matrix_of_your_own_is_used_as_it_is(digits, light, rails):
+    matrix = own_matrix(5, 64, light, rails)
+    one = quick(digits, "custom", 5, light=light, rails=rails)
+    assert one.matrix == pytest.approx(matrix, abs=1e-7)
+
+
+@every_optics
+def test_a_designs_matrix_can_be_given_back_as_your_own(digits, made, light, rails):
+    matrix = made("deepfsi", light, rails).matrix
+    settings = {"photons": 1e4, "masks": len(matrix), "epochs": 1, "device": "cpu"}
+    again = learn(digits, design="custom", matrix=matrix, light=light, rails=rails, **settings)
+    assert again.matrix == pytest.approx(matrix, abs=1e-6)
+
+
+def test_a_negative_matrix_cannot_be_a_single_rail(digits):
+    with pytest.raises(InputError, match="negative entries"):
+        learn(
+            digits,
+            design="custom",
+            matrix=np.full((2, 64), -0.1),
+            photons=1,
+            masks=2,
+            rails="single",
+        )
+
+
+@every_optics
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian", "none"])
+def test_a_two_level_design_shows_dark_and_peak_alone(digits, light, rails, noise, precision):
+    settings = {"light": light, "rails": rails, "noise": noise, "precision": precision}
+    one = quick(digits, levels=2, **settings)
+    assert two_valued(one.rails)
+    assert torch.allclose(one.quantised(2).rails, one.rails, rtol=FLOAT32, atol=0)
+    assert not two_valued(quick(digits, **settings).rails)
+    constraints.check(one.rails, light)
+
+
+@pytest.mark.parametrize("design", ["control", "pca", "random", "s-matrix", "raster", "custom"])
+def test_levels_hold_for_masks_that_are_not_learned_here(digits, design):
+    assert two_valued(quick(digits, design, light="equal-dwell", levels=2).rails)
+
+
+@every_optics
+@pytest.mark.parametrize("levels", [3, 17])
+def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, levels):
+    rails = quick(digits, light=light, rails=rails, levels=levels).rails.double()
+    peak = (rails.sum(dim=0) if light == "two-arm" else rails).amax(dim=-1, keepdim=True)
+    level = (levels - 1) * rails / torch.where(peak > 0, peak, 1.0)
+    assert level.numpy() == pytest.approx(level.round().numpy(), abs=1e-4)
+    assert 2 < len(level.round().unique()) <= levels
+
+
+@pytest.mark.parametrize(("light", "rails"), [("column", "dual"), ("free-dwell", "single")])
+def test_two_level_designs_train_together_as_alone(digits, light, rails):
+    """But for cells so near half their frame's peak that float32 rounding decides them."""
+    jobs = [
+        Job(
+            masks=6,
+            photons=photons,
+            seed=seed,
+            light=light,
+            rails=rails,
+            training=SETTINGS.model_copy(update={"levels": 2, "mask_lr": 0.1}),
+        )
+        for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
+    ]
+    training_set = TrainingSet(digits, "cpu")
+    together = train(training_set, jobs)
+    for one, job in zip(together, jobs, strict=True):
+        assert two_valued(one.rails)
+        lit, alone = one.rails > 0, train(training_set, [job])[0].rails > 0
+        assert (lit != alone).double().mean() <= 0.01
+    assert ((together[0].rails > 0) != (together[1].rails > 0)).any()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("light", "rails"),
+    [("equal-dwell", "single"), ("free-dwell", "single"), ("two-arm", "dual"), ("column", "dual")],
+)
+def test_learning_two_levels_beats_rounding_to_them(digits, light, rails, seed):
+    """By more than five sigma of the noise draws, in which alone the two tests differ."""
+    draws = 20
+    settings = {"light": light, "rails": rails, "seed": seed, "hidden": (40, 128), "lr": 1e-2}
+    learned, continuous = (
+        quick(digits, masks=10, epochs=30, mask_lr=1e-1, scale="common", levels=levels, **settings)
+        for levels in (2, 0)
+    )
+    trained, rounded = (
+        evaluate(design, digits, PHOTONS, draws=draws)[0].accuracy
+        for design in (learned, continuous.quantised(2))
+    )
+    trials = draws * len(digits.x_test)
+    variance = (trained * (1 - trained) + rounded * (1 - rounded)) / trials
+    assert trained - rounded > 5 * variance**0.5
+
+
+def test_levels_survive_the_design_file(digits, tmp_path):
+    one = quick(digits, light="free-dwell", levels=2)
+    again = Design.load(one.save(tmp_path / "one.safetensors"))
+    assert torch.equal(again.rails, one.rails)
+    assert again.info["job"]["training"]["levels"] == 2
 
 
 def test_scenes_that_are_all_alike_can_still_be_trained_on():
@@ -27,18 +200,23 @@ def test_scenes_that_are_all_alike_can_still_be_trained_on():
     assert quick(data, masks=2, start="truncated-hadamard").masks == 2
 
 
+def assert_standardised(design, digits, noise):
+    """Scaled features of its scanner have mean 0 and variance 1."""
+    photons = light_on(design, digits.x_train).repeat(20, 1)
+    features = design.scanner(noise, 4.0)(photons, generator())
+    scaled = (features / PHOTONS - design.mean) / design.std
+    n = len(scaled)
+    assert scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n)
+    fourth = scaled.pow(4).mean(dim=0)
+    assert ((scaled.var(dim=0) - 1).abs() <= 5 * ((fourth - 1) / n).sqrt()).all()
+
+
 @pytest.mark.parametrize("rails", ["dual", "single"])
 @pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian"])
 @pytest.mark.parametrize("design", ["pca", "deepfsi"])
 def test_features_are_standardised_over_scenes_and_noise(digits, noise, rails, design):
     one = quick(digits, design, noise=noise, sigma=4.0, rails=rails)
-    photons = light_on(one, digits.x_train).repeat(20, 1)
-    features = one.scanner(noise, 4.0)(photons, generator())
-    scaled = (features / PHOTONS - one.mean) / one.std
-    n = len(scaled)
-    assert scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n)
-    fourth = scaled.pow(4).mean(dim=0)
-    assert ((scaled.var(dim=0) - 1).abs() <= 5 * ((fourth - 1) / n).sqrt()).all()
+    assert_standardised(one, digits, noise)
 
 
 def test_a_common_scale_is_the_same_for_all_features(digits):
@@ -88,12 +266,5 @@ def test_learned_masks_beat_their_start_in_dim_light(digits):
 @pytest.mark.parametrize("noise", ["ml_gauss", "gaussian"])
 @every_optics
 def test_statistics_of_a_two_level_design_are_of_its_own_masks(digits, noise, light, rails):
-    """Scaled features of its scanner have mean 0 and variance 1."""
     one = quick(digits, noise=noise, sigma=4.0, light=light, rails=rails, levels=2)
-    photons = light_on(one, digits.x_train).repeat(20, 1)
-    features = one.scanner(noise, 4.0)(photons, generator())
-    scaled = (features / PHOTONS - one.mean) / one.std
-    n = len(scaled)
-    assert scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n)
-    fourth = scaled.pow(4).mean(dim=0)
-    assert ((scaled.var(dim=0) - 1).abs() <= 5 * ((fourth - 1) / n).sqrt()).all()
+    assert_standardised(one, digits, noise)

@@ -3,17 +3,14 @@
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from math import prod
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import torch
-from pydantic import BaseModel
 from torch import Tensor, nn
 
-from deepfsi.datasets import Dataset
 from deepfsi.design import artifact_file
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.exposure import Exposure, ExposureKind, FixedDwells
@@ -362,21 +359,6 @@ class Design:
             If the file is missing, damaged, truncated, not a design, or of a newer schema.
         """
         return cls(**artifact_file.read_design(path)).to(device)
-
-
-def provenance(
-    job: BaseModel, data: Dataset, device: torch.device, seconds: float
-) -> dict[str, Any]:
-    """Provenance of a trained design, for `Design.info`."""
-    return {
-        "job": job.model_dump(mode="json"),
-        "data": {"name": data.name, "hash": data.hash},
-        "preprocessing": data.preprocessing,
-        "deepfsi": version("deepfsi"),
-        "torch": torch.__version__,
-        "device": device.type,
-        "seconds": seconds,
-    }
 
 
 def _readouts(

@@ -20,7 +20,6 @@ WAYS = (
     "or (m, H, W), a folder of images, or a TIFF of m pages"
 )
 """All that can be read, as the end of an error message."""
-"""Sources of masks, for messages."""
 
 
 def read_matrix(source: str) -> np.ndarray:

@@ -19,7 +19,7 @@ from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.learning import Diverged, train
-from deepfsi.training.memory import footprint
+from deepfsi.training.loop import footprint
 from deepfsi.training.training_set import Matrices, TrainingSet
 
 MASKS_AT_ONCE = 2048

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.optics.feature_noise import FeatureNoise
+from deepfsi.optics.features import FeatureNoise
 from deepfsi.training.job import Job
 
 

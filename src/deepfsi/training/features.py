@@ -5,6 +5,7 @@ learn are taken once before the first step.
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -14,17 +15,17 @@ from deepfsi.design.classifiers import Replicas
 from deepfsi.design.conditioning import Conditioning, first
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
-from deepfsi.optics.feature_noise import FeatureNoise
-from deepfsi.optics.masks import Fixed, Learned, pair
-from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import lit, measure, project, project_pair
-from deepfsi.optics.standardisation import (
+from deepfsi.optics.features import (
     CHUNK,
+    FeatureNoise,
     Scale,
     deviation,
     feature_statistics,
     standardise,
 )
+from deepfsi.optics.masks import Fixed, Learned, pair
+from deepfsi.optics.noise import root
+from deepfsi.optics.scanner import lit, measure, project, project_pair
 from deepfsi.training.draws import SeedStream, side_by_side
 from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.training_set import TrainingSet
@@ -89,10 +90,11 @@ class FixedFeatures(Features):
         return torch.addcmul((expected - mean) / std, draws, stream.part(self.gain))
 
 
+@dataclass
 class LearnedFeatures(Features):
     """Features of masks that learn.
 
-    Parameters
+    Attributes
     ----------
     streams : list of SeedStream
     masks : Learned
@@ -101,8 +103,10 @@ class LearnedFeatures(Features):
     scale : {"each", "common"}
     """
 
-    def __init__(self, streams: Streams, masks: Learned, x: Tensor, scale: Scale) -> None:
-        self.streams, self.masks, self.x, self.scale = streams, masks, x, scale
+    streams: Streams
+    masks: Learned
+    x: Tensor
+    scale: Scale
 
     def at(self, step: int) -> Tensor:
         """Features (B, R, m), standardised in their batch."""
@@ -160,38 +164,33 @@ class ReadNoiseFeatures(LearnedFeatures):
         return parts
 
 
+@dataclass
 class ConditionedFeatures(Features):
     """Inputs of conditioned classifiers: each scene has a budget and a number of masks of its own.
 
     The fewer masks share the light, the more each has. The gradient includes the light that a mask
     takes from later ones.
 
-    Parameters
+    Attributes
     ----------
-    streams : list of SeedStream
-    masks : Fixed or Learned
-    x : tensor, shape (n + 1, N)
-        As for `LearnedFeatures`.
+    streams, masks, x, scale
+        As for `LearnedFeatures`; masks may be fixed.
     conditioning : Conditioning
         Of the lowest budget.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    scale : {"each", "common"}
     """
 
-    def __init__(
-        self,
-        streams: Streams,
-        masks: Fixed | Learned,
-        x: Tensor,
-        conditioning: Conditioning,
-        light: Light,
-        scale: Scale,
-    ) -> None:
-        self.streams, self.masks, self.x = streams, masks, x
-        self.conditioning, self.light, self.scale = conditioning, light, scale
-        self.chances = conditioning.chances.to(x.device)
-        # masks that learn are brightened at their end, see `job_masks.final_masks`
-        self.brightened = conditioning.nested > 0 and isinstance(masks, Learned)
+    streams: Streams
+    masks: Fixed | Learned
+    x: Tensor
+    conditioning: Conditioning
+    light: Light
+    scale: Scale
+
+    def __post_init__(self) -> None:
+        self.chances = self.conditioning.chances.to(self.x.device)
+        # masks that learn are brightened at their end, see `learning`
+        self.brightened = self.conditioning.nested > 0 and isinstance(self.masks, Learned)
 
     def at(self, step: int) -> Tensor:
         """Features and conditioning inputs (B, R, m + 2)."""
@@ -220,36 +219,29 @@ class ConditionedFeatures(Features):
         return self.conditioning.inputs(scaled, side_by_side(ratios), shown)
 
 
+@dataclass
 class AdaptiveFeatures(Features):
     """Inputs of classifiers after each of several looks, with masks of equal dwells.
 
-    Parameters
+    Attributes
     ----------
-    streams : list of SeedStream
-    masks : Fixed or Learned
-    x : tensor, shape (n + 1, N)
-        As for `LearnedFeatures`.
+    streams, masks, x, scale
+        As for `LearnedFeatures`; masks may be fixed.
     choose : Replicas
         Networks that choose dwells.
     looks : int
         K.
     gain : tensor, shape (R, 1)
         Of all jobs, from `FeatureNoise`.
-    scale : {"each", "common"}
     """
 
-    def __init__(
-        self,
-        streams: Streams,
-        masks: Fixed | Learned,
-        x: Tensor,
-        choose: Replicas,
-        looks: int,
-        gain: Tensor,
-        scale: Scale,
-    ) -> None:
-        self.streams, self.masks, self.x = streams, masks, x
-        self.choose, self.looks, self.gain, self.scale = choose, looks, gain, scale
+    streams: Streams
+    masks: Fixed | Learned
+    x: Tensor
+    choose: Replicas
+    looks: int
+    gain: Tensor
+    scale: Scale
 
     def at(self, step: int) -> Tensor:
         """Features and dwells (K · B, R, 2 m) after each of K looks."""

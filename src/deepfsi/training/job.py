@@ -5,12 +5,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.conditioning import Conditioning
@@ -18,7 +13,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.standardisation import Scale
+from deepfsi.optics.features import Scale
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""

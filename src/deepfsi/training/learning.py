@@ -2,29 +2,30 @@
 
 import time
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 import torch
+from pydantic import BaseModel
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.adaptive import AdaptiveDwells
-from deepfsi.design.artifact import Design, provenance
+from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure import FixedDwells
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.optics import constraints
-from deepfsi.optics.feature_noise import FeatureNoise
-from deepfsi.optics.masks import Fixed, Learned
-from deepfsi.optics.standardisation import (
+from deepfsi.optics import codes, constraints
+from deepfsi.optics.features import (
     CHUNK,
+    FeatureNoise,
     feature_statistics,
     mean_over_exposures,
 )
+from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.job import Job, TrainingSettings, check_jobs, training_for
-from deepfsi.training.job_masks import final_masks, initial_masks
 from deepfsi.training.loop import optimise
 from deepfsi.training.training_set import TrainingSet
 
@@ -123,10 +124,10 @@ def train(
         sources = [job.masks_from() for job in jobs]
         optimised = train(training_set, sources, report=report.part(0.0, 0.5))
         learned, report = torch.stack([each.rails for each in optimised]), report.part(0.5, 1.0)
-    masks = initial_masks(training_set, jobs, matrix, learned).to(device)
+    masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report)
     if isinstance(masks, Learned):
-        masks = final_masks(masks, training_set, first)
+        masks = _final_masks(masks, training_set, first)
     networks = [*classifiers, *(each.network for each in schedules)]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
@@ -136,6 +137,69 @@ def train(
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, device, seconds)
     return designs
+
+
+def _initial_masks(
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    matrix: np.ndarray | None = None,
+    learned: Tensor | None = None,
+) -> Fixed | Learned:
+    """Masks before training: of R replicas, or of one where all share them."""
+    if learned is not None:
+        return Fixed(learned)
+    job = jobs[0]
+    light, rails = job.optics
+    levels, several = job.training.levels, job.training.looks > 1
+    if matrix is not None:
+        signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32)).unsqueeze(0)
+    else:
+        seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
+        signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
+    if job.code.learned:
+        start = signed[..., training_set.pixels(light).cpu()].expand(len(jobs), -1, -1).clone()
+        return Learned(start, "equal-dwell" if several else light, rails, levels)
+    if matrix is not None:
+        fitted = constraints.check(constraints.expand(signed[0], light, rails), light).unsqueeze(0)
+    elif job.design == "raster":  # its scale is what defines it
+        fitted = signed.unsqueeze(1)
+    else:
+        fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
+    fitted = constraints.equalise(fitted) if several else fitted
+    return Fixed(constraints.quantise(fitted, light, levels) if levels else fitted)
+
+
+def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
+    """Masks after training, of all pixels: dark where they were not learned.
+
+    Nested ones take the whole of their constraint, by one common factor: so they are trained,
+    however many of them are shown.
+    """
+    light, pixels = job.optics[0], training_set.pixels(job.optics[0])
+    with torch.no_grad():
+        learned = constraints.separate(*masks())
+    rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
+    rails[..., pixels] = learned
+    if job.training.looks > 1:
+        # at the end only: its gradient would take from lit mirrors what they share
+        rails = constraints.equalise(rails)
+    if job.training.nested:
+        rails = rails / constraints.used(rails, light)[..., -1:][..., None, None]
+    return Fixed(rails)
+
+
+def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:
+    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design."""
+    name, count = job.drawn_from, job.masks
+    if job.optics[1] == "dual" or job.code.single_rail:
+        return torch.from_numpy(training_set.matrix(name, count, seed)).float()
+    least, most = codes.count_allowed(name, training_set.data)
+    for masks in range(min(max(-(-count // 2), least), most), most + 1):
+        signed = torch.from_numpy(training_set.matrix(name, masks, seed)).float()
+        frames = constraints.frames(constraints.expand(signed, "column"))
+        if len(frames) >= count:
+            return frames[:count]
+    raise InputError(f"{count} frames are not allowed for {name}: give at most {len(frames)}")
 
 
 def _designs(
@@ -191,3 +255,21 @@ def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
             assert seen.dwell is not None
             shares += (design.masks * seen.dwell * rates[..., 0, :]).sum(dim=0)
     return shares / len(training_set.full)
+
+
+def provenance(
+    job: BaseModel, data: Dataset, device: torch.device, seconds: float
+) -> dict[str, Any]:
+    """Provenance of a trained design, for `Design.info`.
+
+    Parameters of its training; `seconds` is the time that this took.
+    """
+    return {
+        "job": job.model_dump(mode="json"),
+        "data": {"name": data.name, "hash": data.hash},
+        "preprocessing": data.preprocessing,
+        "deepfsi": version("deepfsi"),
+        "torch": torch.__version__,
+        "device": device.type,
+        "seconds": seconds,
+    }

@@ -21,20 +21,19 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.artifact import Design, provenance
+from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure import PatchExposure, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS, summed_reflectance
-from deepfsi.optics.feature_noise import FeatureNoise
+from deepfsi.optics.features import FeatureNoise, Scale, deviation, feature_statistics
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.scanner import Scanner, project
-from deepfsi.optics.standardisation import Scale, deviation, feature_statistics
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.job import BFLOAT16_COUNTS, LearningRate, Precision
-from deepfsi.training.learning import Diverged
+from deepfsi.training.learning import Diverged, provenance
 from deepfsi.training.loop import descend, parameter_group
 from deepfsi.training.training_set import find_device
 
