@@ -253,9 +253,7 @@ def test_replicas_learn_as_they_would_alone(digits):
         (alone,) = train(TrainingSet(digits, "cpu"), [job])
         assert torch.allclose(alone.rails, design.rails, rtol=1e-3, atol=1e-5)
         for mine, other in zip(
-            alone.exposure.network.parameters(),
-            design.exposure.network.parameters(),
-            strict=True,
+            alone.exposure.network.parameters(), design.exposure.network.parameters(), strict=True
         ):
             assert torch.allclose(mine, other, rtol=1e-2, atol=1e-3)
 

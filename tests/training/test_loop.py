@@ -5,13 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from conftest import (
-    RECIPE,
-    every_optics,
-    quick,
-    same,
-    synthetic,
-)
+from conftest import RECIPE, every_optics, quick, same, synthetic
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Replicas
 from deepfsi.progress import Report

@@ -17,12 +17,7 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure import FixedDwells
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
-from deepfsi.optics.features import (
-    CHUNK,
-    FeatureNoise,
-    feature_statistics,
-    mean_over_exposures,
-)
+from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics, mean_over_exposures
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.job import Job, TrainingSettings, check_jobs, training_for
