@@ -194,15 +194,13 @@ class Design:
         looks = self.exposure.expose_live(show, self.mean, self.std)
         with torch.no_grad():
             for look, seen in enumerate(looks, start=1):
-                if until is None and look < self.exposure.looks:
-                    continue
                 features = torch.from_numpy(counted).to(self.rails)
                 logits = self.logits(features, budget, seen.dwell)
-                chances, enough = logits.softmax(dim=-1).cpu().numpy(), False
+                chances = logits.softmax(dim=-1).cpu().numpy()
                 if until is not None:
                     chances, enough = until(look, chances)
-                if enough:
-                    break
+                    if enough:
+                        break
         return chances
 
     def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
