@@ -10,12 +10,8 @@ def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float
     """Dark and ambient rates of a run with the display black.
 
     From counts/s in the frames with all mirrors ON and OFF, as `counts.Counts` has them. NaN passes
-    are left out; an ambient rate below 0 is noise and becomes 0.
-
-    Raises
-    ------
-    InputError
-        If no pass has both rates.
+    are left out; an ambient rate below 0 is noise and becomes 0. Raises `InputError` if no pass has
+    both rates.
     """
     on, off = np.broadcast_arrays(np.asarray(on_rate, float), np.asarray(off_rate, float))
     whole = np.isfinite(on) & np.isfinite(off)
@@ -65,10 +61,7 @@ def expected_background(
 def subtract_background(counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
     """Counts (..., rails, m) less what `expected_background` gives; its noise stays.
 
-    Raises
-    ------
-    InputError
-        If the counts are not those of the patterns.
+    Raises `InputError` if the counts are not those of the patterns.
     """
     if np.shape(counts)[-2:] != expected.shape:
         raise InputError(

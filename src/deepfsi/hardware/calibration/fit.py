@@ -345,12 +345,8 @@ def find_flat(
     fills less than half have the value of the nearest cell that it fills.
 
     The picture's shape is (down, across), as the flat field's, which is relative to its largest
-    value. Other parameters as for `geometry_matrix`.
-
-    Raises
-    ------
-    InputError
-        If the display fills no cell or the picture is dark.
+    value. Other parameters as for `geometry_matrix`. Raises `InputError` if the display fills no
+    cell or the picture is dark.
     """
     white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)

@@ -95,10 +95,7 @@ def save_calibration(calibration: Calibration, folder: Path) -> Path:
 def load_calibration(folder: Path) -> Calibration:
     """Read `calibration.json` of a folder.
 
-    Raises
-    ------
-    InputError
-        If it is missing or damaged.
+    Raises `InputError` if it is missing or damaged.
     """
     path = Path(folder) / "calibration.json"
     try:
@@ -181,12 +178,7 @@ def view_dataset(
 ) -> Dataset:
     """Data set of images as the camera sees them, to train on. Parameters as for `camera_view`.
 
-    Its preprocessing names the calibration.
-
-    Raises
-    ------
-    InputError
-        If the scenes are no images.
+    Its preprocessing names the calibration. Raises `InputError` if the scenes are no images.
     """
     shape = cells_shape or data.image_shape
     if len(shape) != 2:

@@ -112,11 +112,9 @@ class VialuxProjector:
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Send the frames of a folder of any format to the device, in place of earlier ones.
 
-        Raises
-        ------
-        InputError
-            If the folder is damaged, made for another device, too large for the controller's
-            memory, or has a picture time that the device cannot keep; or if this is not open.
+        Raises `InputError` if the folder is damaged, made for another device, too large for the
+        controller's memory, or has a picture time that the device cannot keep; or if this is not
+        open.
         """
         manifest = read_patterns(folder).manifest
         self.halt()
@@ -134,10 +132,7 @@ class VialuxProjector:
     def run(self) -> None:
         """Start one pass; returns when its last sequence is in the controller's queue.
 
-        Raises
-        ------
-        InputError
-            If nothing is loaded, a pass is still running or the device refuses.
+        Raises `InputError` if nothing is loaded, a pass is still running or the device refuses.
         """
         if not self._sequences:
             raise InputError("no patterns on the Vialux device: load a pattern folder first")
@@ -153,10 +148,7 @@ class VialuxProjector:
     def wait(self) -> None:
         """Return when the pass has ended; Ctrl-C is heard meanwhile.
 
-        Raises
-        ------
-        InputError
-            If it has not ended 5 s after it should have.
+        Raises `InputError` if it has not ended 5 s after it should have.
         """
         with _refusals("show patterns"):
             while self._running():

@@ -155,10 +155,8 @@ def _write(folder: Path, patterns: Patterns, design: bytes | None) -> Patterns:
 def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
     """Patterns of a folder, without reading its frames.
 
-    Raises
-    ------
-    InputError
-        If the manifest or the mirror counts are missing, damaged or do not fit each other.
+    Raises `InputError` if the manifest or the mirror counts are missing, damaged or do not fit each
+    other.
     """
     path = Path(folder) / "manifest.json"
     try:
@@ -189,10 +187,7 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
 def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
     """Packed frames of a folder in their order, one at a time: uint8 (rows, bytes of a row).
 
-    Raises
-    ------
-    InputError
-        If a frame is missing or damaged so that it cannot be read.
+    Raises `InputError` if a frame is missing or damaged so that it cannot be read.
     """
     yield from load_frames(Path(folder), read_patterns(folder).manifest)
 
@@ -200,10 +195,7 @@ def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
 def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts.
 
-    Raises
-    ------
-    InputError
-        Naming the first frame that is missing or not what was exported.
+    Raises `InputError` naming the first frame that is missing or not what was exported.
     """
     folder = Path(folder)
     patterns = read_patterns(folder)

@@ -157,10 +157,8 @@ class Header:
 def read_header(path: str | os.PathLike[str]) -> Header:
     """Header of a PTU file.
 
-    Raises
-    ------
-    InputError
-        If it is not a PTU file, or its header is damaged or names no type of record known here.
+    Raises `InputError` if it is not a PTU file, or its header is damaged or names no type of record
+    known here.
     """
     with open_file(path) as file:
         tags = _read_tags(file, path)

@@ -80,11 +80,6 @@ def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
     """Count the photons, markers and other records of a file.
 
     Damaged records do not raise: `problems` names the first, and what stands before it is counted.
-
-    Raises
-    ------
-    InputError
-        As `read_header`.
     """
     header = read_header(path)
     kind, problems = header.kind, list(header.problems)

@@ -144,10 +144,7 @@ def prepare(
 def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
     """Settings and patterns of a recording, checked for consistency.
 
-    Raises
-    ------
-    InputError
-        If a file is missing, damaged, or does not fit the others.
+    Raises `InputError` if a file is missing, damaged, or does not fit the others.
     """
     path = Path(folder) / "acquisition.json"
     hint = "a folder that `deepfsi camera simulate` wrote has one, or write it with `prepare`"
@@ -200,10 +197,7 @@ def gates_of(
 ) -> Gates:
     """Gates to count an acquisition of a manifest's patterns with. Parameters as of `count`.
 
-    Raises
-    ------
-    InputError
-        If the gates do not fit the frames, or are more than can be counted at once.
+    Raises `InputError` if the gates do not fit the frames, or are more than can be counted at once.
     """
     same = exposure_s is None and settle_s is None
     wanted = acquisition.repeats if repeats is None and same else repeats

@@ -124,10 +124,7 @@ class Counts:
 def read_counts(folder: str | os.PathLike[str]) -> Counts:
     """Counts of a folder as `count` wrote them.
 
-    Raises
-    ------
-    InputError
-        If there are none, or they are damaged or of another acquisition.
+    Raises `InputError` if there are none, or they are damaged or of another acquisition.
     """
     acquisition, patterns = read_acquisition(folder)
     return load_counts(Path(folder) / "counts.npz", acquisition, patterns.manifest)

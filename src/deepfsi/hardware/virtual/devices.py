@@ -81,10 +81,7 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     def stop(self) -> None:
         """Write the file.
 
-        Raises
-        ------
-        InputError
-            If nothing was started, or no pass has run since.
+        Raises `InputError` if nothing was started, or no pass has run since.
         """
         path, self._path = self._path, None
         scenes = self.projector.passes[self._first :]
