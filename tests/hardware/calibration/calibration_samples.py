@@ -1,7 +1,5 @@
 """A camera's view to test with, and pictures that it takes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deepfsi.hardware.calibration.view import Calibration, camera_view

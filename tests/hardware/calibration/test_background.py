@@ -1,7 +1,5 @@
 """Counts that do not come from the scene: expected, and taken off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Calibrations: what was done to scenes is found from pictures of spots, white and black."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette

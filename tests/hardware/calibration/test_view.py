@@ -1,7 +1,5 @@
 """Calibrations read as saved; views against point by point averages and the virtual camera."""
 
-from __future__ import annotations
-
 import json
 import time
 

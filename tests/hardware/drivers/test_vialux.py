@@ -1,7 +1,5 @@
 """Vialux's driver against a fake of ALP4lib that keeps its rules."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 import types

@@ -1,7 +1,5 @@
 """Patterns that the tests share: masks of few cells on a small device."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

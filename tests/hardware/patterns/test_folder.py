@@ -1,7 +1,5 @@
 """Folder of patterns: it holds what was designed, mirror by mirror, and damage is found."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

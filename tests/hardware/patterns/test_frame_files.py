@@ -1,7 +1,5 @@
 """Files of frames: the same bits in every format; what is not a frame is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pattern_samples import FORMATS, SMALL, every_format, export, grey

@@ -1,7 +1,5 @@
 """Cost of a device in time: the clock less the gates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pattern_samples import UNEQUAL, export

@@ -1,7 +1,5 @@
 """Mirrors: as many as counted, in an order that stands for the cell, packed."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 

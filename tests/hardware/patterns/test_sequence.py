@@ -1,7 +1,5 @@
 """Times of frames: pictures hold their masks for as long as was asked, and as the device can."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pattern_samples import export, grey

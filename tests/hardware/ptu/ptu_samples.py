@@ -1,7 +1,5 @@
 """PTU files to test with, written and decoded record by record as the format's words say."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Headers of PTU files: every type of tag, and bad headers."""
 
-from __future__ import annotations
-
 import os
 import struct
 import tracemalloc

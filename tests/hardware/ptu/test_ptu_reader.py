@@ -1,7 +1,5 @@
 """PTU files: every type of record against ptufile, photons between gates, files that are cut."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

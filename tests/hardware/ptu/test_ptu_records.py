@@ -1,7 +1,5 @@
 """Records of PTU files: damaged ones are named, memory is bounded, mutated files are refused."""
 
-from __future__ import annotations
-
 import os
 import resource
 import struct

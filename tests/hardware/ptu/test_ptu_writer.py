@@ -1,7 +1,5 @@
 """T2 files written: read back by us and by ptufile, refused or left as they were."""
 
-from __future__ import annotations
-
 import numpy as np
 import ptufile
 import pytest

@@ -1,12 +1,11 @@
 """Recordings to test with: marker trains, their troubles, and photons that are known."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pytest
@@ -201,7 +200,7 @@ class Run:
     starts: np.ndarray
     photons: np.ndarray
 
-    def copy(self, folder: Path) -> Run:
+    def copy(self, folder: Path) -> Self:
         shutil.copytree(self.folder, folder)
         return replace(self, folder=folder)
 

@@ -1,7 +1,5 @@
 """Folders of recordings: prepared once, and read or refused where they are damaged."""
 
-from __future__ import annotations
-
 import json
 from hashlib import sha256
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Markers: each brought to its frame, or its pass given up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

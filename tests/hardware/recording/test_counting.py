@@ -1,7 +1,5 @@
 """Photons of a recording: each counted for its readout, or its exposure given up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

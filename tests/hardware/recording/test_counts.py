@@ -1,7 +1,5 @@
 """The file of counts: read as it was written, or refused."""
 
-from __future__ import annotations
-
 import zipfile
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of scenes from their counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from recording_samples import DEVICE, DWELL, SHAPE, named, record, train

@@ -1,7 +1,5 @@
 """The virtual camera: light where it should be, and counts that agree with the scanner's."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The photon counter obeys closed forms, and draws in sum what it gives event by event."""
 
-from __future__ import annotations
-
 from decimal import Decimal, localcontext
 from math import comb, factorial
 

@@ -1,7 +1,5 @@
 """Virtual projector and counter: a scan records what the camera sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from virtual_samples import SHAPE, patterns

@@ -1,7 +1,5 @@
 """Scenes and patterns that the tests of the virtual camera share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
