@@ -34,7 +34,6 @@ FILES = (
 """Module that finds, downloads and checks the files of each name."""
 
 NAMES = ("digits", *FILES)
-"""All names."""
 
 
 class DatasetInfo(NamedTuple):

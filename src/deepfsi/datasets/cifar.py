@@ -34,7 +34,6 @@ CLASSES = ("airplane", "automobile", "bird", "cat", "deer", "dog", "frog", "hors
 """Names of the classes, in the order of the labels."""
 
 MIRRORS = ("https://www.cs.toronto.edu/~kriz/",)
-"""Addresses from which an archive is downloaded."""
 
 HASHES = {
     "cifar-10-binary.tar.gz": "md5:c32a1d4ab5d03f1284b67883e8d87530",
@@ -58,10 +57,6 @@ RECORD = 1 + 3 * SIDE * SIDE
 """Bytes of a binary record: label, red, green, blue."""
 
 JPEG_FILE = "cifar10-jpeg.zip"
-"""Name of the zip file of JPEG images."""
-
-JPEG_NAME = "JPEG-decoded CIFAR-10"
-"""Name of the data set of decoded JPEG images."""
 
 
 def where(name: str) -> Path | None:
@@ -69,11 +64,8 @@ def where(name: str) -> Path | None:
     wanted = (JPEG_FILE,) if name == "cifar10-jpeg" else (UNPACKED, *HASHES)
     root = data_root()
     folders = candidates("cifar10") if root is None else [*candidates("cifar10"), root]
-    for folder in folders:
-        for file in wanted:
-            if (folder / file).exists():
-                return folder / file
-    return None
+    paths = (folder / file for folder in folders for file in wanted)
+    return next((path for path in paths if path.exists()), None)
 
 
 def load_cifar(name: str, options: Options) -> Dataset:
@@ -208,7 +200,7 @@ def _load_jpeg(options: Options) -> Dataset:
             raise InputError(
                 f"{path}: {detail}; replace it, or give its path to load it as any zip file"
             )
-        return from_listings(listings, JPEG_NAME, options, bilinear=True)
+        return from_listings(listings, "JPEG-decoded CIFAR-10", options, bilinear=True)
 
 
 def _jpeg_path() -> Path:

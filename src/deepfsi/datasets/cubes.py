@@ -53,10 +53,6 @@ def read_cube(
     name, classes, wavelengths, origin : optional
         As in `SpectralImage`; by default the file's name, and what an ENVI header says.
 
-    Returns
-    -------
-    SpectralImage
-
     Raises
     ------
     InputError
@@ -90,10 +86,9 @@ def _integers(labels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def _find_labels(path: Path) -> Path:
     stems = [path.stem + "_gt", path.stem.removesuffix("_corrected") + "_gt"]
-    for stem in stems:
-        for suffix in SUFFIXES:
-            if (path.parent / (stem + suffix)).is_file():
-                return path.parent / (stem + suffix)
+    for name in (stem + suffix for stem in stems for suffix in SUFFIXES):
+        if (path.parent / name).is_file():
+            return path.parent / name
     raise InputError(
         f"{path} has no label map beside it: put one there as {stems[-1]} with the ending "
         f"{' or '.join(SUFFIXES)}, 0 where a pixel has no label"

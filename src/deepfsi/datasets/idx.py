@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from deepfsi.datasets.arrays import Range, assemble, unit
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, retrieve
+from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, find_folder, retrieve
 from deepfsi.errors import InputError
 
 IDX_FILES = (
@@ -68,7 +68,6 @@ ORIGINALS = {
         ),
     ),
 }
-"""Data sets of this format, by name."""
 
 
 def load_idx(name: str, rescale: Range) -> Dataset:
@@ -108,10 +107,7 @@ def read_idx(path: Path, dimensions: int) -> npt.NDArray[np.uint8]:
 
 def where(name: str) -> Path | None:
     """First folder that has all four files."""
-    for folder in candidates(name):
-        if all((folder / file).is_file() for file in IDX_FILES):
-            return folder
-    return None
+    return find_folder(name, IDX_FILES)
 
 
 def check(name: str) -> list[FileCheck]:

@@ -18,20 +18,13 @@ import numpy.typing as npt
 
 from deepfsi.datasets.cubes import read_cube, read_labels
 from deepfsi.datasets.spectra import SpectralImage
-from deepfsi.datasets.store import FileCheck, candidates
+from deepfsi.datasets.store import FileCheck, candidates, find_folder
 from deepfsi.errors import InputError
 
 FOLDER = "indian_pines"
-"""Folder of the files."""
-
 LABELS_FILE = "Indian_pines_gt.mat"
-"""Name of the label map."""
-
 BANDS_FILE = "92AV3C.spc"
-"""Name of the table of wavelengths."""
-
 SURROGATE = "indian-pines-surrogate"
-"""Name of the simulated scene."""
 
 BANDS = 256
 """Bands after padding."""
@@ -66,7 +59,6 @@ SOURCES = {
     "indian-pines-corrected": Source(("Indian_pines_corrected.mat", LABELS_FILE), 200),
     SURROGATE: Source((BANDS_FILE, LABELS_FILE), 220),
 }
-"""Files and bands of each name."""
 
 
 def load_scene(name: str) -> SpectralImage:
@@ -132,10 +124,7 @@ def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
 
 def where(name: str) -> Path | None:
     """First folder that has all files of a name."""
-    for folder in candidates(FOLDER):
-        if all((folder / file).is_file() for file in SOURCES[name].files):
-            return folder
-    return None
+    return find_folder(FOLDER, SOURCES[name].files)
 
 
 def download(name: str) -> Path:

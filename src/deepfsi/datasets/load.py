@@ -134,7 +134,17 @@ def _load_name(name: str, options: Options) -> Dataset:
         return scene.dataset(options.split or "random", seed, indian_pines.BANDS, rescale)
     _refuse(options, name)
     if name == "digits":
-        return _load_digits(seed, rescale or DIM_BLACK)
+        from sklearn.datasets import load_digits
+
+        digits = load_digits()
+        return split_arrays(
+            (digits.images / 16, digits.target),
+            None,
+            name=name,
+            seed=seed,
+            rescale=rescale or DIM_BLACK,
+            values="Divided by 16",
+        )
     return idx.load_idx(name, rescale or DIM_BLACK)
 
 
@@ -155,17 +165,3 @@ def _refuse(options: Options, name: str, *taken: str) -> None:
     for option, (what, who) in TAKERS.items():
         if option not in taken and getattr(options, option) is not None:
             raise InputError(f"{name}: {what} was given; only {who} one, leave it out")
-
-
-def _load_digits(seed: int, rescale: Range) -> Dataset:
-    from sklearn.datasets import load_digits
-
-    digits = load_digits()
-    return split_arrays(
-        (digits.images / 16, digits.target),
-        None,
-        name="digits",
-        seed=seed,
-        rescale=rescale,
-        values="Divided by 16",
-    )

@@ -266,10 +266,9 @@ def _random(labels: npt.NDArray[np.integer], seed: int) -> tuple[Mask, Mask]:
     from sklearn.model_selection import train_test_split
 
     known = np.flatnonzero(labels)
-    parts = train_test_split(
+    _, chosen = train_test_split(
         known, test_size=1 / TEST_SHARE, stratify=labels.ravel()[known], random_state=seed
     )
-    train, test = (np.zeros(labels.shape, bool) for _ in parts)
-    train.ravel()[parts[0]] = True
-    test.ravel()[parts[1]] = True
-    return train, test
+    test = np.zeros(labels.shape, bool)
+    test.ravel()[chosen] = True
+    return (labels != 0) & ~test, test

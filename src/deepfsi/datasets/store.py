@@ -44,6 +44,12 @@ def candidates(name: str) -> list[Path]:
     return [cache(name)] if root is None else [root / name, cache(name)]
 
 
+def find_folder(name: str, files: tuple[str, ...]) -> Path | None:
+    """First of the `candidates` that has all the files."""
+    whole = (each for each in candidates(name) if all((each / f).is_file() for f in files))
+    return next(whole, None)
+
+
 def check_file(path: Path, known_hash: str) -> FileCheck:
     """Compare a file with its hash, "algorithm:hex"."""
     algorithm, _, expected = known_hash.partition(":")

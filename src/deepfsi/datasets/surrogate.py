@@ -83,8 +83,8 @@ def simulate(
 
     Returns
     -------
-    numpy.ndarray
-        Digital numbers, (H, W, B) uint16.
+    array, shape (H, W, B), uint16
+        Digital numbers.
     """
     rng = np.random.default_rng(seed)
     shares, chlorophyll, water = _cover(labels, rng)
