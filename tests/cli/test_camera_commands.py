@@ -1,7 +1,5 @@
 """The camera on the command line: what it prints, and one clear line for bad input."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes, pictures and files that the tests of the data sets share."""
 
-from __future__ import annotations
-
 import gzip
 from contextlib import contextmanager
 

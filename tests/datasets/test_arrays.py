@@ -1,7 +1,5 @@
 """Arrays become scenes in [0, 1] with fair splits; bad ones give one clear line."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Data sets by name are listed, checked and downloaded."""
 
-from __future__ import annotations
-
 import pytest
 from dataset_samples import refused
 

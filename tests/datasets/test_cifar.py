@@ -1,7 +1,5 @@
 """CIFAR-10 in each of its forms gives the same scenes."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """Scenes under stray light, and displaced ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cubes and label maps are read from files of a user's own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

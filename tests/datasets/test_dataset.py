@@ -1,7 +1,5 @@
 """A data set names its content by a hash, and holds out its last training scenes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

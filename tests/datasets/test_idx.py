@@ -1,7 +1,5 @@
 """The idx files of MNIST, tiny and real."""
 
-from __future__ import annotations
-
 import gzip
 import os
 from pathlib import Path

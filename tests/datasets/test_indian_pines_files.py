@@ -1,7 +1,5 @@
 """Indian Pines is made of the community's files; the simulated scene says so."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Names, paths and tuples are told apart; digits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dataset_samples import X, Y, refused

@@ -1,7 +1,5 @@
 """The pickles of CIFAR-10 are read, and hostile ones give an error."""
 
-from __future__ import annotations
-
 import os
 import pickle
 

@@ -1,7 +1,5 @@
 """Folders and zip files of images become scenes; every bad one gives one clear line."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import zipfile

@@ -1,7 +1,5 @@
 """Hyperspectral images become scenes with honest splits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dataset_samples import IMAGE, LABELS, fields, numbered, refused

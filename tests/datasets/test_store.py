@@ -1,7 +1,5 @@
 """Files come from `$DEEPFSI_DATA`, the cache or a mirror, whole or not at all."""
 
-from __future__ import annotations
-
 import hashlib
 import http.server
 import threading

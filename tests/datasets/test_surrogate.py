@@ -1,7 +1,5 @@
 """The simulated Indian Pines is determined, and its physics shows."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

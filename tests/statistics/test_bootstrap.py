@@ -1,7 +1,5 @@
 """The paper's rule gives the paper's figures, and intervals cover what they are said to cover."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Differences of accuracies, trial by trial, and what they say of a claim."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -178,17 +178,15 @@ def job_settings(
         usual = "poisson"  # a look shows many masks too shortly for MLGauss
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
     lowest, highest = budget_range(options["photons"])
-    settings = {
+    same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs")
+    settings = {name: options[name] for name in same if options[name] is not None}
+    return settings | {
         "design": design,
         "masks": masks,
         "photons": lowest,
         "span": highest / lowest,
         "noise": options["train_noise"] or usual,
-        "epochs": options["epochs"],
     }
-    same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks")
-    settings |= {name: options[name] for name in same}
-    return {name: value for name, value in settings.items() if value is not None}
 
 
 def _design_and_masks(
@@ -220,8 +218,8 @@ def recipe_from(options: Mapping[str, Any], base: Mapping[str, Any]) -> "Recipe"
 
     if options["masks"] is not None and options["ratios"] is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
-    axes = {name: words(options.get(name)) for name in AXES}
-    given = axes | {
+    axes = ("designs", "noise", "train_noise", "light", "rails")
+    given = {name: words(options.get(name)) for name in axes} | {
         "data": options["data"],
         "size": size_of(options["size"]),
         "photons": numbers("photons", options["photons"]),
@@ -239,7 +237,3 @@ def recipe_from(options: Mapping[str, Any], base: Mapping[str, Any]) -> "Recipe"
         settings["training"] = {**settings["training"], "epochs": epochs}
     with as_input_error():
         return Recipe.model_validate(settings)
-
-
-AXES = ("designs", "noise", "train_noise", "light", "rails")
-"""Options of several words that are axes of a recipe."""

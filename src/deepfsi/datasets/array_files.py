@@ -1,7 +1,5 @@
 """Arrays of real numbers in ``.npy`` files, and in ``.mat`` files up to version 7."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

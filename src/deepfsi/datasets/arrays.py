@@ -1,7 +1,5 @@
 """A `Dataset` of arrays in memory or in an ``.npz`` file; every other source ends here too."""
 
-from __future__ import annotations
-
 import zipfile
 import zlib
 from collections.abc import Sequence

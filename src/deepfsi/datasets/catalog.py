@@ -14,8 +14,6 @@
   ``92AV3C.spc`` there.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

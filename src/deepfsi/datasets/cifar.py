@@ -4,8 +4,6 @@ A. Krizhevsky, "Learning Multiple Layers of Features from Tiny Images", technica
 of Toronto, 2009.
 """
 
-from __future__ import annotations
-
 import tarfile
 import zlib
 from collections import Counter

@@ -3,8 +3,6 @@
 Designs that are to work under them are trained on such scenes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

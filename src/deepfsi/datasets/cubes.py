@@ -1,7 +1,5 @@
 """Hyperspectral images and their label maps from ``.mat``, ``.npy`` or ENVI files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

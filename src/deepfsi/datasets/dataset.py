@@ -1,7 +1,5 @@
 """Labelled scenes in a training and a test part."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, replace
@@ -74,7 +72,7 @@ class Dataset:
             digest.update(np.ascontiguousarray(array).data)
         return digest.hexdigest()
 
-    def hold_out(self, count: int | None = None) -> Dataset:
+    def hold_out(self, count: int | None = None) -> "Dataset":
         """Set the last training scenes aside for validation; the test scenes are left out.
 
         Parameters

@@ -3,8 +3,6 @@
 A picture is what the display shows: grey levels 0 to 255 are reflectance 0 to 1.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

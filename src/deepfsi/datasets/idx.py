@@ -1,7 +1,5 @@
 """MNIST and Fashion-MNIST: the original gzipped idx files, checked by their hashes."""
 
-from __future__ import annotations
-
 import gzip
 import math
 import zlib

@@ -7,8 +7,6 @@ public file has 220 bands of AVIRIS's 224, the corrected one 200: it lacks those
 takes. Both are padded with darkness to 256, as the paper pads the 224 that it counts.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple

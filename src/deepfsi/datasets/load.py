@@ -1,7 +1,5 @@
 """Loading a data set by its name, from a path, or from arrays."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Such a pickle holds a dict of bytes, lists, integers and one array of bytes. The
 refers to are replaced by stand-ins; any other name is an error, so that nothing is ever called.
 """
 
-from __future__ import annotations
-
 import io
 import pickle
 from typing import Any

@@ -5,8 +5,6 @@ zip file is read in place, never unpacked. It may come from anywhere, so that it
 it declares and the images' own sizes are all checked before memory is spent on them.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 import zipfile
@@ -303,7 +301,7 @@ def _read_grey(picture: Picture, shape: Shape | None, bilinear: bool) -> npt.NDA
     return resized(grey, shape, bilinear)
 
 
-def resized(grey: PillowImage, shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
+def resized(grey: "PillowImage", shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
     """Levels of one of Pillow's grey images, (H, W); parameters as of `read_all`."""
     from PIL import Image
 

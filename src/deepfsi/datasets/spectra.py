@@ -5,8 +5,6 @@ Neighbouring pixels of one field resemble each other. A random split therefore t
 neighbours were trained on, and flatters; a split in blocks keeps the two parts apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

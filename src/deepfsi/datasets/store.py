@@ -1,7 +1,5 @@
 """Files of named data sets, in ``$DEEPFSI_DATA`` and the cache, and their download."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import sys

@@ -14,8 +14,6 @@ known wavelengths. Shares and variances were chosen by hand, so that classifiers
 that they are reported to confuse in the real scene; no number here was measured there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
