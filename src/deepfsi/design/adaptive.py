@@ -90,7 +90,7 @@ class AdaptiveDwells(ExposureKind):
         return replace(self, network=self.network.to(device))
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails fit, parameters as for `ExposureKind.check`."""
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
         equal = constraints.excess(rails, "equal-dwell") < constraints.SLACK
         if not (equal and light == "free-dwell" and len(rails) == 1):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
@@ -144,15 +144,7 @@ class AdaptiveDwells(ExposureKind):
 
 @validated(frozen=True, config=STRICT)
 class AdaptiveShape:
-    """Entry of a design file's header for `AdaptiveDwells`.
-
-    Attributes
-    ----------
-    looks : int
-        K.
-    hidden : tuple of int
-        Widths of the network's hidden layers.
-    """
+    """Entry of a design file's header for `AdaptiveDwells`: looks, and widths of its network."""
 
     looks: Annotated[int, Field(ge=2, le=64)]
     hidden: tuple[Annotated[int, Field(ge=1)], ...]

@@ -159,16 +159,7 @@ Network = TypeVar("Network", Mlp, Vit)
 
 
 def restored(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:
-    """A network of a design file.
-
-    Parameters
-    ----------
-    kind : type
-    weights : mapping of tensor
-        State of the network.
-    **sizes
-        Parameters of its class.
-    """
+    """A network of a design file, of its state and the parameters of its class."""
     with torch.random.fork_rng(devices=[]):
         network = kind(**sizes)
     network.load_state_dict(weights)

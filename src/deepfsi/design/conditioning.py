@@ -55,7 +55,7 @@ class Conditioning(ExposureKind):
     kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails fit, parameters as for `ExposureKind.check`."""
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
         if rails.shape[1] > self.masks:
             raise ValueError("more masks than in the whole sequence")
 
@@ -119,21 +119,16 @@ class Conditioning(ExposureKind):
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
-        """Inputs of the classifier.
+        """Inputs (..., m + 2) of the classifier; 0 are features beyond those shown.
 
         Parameters
         ----------
         scaled : tensor, shape (..., k)
             Standardised features of the first k masks.
         ratio : tensor, broadcastable to (..., 1)
-            Told budget over `photons`.
+            Conditioning budget over `photons`.
         shown : tensor, broadcastable to (..., 1)
             Masks shown, at most k.
-
-        Returns
-        -------
-        tensor, shape (..., m + 2)
-            Features beyond those shown are 0, whatever they were.
         """
         seen = torch.where(first(scaled.shape[-1], shown), scaled, 0.0)
         seen = functional.pad(seen, (0, self.masks - scaled.shape[-1]))

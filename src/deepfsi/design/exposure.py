@@ -47,11 +47,8 @@ class Exposure:
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
         """Standardised features (..., k), followed by the dwells (..., 2 k) where they are chosen.
 
-        Parameters
-        ----------
-        mean, std : tensor, shape (..., m)
-            Mean and standard deviation of the features: where dwells are chosen, of those whose
-            masks all have the same dwell, 1 / m.
+        Mean and std (..., m) are those of the features: where dwells are chosen, of features whose
+        masks all have the same dwell, 1 / m.
         """
         masks = self.features.shape[-1]
         if masks < mean.shape[-1]:
@@ -103,7 +100,7 @@ class ExposureKind:
         return self
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails (2 or 1, m, N), as a parameter of `Design`, fit."""
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
 
     def input_count(self, masks: int) -> int:
         """Number of the classifier's inputs for m masks."""
@@ -124,8 +121,7 @@ class ExposureKind:
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
         """First layer for features, and for a `BudgetLevel` if the classifier has it.
 
-        Parameters of the classifier's first layer and m; returns weight, bias, and the level or
-        None.
+        Parameters of the layer, for m masks; returns weight, bias, and the level or None.
         """
         return weight, bias, None
 
@@ -168,14 +164,7 @@ class ExposureKind:
         return self
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
-        """Numbers of masks or looks after which an exposure may stop.
-
-        Returns
-        -------
-        after : tuple of int
-            Rising; the last is all.
-        used : array
-            Share of the exposure that has been taken then.
+        """Numbers of masks or looks after which an exposure may stop, and the share taken then.
 
         Raises
         ------
@@ -224,7 +213,7 @@ class PatchExposure(ExposureKind):
     kind: Literal["patches"] = field(default="patches", kw_only=True)
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
-        """Raise `ValueError` unless rails (2 or 1, m, N) are of patches of such images."""
+        """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
         height, width = image_shape
         if rails.shape[-1] != self.side**2 or height % self.side or width % self.side:
             raise ValueError("masks are not of a patch")

@@ -87,9 +87,8 @@ class StoppingRule:
 
         Returns
         -------
-        chances : array, shape (C,)
-            Calibrated probabilities of the classes.
-        stop : bool
+        tuple
+            Calibrated probabilities (C,), and True to stop.
 
         Raises
         ------
@@ -109,12 +108,7 @@ class StoppingRule:
     def decide(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
         """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop.
 
-        For `Design.classify_live`.
-
-        Raises
-        ------
-        InputError
-            If an exposure is not judged after so many.
+        For `Design.classify_live`; `InputError` if an exposure is not judged after so many.
         """
         if shown not in self.after:
             raise InputError(
@@ -222,14 +216,8 @@ def logits_at_stops(
 class _Answers:
     """Answers of E exposures at K stops, right or wrong, and their confidences.
 
-    Parameters
-    ----------
-    logits : array, shape (K, E, C)
-        From `logits_at_stops`.
-    labels : array, shape (n,)
-        Classes of the scenes.
-    temperatures : sequence of float or of array, shape (E, 1)
-        Divisors of the logits at each stop.
+    Logits (K, E, C) are those of `logits_at_stops`, labels (n,) those of the scenes; temperatures
+    divide the logits at each stop.
     """
 
     def __init__(self, logits: np.ndarray, labels: np.ndarray, temperatures: Sequence[Any]) -> None:
@@ -346,10 +334,6 @@ def stop(
     seed : int
         Of the noise and the halves; whole exposures are those of `evaluation.evaluate` with this
         seed.
-
-    Returns
-    -------
-    Stopped
 
     Raises
     ------

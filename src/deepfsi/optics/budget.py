@@ -38,18 +38,7 @@ def check_budget(photons: float) -> float:
 
 
 def summed_reflectance(x: np.ndarray) -> float:
-    """Mean over scenes of their summed reflectance, s.
-
-    Parameters
-    ----------
-    x : array, shape (n, N)
-        Reflectance of the training scenes, dimensionless, in [0, 1].
-
-    Returns
-    -------
-    float
-        s, in units of one fully reflecting pixel.
-    """
+    """Mean over scenes (n, N) of their summed reflectance, s, in fully reflecting pixels."""
     return float(x.sum(axis=1, dtype=np.float64).mean())
 
 

@@ -67,14 +67,9 @@ def check_design(name: str) -> str:
 
 
 def mask_count(ratio: float, pixels: int) -> int:
-    """Number of masks at a compression ratio, max(1, round(ratio · N)).
+    """Number of masks at a compression ratio m / N above 0 and at most 1, max(1, round(ratio · N)).
 
-    Parameters
-    ----------
-    ratio : float
-        m / N, above 0 and at most 1.
-    pixels : int
-        N, the scene's own pixels, before any Hadamard padding.
+    Pixels N are the scene's own, before any Hadamard padding.
     """
     if not 0 < ratio <= 1:
         raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")
@@ -131,7 +126,7 @@ def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
 
 
 def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
-    """Sensing matrix of a fixed design.
+    """Sensing matrix (m, N) of a fixed design, float64, signed.
 
     Parameters
     ----------
@@ -143,16 +138,6 @@ def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.nd
         Gives the scene's shape, and the training scenes for `pca`, `lda` and `class-pairs`.
     seed : int
         For `random` only.
-
-    Returns
-    -------
-    array, shape (m, N)
-        float64, signed.
-
-    Raises
-    ------
-    InputError
-        If the design cannot have that many masks.
     """
     masks = check_count(name, masks, data)
     pixels = data.pixels
@@ -181,28 +166,17 @@ def padded_shape(image_shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def sequency_hadamard(order: int) -> np.ndarray:
-    """Walsh functions: rows of the Hadamard matrix by their number of sign changes.
-
-    Returns
-    -------
-    array, shape (order, order)
-        ±1; row k changes sign k times.
-    """
+    """Walsh functions ±1, (order, order): Hadamard rows by their number of sign changes."""
     rows = scipy.linalg.hadamard(order).astype(np.float64)
     return rows[np.argsort((np.diff(rows, axis=1) != 0).sum(axis=1))]
 
 
 def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
-    """The `masks` lowest sequencies of the Hadamard basis.
+    """The `masks` lowest sequencies of the Hadamard basis, ±1, (masks, N).
 
     For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
     most one mask lacks its transpose; for spectra 1-D sequencies. Sides that are no power of two
     are padded; the padding is dark and carries no light.
-
-    Returns
-    -------
-    array, shape (masks, N)
-        ±1.
     """
     padded = padded_shape(image_shape)
     axes = [sequency_hadamard(side)[:, :own] for side, own in zip(padded, image_shape, strict=True)]
@@ -217,19 +191,10 @@ def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
 
 
 def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
-    """Leading principal components of the training scenes (conventional FSI).
+    """Leading principal components (masks, N) of training scenes (n, N), conventional FSI.
 
     The largest entry of each component is positive. Where the data has fewer directions than
     masks are asked for, pixels' own directions complete the basis, those least explained first.
-
-    Parameters
-    ----------
-    x : array, shape (n, N)
-
-    Returns
-    -------
-    array, shape (masks, N)
-        Orthonormal rows.
     """
     pixels = x.shape[1]
     varying = np.flatnonzero(np.ptp(x, axis=0))
@@ -255,17 +220,7 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
 def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     """Linear discriminant directions, the supervised linear baseline that PCA is not.
 
-    Parameters
-    ----------
-    x : array, shape (n, N)
-    y : array of int, shape (n,)
-    masks : int
-        m.
-
-    Returns
-    -------
-    array, shape (masks, N)
-        Unit rows, at most one fewer than there are classes.
+    Parameters as for `class_pairs`; unit rows, at most one fewer than there are classes.
     """
     from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
@@ -275,7 +230,7 @@ def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
 
 
 def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
-    """Differences of the mean scenes of two classes, the pairs that differ least first.
+    """Differences of the mean scenes of two classes as unit rows, pairs that differ least first.
 
     As frames of one rail a pair is what one class has more than the other, and the reverse. Where
     there are fewer pairs of different means than masks, principal components follow.
@@ -286,11 +241,6 @@ def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     y : array of int, shape (n,)
     masks : int
         m.
-
-    Returns
-    -------
-    array, shape (masks, N)
-        Unit rows.
     """
     means = np.stack([x[y == label].mean(axis=0, dtype=np.float64) for label in np.unique(y)])
     first, second = np.triu_indices(len(means), k=1)
@@ -314,14 +264,10 @@ def s_matrix_order(pixels: int) -> int:
 
 
 def s_matrix(pixels: int) -> np.ndarray:
-    """Cyclic S-matrix from quadratic residues, the non-negative Hadamard code of spectroscopy.
+    """Cyclic S-matrix (p, pixels) from quadratic residues, the non-negative Hadamard code.
 
-    Its order p is `s_matrix_order`; pixels beyond the scene's own are dark.
-
-    Returns
-    -------
-    array, shape (p, pixels)
-        0 or 1; every full row holds (p + 1) / 2 ones.
+    Its order p is `s_matrix_order`; pixels beyond the scene's own are dark. Entries are 0 or 1, and
+    every full row holds (p + 1) / 2 ones.
 
     References
     ----------

@@ -56,18 +56,10 @@ class FeatureNoise:
         seeds: Sequence[int],
         device: torch.device,
     ) -> "FeatureNoise":
-        """Noise of R trainings.
+        """Noise of R trainings: parameters as of the class, of each training.
 
-        Parameters
-        ----------
-        kind : {"none", "gaussian", "poisson", "ml_gauss"}
-        gains : sequence of float
-            Φ / s of each training, counts.
-        sigmas : sequence of float
-            Read noise of each, counts per readout.
-        seeds : sequence of int
-            Of each; their Poisson draws are others than those of a generator of the same seed.
-        device : torch.device
+        Gains are Φ / s, counts. The Poisson draws of a seed are others than those of a generator of
+        the same seed.
         """
         gain, sigma = (torch.tensor(each, device=device).unsqueeze(1) for each in (gains, sigmas))
         generators = [torch.Generator(device).manual_seed(seed ^ 2**31) for seed in seeds]
@@ -197,11 +189,9 @@ def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Ten
 
     Returns
     -------
-    factor : tensor, shape (R or 1, m)
-        Noise variance over that of the lowest budget and all masks, in the mean over exposures that
-        show the mask.
-    often : tensor, shape (m,)
-        Share of exposures in which it is shown.
+    tuple of tensor
+        Noise variance (R or 1, m) over that of the lowest budget and all masks, in the mean over
+        exposures that show the mask; and the share (m,) of exposures that do.
     """
     dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
     later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)

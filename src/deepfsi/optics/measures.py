@@ -44,22 +44,14 @@ def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
 
 
 def effective_directions(matrix: np.ndarray) -> float:
-    """Effective rank of masks: the number of independent directions that they measure.
+    """Effective rank of masks (m, N): the number of independent directions that they measure.
 
     It is exp(H), with H the Shannon entropy of the singular values divided by their sum: m for
     orthogonal masks of equal norm, 1 for copies of one mask, in between where masks resemble each
-    other or some hardly measure. The singular values themselves, not their squares, as in the
-    published definition; and it is to them that the counts along a direction are proportional.
-
-    Parameters
-    ----------
-    matrix : array, shape (m, N)
-
-    Returns
-    -------
-    float
-        1 to min(m, N), or 0 where every mask is dark. The masks' signs, order and common scale do
-        not matter; their scales relative to each other do.
+    other or some hardly measure, and 0 where every mask is dark. The singular values themselves,
+    not their squares, as in the published definition; and it is to them that the counts along a
+    direction are proportional. The masks' signs, order and common scale do not matter; their scales
+    relative to each other do.
 
     References
     ----------
@@ -74,20 +66,12 @@ def effective_directions(matrix: np.ndarray) -> float:
 
 
 def matched_similarity(first: np.ndarray, second: np.ndarray) -> float:
-    """Likeness of two sets of masks, mask by mask: mean |cosine| of the best pairing.
+    """Likeness of two sets of masks, mask by mask: mean |cosine| of the best pairing, 0 to 1.
 
-    Each mask of the smaller set gets one of the larger for itself, so that the sum of |cosine| is
-    largest. Order, signs and the scale of each mask do not matter; mixing masks does.
-
-    Parameters
-    ----------
-    first, second : array, shape (m₁, N), (m₂, N)
-
-    Returns
-    -------
-    float
-        0 to 1. Dark masks resemble nothing. Unrelated masks are above 0: of two single random
-        directions |cosine| is √(2/πN) on average for large N, and the choice of pairs adds to it.
+    Each mask of the smaller set (m₁, N) gets one of the larger (m₂, N) for itself, so that the sum
+    of |cosine| is largest. Order, signs and the scale of each mask do not matter; mixing masks
+    does. Dark masks resemble nothing. Unrelated masks are above 0: of two single random directions
+    |cosine| is √(2/πN) on average for large N, and the choice of pairs adds to it.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -101,16 +85,8 @@ def subspace_similarity(first: np.ndarray, second: np.ndarray) -> float:
 
     The angles are the principal ones, as many as the smaller row space has dimensions. Mixing masks
     does not matter either: sets of which each mask is a linear combination of the other's give 1.
-    How strongly a direction is measured does not count, unless it is below rounding.
-
-    Parameters
-    ----------
-    first, second : array, shape (m₁, N), (m₂, N)
-
-    Returns
-    -------
-    float
-        0 to 1. Unrelated (random) row spaces give max(m₁, m₂) / N on average; dark masks give 0.
+    How strongly a direction is measured does not count, unless it is below rounding. Unrelated
+    (random) row spaces of (m₁, N) and (m₂, N) give max(m₁, m₂) / N on average; dark masks give 0.
     """
     a, b = _pair(first, second)
     own, other = _row_space(a), _row_space(b)

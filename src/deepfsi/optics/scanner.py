@@ -40,31 +40,14 @@ class Scanner(nn.Module):
 
     @classmethod
     def from_rails(cls, rails: Tensor, noise: Noise = "poisson", sigma: float = 1.0) -> "Scanner":
-        """Scanner with fixed rails.
-
-        Parameters
-        ----------
-        rails : tensor, shape (2 or 1, m, N)
-        noise : {"poisson", "gaussian", "ml_gauss", "none"}
-        sigma : float
-            Counts per readout, for gaussian noise.
-        """
+        """Scanner with fixed rails (2 or 1, m, N); other parameters as for the class."""
         return cls(Fixed(rails), noise, sigma)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy features.
+        """Noisy features y⁺ − y⁻ (..., [replicas,] m) of expected photons (..., N), in counts.
 
-        Parameters
-        ----------
-        photons : tensor, shape (..., N)
-            λ, expected photons of each pixel.
-        generator : torch.Generator, optional
-
-        Returns
-        -------
-        tensor, shape (..., [replicas,] m)
-            y⁺ − y⁻ in counts, differentiable in the masks. Under every noise but `poisson` the two
-            rails' noise is drawn at once, which is the same in distribution.
+        Differentiable in the masks. Under every noise but `poisson` the two rails' noise is drawn
+        at once, which is the same in distribution.
         """
         if self.noise == "poisson":
             rates = self.rates(photons)
@@ -80,16 +63,9 @@ class Scanner(nn.Module):
         )
 
     def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy counts of each rail, as detectors report them.
+        """Noisy counts (..., [replicas,] rails, m) of photons (..., N), as detectors report.
 
-        Parameters
-        ----------
-        photons : tensor, shape (..., N)
-
-        Returns
-        -------
-        tensor, shape (..., [replicas,] rails, m)
-            A rail that is dark by construction reads 0.
+        A rail that is dark by construction reads 0.
         """
         return self.read(self.rates(photons), generator)
 

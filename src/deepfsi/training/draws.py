@@ -95,14 +95,7 @@ class SeedStream:
 def seed_streams(
     jobs: Sequence[Job], noise: FeatureNoise, labels: Tensor, batch: int
 ) -> list[SeedStream]:
-    """Streams of jobs of which those of one seed follow one another.
-
-    Parameters
-    ----------
-    jobs : sequence of Job
-    noise, labels, batch
-        As for `SeedStream`.
-    """
+    """Streams of jobs, those of one seed one after another; parameters as for `SeedStream`."""
     streams, first = [], 0
     for seed, members in groupby(job.seed for job in jobs):
         last = first + len(list(members))

@@ -43,17 +43,7 @@ class Features(ABC):
 
 
 class FixedFeatures(Features):
-    """Features of fixed masks, whose products with all scenes are known.
-
-    Parameters
-    ----------
-    streams : list of SeedStream
-    masks : Fixed
-    scenes : tensor, shape (n, N)
-    noise : FeatureNoise
-        Of all jobs.
-    scale : {"each", "common"}
-    """
+    """Features of fixed masks, whose products with all scenes (n, N) are known."""
 
     def __init__(
         self, streams: Streams, masks: Fixed, scenes: Tensor, noise: FeatureNoise, scale: Scale
@@ -278,18 +268,8 @@ def features_of(
 ) -> Features:
     """Features of the kind that jobs ask for.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-    job : Job
-        One of them.
-    masks : Fixed or Learned
-    noise : FeatureNoise
-        Of all jobs.
-    streams : list of SeedStream
-        From `draws.seed_streams`.
-    choose : Replicas
-        Networks that choose dwells, for several looks.
+    Parameters as for `loop.optimise`, of which `job` is one; streams are from `draws.seed_streams`,
+    and the networks that choose dwells are for several looks.
     """
     looks, scale, conditioning = job.training.looks, job.training.scale, job.conditioning
     if isinstance(masks, Fixed) and looks == 1 and not conditioning:

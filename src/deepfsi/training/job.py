@@ -244,18 +244,10 @@ def check_jobs(
 ) -> Job:
     """Return the first of jobs that are to be trained together, each checked.
 
-    Parameters
-    ----------
-    jobs : sequence of Job
-    data : Dataset
-    device : torch.device
-    matrix : array, shape (m, N), optional
-        Of "custom" designs.
+    Parameters as for `check_job`.
 
     Raises
     ------
-    InputError
-        As `check_job`.
     ValueError
         If the jobs differ in more than `Job.companions` allows.
     """

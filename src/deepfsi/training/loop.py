@@ -58,16 +58,8 @@ def optimise(
 ) -> tuple[list[Mlp], list[AdaptiveDwells]]:
     """Train the classifiers of jobs, and the masks where they learn; masks are changed in place.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-        R jobs that agree in `Job.companions`, those of one seed one after another.
-    masks : Fixed or Learned
-        Of R replicas, or of one for all.
-    noise : FeatureNoise
-        Of the jobs.
-    report : Report
+    Parameters as for `learning.train`; masks are of R replicas or of one for all, noise of the
+    jobs.
 
     Returns
     -------
@@ -193,14 +185,7 @@ def _threads(elements: int) -> Iterator[None]:
 
 
 def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
-    """Bytes that training jobs together takes at most, the scenes included, by the tensors alive.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-        As for `optimise`.
-    """
+    """Bytes that training jobs together takes at most, scenes included, by the tensors alive."""
     job, scene = jobs[0], training_set.full[0].numel()
     count, replicas = len(training_set.labels), len(jobs)
     masks, batch = replicas * job.masks, batch_of(job.training, count)

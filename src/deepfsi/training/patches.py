@@ -158,18 +158,7 @@ def train(patches: Patches, job: PatchJob, report: Report = SILENT) -> Design:
     """Train the transformer of one design, and its masks where they learn.
 
     Training noise is MLGauss. A seed fixes the order of images, the initial weights and the noise,
-    the same for all designs.
-
-    Parameters
-    ----------
-    patches : Patches
-    job : PatchJob
-    report : Report
-
-    Raises
-    ------
-    Diverged
-        If training ended in numbers that are not finite.
+    the same for all designs. Parameters as for `learning.train`, of one job.
     """
     began = time.perf_counter()
     settings, labels = job.training, patches.labels

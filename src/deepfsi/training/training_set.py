@@ -79,14 +79,7 @@ class TrainingSet:
     def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m.
 
-        Parameters
-        ----------
-        name : str
-            A key of `codes.DESIGNS`.
-        masks : int
-            m.
-        seed : int
-            For "random" only.
+        Parameters as for `codes.sensing_matrix`.
         """
         codes.check_count(name, masks, self.data)
         whole = self.data.pixels if name == "pca" else masks
