@@ -187,10 +187,8 @@ def calibrate_run(
     ----------
     shown : mapping of str to array, shape (h, w)
         Displayed pictures by name; `WHITE` and `BLACK` are uniform, all others are spots.
-    names : sequence of str
-        Of the acquisition's scenes.
     pictures : array, shape (S, down, across)
-        What was measured of each, by `acquisition.picture`.
+        What was measured of each, as `reconstruct` gives it.
 
     Raises
     ------

@@ -54,8 +54,6 @@ class DesignRails:
     ----------
     rails : array, shape (2 or 1, m, N)
         Shares of each pixel's photons, as a design holds them.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-        The constraint that they obey.
     image_shape : tuple of int
         Cells of a mask, 1 or 2 axes.
     summed_reflectance : float

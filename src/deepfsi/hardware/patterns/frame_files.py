@@ -37,8 +37,6 @@ def write_frames(
     ----------
     frames : iterable of array, shape (rows, bytes of a row)
         Packed.
-    total : int
-        Number of frames.
     """
     hashes, device, format = [], settings.device, settings.format
     if format == "png":

@@ -298,23 +298,15 @@ class Manifest(BaseModel):
 
     Attributes
     ----------
-    image_shape : tuple of int
-        Cells of a mask.
     masks, rails : int
         m, and 2 for signed masks or 1: the shape of what is counted.
-    light : str
-        Light constraint of the design.
     dimmed : float
         Realised matrix over designed one. Below 1 where one device cannot realise the design
         (`column`): each exposure then gives this share of its counts.
     summed_reflectance : float
         s, the training scenes' mean summed reflectance.
-    selection : {"ordered", "random"}
-        Choice of the mirrors of a cell.
     seed : int
         Of the random selection.
-    design_sha256 : str or None
-        Of the design file.
     sha256 : str or None
         Of all else in the manifest's file, so that a change of it is found; taken as it is
         without.

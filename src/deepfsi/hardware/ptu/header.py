@@ -125,12 +125,8 @@ class Header:
 
     Attributes
     ----------
-    path : Path
-        Of the file.
     tags : dict
         Values by name; of a tag with an index, by `Name(index)`. Dates are days since 1899-12-30.
-    kind : Kind
-        Type of the records.
     records : int
         Records to read: as many as the header says, or as are there if those are fewer or the
         header does not say.

@@ -39,8 +39,6 @@ class Contents(BaseModel):
 
     Attributes
     ----------
-    kind : str
-        Type of the records.
     tick_s : float
         Seconds of a tick.
     records : int
@@ -49,16 +47,12 @@ class Contents(BaseModel):
         Photons on each input that has any; 0 is input 1.
     markers : dict
         Markers with each bit, 1, 2, 4 and 8, that is ever set.
-    overflows : int
-        Overflow records.
     syncs : int
         Sync records (T2).
     first, last : int or None
         Times of the earliest and latest photon, marker or sync, ticks.
     span_s : float
         Seconds from the start of the recording to the latest of them.
-    problems : tuple of str
-        What is wrong with the file.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -161,14 +155,10 @@ def count_gates(
 
     Parameters
     ----------
-    path : path
-        Of the file.
     starts, stops : integer arrays, shape (gates,)
         Ticks; a photon counts if start <= time < stop. Gates rise and do not overlap.
     inputs : sequence of int
         Which inputs; 0 is input 1. Sync events are none.
-    report : Report
-        Given the share of records that are read.
 
     Returns
     -------

@@ -127,10 +127,6 @@ def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) ->
 
     Parameters
     ----------
-    header : Header
-        Of the file.
-    report : Report
-        Given the share of records that are read.
     ordered : bool
         Find runs, and times that run back.
     """

@@ -30,8 +30,6 @@ class Writer:
 
     Parameters
     ----------
-    path : path
-        Of the file.
     tick_s : float
         Seconds of a tick.
     """

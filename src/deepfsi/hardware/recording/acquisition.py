@@ -108,8 +108,6 @@ def prepare(
     ----------
     folder : path
         New or empty. It appears when it is whole.
-    patterns_folder : path
-        The patterns that are shown.
     acquisition : Acquisition
         What is recorded; returned as written, with the hash of the manifest.
 

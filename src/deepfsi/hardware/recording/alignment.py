@@ -58,8 +58,6 @@ class Alignment:
     ----------
     starts_s : array, shape (S, F)
         Seconds on the counter's clock; NaN where it is not known.
-    faults : tuple of Fault
-        What was wrong with the markers.
     """
 
     starts_s: np.ndarray

@@ -40,8 +40,6 @@ def count(
 
     Parameters
     ----------
-    folder : path
-        Of the recording.
     exposure_s : float, optional
         Total exposure in seconds; as recorded unless given. Frames need not have been shown for it:
         a shorter one is a gate within them.
@@ -50,8 +48,6 @@ def count(
     repeats : int, optional
         Exposures of each scene, from gates that follow each other in each frame. Unless given, as
         recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
-    report : Report
-        Given the share that is done.
 
     Raises
     ------

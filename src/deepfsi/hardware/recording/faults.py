@@ -58,12 +58,8 @@ def name_faults(
 
     Parameters
     ----------
-    passes : list of Pass
-        In their order.
     unknown : set of int
         Passes whose place is not certain.
-    markers : Markers
-        Of the recording.
 
     Returns
     -------

@@ -34,8 +34,6 @@ class Schedule:
     ----------
     starts, pictures : arrays, shape (F,)
         Start of each frame after the first, and its picture time.
-    settle : float
-        Settle time of the device.
     tolerance : float
         By how much a marker may be off.
     """
@@ -87,8 +85,6 @@ class Markers:
     ----------
     times : array, shape (n,)
         When they came, seconds, rising.
-    schedule : Schedule
-        Of each pass.
     scenes : int
         S, passes that there should be.
     """
@@ -202,8 +198,6 @@ def walk(markers: Markers, start: float, first: int = 0) -> Pass:
 
     Parameters
     ----------
-    markers : Markers
-        Of the recording.
     start : float
         When frame 0 began, seconds.
     first : int

@@ -176,8 +176,6 @@ def arrival_rates(
 
     Parameters
     ----------
-    patterns_folder : path
-        Read frame by frame.
     scenes : array, shape (S, h, w), or (S, N) for masks of one axis
         Reflectance, 0 or more.
     flux : float
