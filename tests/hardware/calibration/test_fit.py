@@ -5,14 +5,8 @@ import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import black_rates
-from deepfsi.hardware.calibration.fit import (
-    calibrate,
-    find_flat,
-    find_homography,
-    find_spots,
-    spot_scenes,
-)
 from deepfsi.hardware.calibration.view import (
     camera_view,
     load_calibration,
@@ -37,10 +31,10 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     side = np.sqrt(GRID.mirrors)
     blur = blur_cells * side / 24 / 32, blur_cells * side / 32 / 32
     flat = vignette((32, 32))
-    scenes = spot_scenes((32, 32))
+    scenes = fit.spot_scenes((32, 32))
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
     pictures = pictures_of(shown, VIEW, blur, flat, noise)
-    found = calibrate(scenes, pictures[:-1], GRID, white=pictures[-1], dark=3.0, ambient=5.0)
+    found = fit.calibrate(scenes, pictures[:-1], GRID, white=pictures[-1], dark=3.0, ambient=5.0)
     assert 32 * off_corners(found) < 0.15
     assert found.residual < 0.08
     assert (found.spots, found.shown) == (25, 25)
@@ -59,9 +53,9 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
 
 def test_other_device_and_cell_number():
     grid = find_grid(Device(name="d", columns=100, rows=90), (16, 20))
-    scenes = spot_scenes((30, 40), (4, 6), 3)
+    scenes = fit.spot_scenes((30, 40), (4, 6), 3)
     pictures = pictures_of(scenes, VIEW, (0.03, 0.03), ((1.0,),), 0.003, grid=grid)
-    found = calibrate(scenes, pictures, grid)
+    found = fit.calibrate(scenes, pictures, grid)
     assert 20 * off_corners(found) < 0.15
     assert found.flat == ((1.0,),)
 
@@ -70,25 +64,25 @@ def test_other_device_and_cell_number():
 def test_a_flat_field_without_noise_is_found(shape):
     rows, columns = shape
     level = np.ones(shape) if rows * columns < 16 else 1 - 0.2 * np.indices(shape)[0] / rows
-    found = find_flat(7 * level, (32, 32), IDENTITY)
+    found = fit.find_flat(7 * level, (32, 32), IDENTITY)
     np.testing.assert_allclose(found, level / level.max(), atol=1e-9)
 
 
 def test_noise_of_the_white_picture_stays_out_of_the_flat_field():
     truth = vignette((32, 32))
     white = truth * np.random.default_rng(0).normal(1, 0.1, truth.shape)
-    found = find_flat(white, (32, 32), IDENTITY)
+    found = fit.find_flat(white, (32, 32), IDENTITY)
     assert np.mean(found / truth) == pytest.approx(1, abs=0.03)
     assert np.std(found / truth) < 0.02
 
 
 def test_black_is_taken_from_every_picture():
-    scenes = spot_scenes((32, 32))
+    scenes = fit.spot_scenes((32, 32))
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
     pictures = pictures_of(shown, VIEW, (0.01, 0.01), vignette((32, 32)), 0.0)
     glow = np.random.default_rng(0).random((32, 32))
-    plain = calibrate(scenes, pictures[:-1], GRID, white=pictures[-1])
-    freed = calibrate(scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow)
+    plain = fit.calibrate(scenes, pictures[:-1], GRID, white=pictures[-1])
+    freed = fit.calibrate(scenes, pictures[:-1] + glow, GRID, white=pictures[-1] + glow, black=glow)
     np.testing.assert_allclose(freed.homography, plain.homography, atol=1e-9)
     np.testing.assert_allclose(freed.flat, plain.flat, atol=1e-9)
 
@@ -100,15 +94,15 @@ def test_spots_are_centred_wherever_they_are():
     spots = np.exp(
         -((down - centres[:, 1, None, None]) ** 2 + (across - centres[:, 0, None, None]) ** 2) / 4
     )
-    np.testing.assert_allclose(32 * find_spots(spots), centres, atol=0.01)
-    noisy = 32 * find_spots(7 + spots + rng.normal(0, 0.02, spots.shape))
+    np.testing.assert_allclose(32 * fit.find_spots(spots), centres, atol=0.01)
+    noisy = 32 * fit.find_spots(7 + spots + rng.normal(0, 0.02, spots.shape))
     assert np.abs(noisy - centres).max() < 0.1
 
 
 def test_a_spot_in_noise_is_not_seen():
     noise = np.random.default_rng(0).normal(0, 1, (40, 32, 32))
-    assert np.isnan(find_spots(noise)).all(axis=1).mean() > 0.9
-    assert np.isnan(find_spots(np.zeros((1, 8, 8)))).all()
+    assert np.isnan(fit.find_spots(noise)).all(axis=1).mean() > 0.9
+    assert np.isnan(fit.find_spots(np.zeros((1, 8, 8)))).all()
 
 
 def test_lost_and_wrong_spots_do_not_count():
@@ -117,7 +111,7 @@ def test_lost_and_wrong_spots_do_not_count():
     device = apply(VIEW, display) + rng.normal(0, 0.001, display.shape)
     device[3] = np.nan
     device[[8, 15, 20]] = rng.random((3, 2))
-    found = find_homography(display, device, (32, 32))
+    found = fit.find_homography(display, device, (32, 32))
     assert found.spots == 21
     assert 32 * np.abs(apply(found.matrix, display) - apply(VIEW, display)).max() < 0.1
     assert 0.01 < found.residual < 0.1
@@ -138,33 +132,33 @@ def test_too_little_for_a_homography_is_an_error(kind):
         display, device = display[:5], rng.random((5, 2))
         device[:2] = np.nan
     with pytest.raises(InputError, match="spots are seen") as caught:
-        find_homography(display, device, (32, 32))
+        fit.find_homography(display, device, (32, 32))
     assert "\n" not in str(caught.value)
 
 
 def test_spot_scenes_lie_symmetrically():
-    scenes = spot_scenes((32, 24), (3, 4), 2)
+    scenes = fit.spot_scenes((32, 24), (3, 4), 2)
     assert scenes.shape == (12, 32, 24)
     assert (scenes.sum(axis=(1, 2)) == 4).all()
     assert scenes.sum(axis=0).max() == 1
     for spots, side in (((1, 5), 2), ((5, 5), 7), ((5, 5), 0)):
         with pytest.raises(InputError, match="do not fit"):
-            spot_scenes((32, 32), spots, side)
+            fit.spot_scenes((32, 32), spots, side)
 
 
 def test_words_on_arrays_that_do_not_fit():
-    scenes = spot_scenes((32, 32))
+    scenes = fit.spot_scenes((32, 32))
     pictures = np.zeros((25, 32, 32))
     with pytest.raises(InputError, match="one picture of 32 x 32"):
-        calibrate(scenes, pictures[:3], GRID)
+        fit.calibrate(scenes, pictures[:3], GRID)
     with pytest.raises(InputError, match="white picture has shape"):
-        calibrate(scenes, pictures, GRID, white=np.ones((3, 3)))
+        fit.calibrate(scenes, pictures, GRID, white=np.ones((3, 3)))
     with pytest.raises(InputError, match="uniform"):
-        calibrate(np.ones((25, 32, 32)), pictures, GRID)
+        fit.calibrate(np.ones((25, 32, 32)), pictures, GRID)
     with pytest.raises(InputError, match="0 of 25 spots"):
-        calibrate(scenes, pictures, GRID)
+        fit.calibrate(scenes, pictures, GRID)
     with pytest.raises(InputError, match="is dark"):
-        find_flat(np.zeros((8, 8)), (8, 8), IDENTITY)
+        fit.find_flat(np.zeros((8, 8)), (8, 8), IDENTITY)
 
 
 def test_the_virtual_camera_is_calibrated():
@@ -172,12 +166,12 @@ def test_the_virtual_camera_is_calibrated():
     device = Device(name="d", columns=512, rows=384)
     grid = find_grid(device, (32, 32))
     eyes = camera.Camera(view=tuple(map(tuple, VIEW.tolist())), blur=7.0, vignetting=0.3)
-    spots = spot_scenes((32, 32))
+    spots = fit.spot_scenes((32, 32))
     shown = np.concatenate([spots, np.ones((1, 32, 32), np.float32)])
     mirrors = camera.irradiance(shown, eyes, device, grid)
     cells = mirrors.reshape(26, 32, 12, 32, 16).sum(axis=(2, 4))
     pictures = np.random.default_rng(0).poisson(4000 * cells) / 4000
-    found = calibrate(spots, pictures[:-1], grid, white=pictures[-1])
+    found = fit.calibrate(spots, pictures[:-1], grid, white=pictures[-1])
     scene = np.random.default_rng(1).random((1, 32, 32), dtype=np.float32)
     truth = camera.irradiance(scene, eyes, device, grid).reshape(32, 12, 32, 16).sum(axis=(1, 3))
     mine = camera_view(scene.reshape(1, -1), (32, 32), found).reshape(32, 32)
@@ -199,7 +193,7 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
         FrameSettings(device, 4e-3),
         tmp_path / "patterns",
     )
-    spots = spot_scenes((32, 32), (3, 3), 4)
+    spots = fit.spot_scenes((32, 32), (3, 3), 4)
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     names = [f"scene {k}" for k in range(len(scenes))]
     settings = camera.RecordingSettings(eyes, flux=2e7, exposure_s=1.0)
@@ -210,7 +204,7 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     assert dark == pytest.approx(1e3, abs=6 * np.sqrt(1e3 / 8e-3))
     assert ambient == pytest.approx(2e4, abs=6 * np.sqrt(2e4 / 8e-3))
     uniform = {"white": pictures[-2], "black": pictures[-1]}
-    found = calibrate(spots, pictures[:-2], grid, **uniform, dark=dark, ambient=ambient)
+    found = fit.calibrate(spots, pictures[:-2], grid, **uniform, dark=dark, ambient=ambient)
     save_calibration(found, tmp_path / "run" / "calibration")
     found = load_calibration(tmp_path / "run" / "calibration")
     scene = np.random.default_rng(0).random((4, 8, 8)).repeat(4, axis=1).repeat(4, axis=2)

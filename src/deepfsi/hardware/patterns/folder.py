@@ -19,24 +19,7 @@ import numpy as np
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
-from deepfsi.hardware.patterns.frame_files import load_frames, open_array, write_frames
-from deepfsi.hardware.patterns.mirrors import (
-    MaskFrames,
-    count_mirrors,
-    make_frames,
-    recount,
-    unpack,
-)
-from deepfsi.hardware.patterns.sequence import (
-    MOST_FRAMES,
-    Frame,
-    FrameSettings,
-    Light,
-    Manifest,
-    Patterns,
-    check_known,
-    find_grid,
-)
+from deepfsi.hardware.patterns import frame_files, mirrors, sequence
 from deepfsi.progress import SILENT, Report
 
 SENTINELS = 4
@@ -63,7 +46,7 @@ class DesignRails:
     """
 
     rails: np.ndarray
-    light: Light
+    light: sequence.Light
     image_shape: tuple[int, ...]
     summed_reflectance: float
     file: bytes | None = None
@@ -71,10 +54,10 @@ class DesignRails:
 
 def export_patterns(
     design: DesignRails,
-    settings: FrameSettings,
+    settings: sequence.FrameSettings,
     folder: str | os.PathLike[str],
     report: Report = SILENT,
-) -> Patterns:
+) -> sequence.Patterns:
     """Write what a device shows for a design, frame by frame, into a new folder.
 
     Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
@@ -90,21 +73,21 @@ def export_patterns(
     InputError
         If the device cannot show the rails, or the folder holds something.
     """
-    device, grid = settings.device, find_grid(settings.device, design.image_shape)
+    device, grid = settings.device, sequence.find_grid(settings.device, design.image_shape)
     _check_design(design)
-    counted = count_mirrors(design.rails, design.light, grid.mirrors)
+    counted = mirrors.count_mirrors(design.rails, design.light, grid.mirrors)
     if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
     total = len(counted.shown) + SENTINELS
-    if total > MOST_FRAMES:
-        raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
+    if total > sequence.MOST_FRAMES:
+        raise InputError(f"{total} frames are too many: give at most {sequence.MOST_FRAMES}")
     pictures = settings.picture_us(counted.shares, design.light)
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
     every = chain(ends, counted.on, ends)
     with new_folder(folder) as draft:
-        frames = make_frames(every, device, grid, settings.selection, settings.seed)
-        hashes = write_frames(draft, frames, total, settings, report)
-        manifest = Manifest(
+        frames = mirrors.make_frames(every, device, grid, settings.selection, settings.seed)
+        hashes = frame_files.write_frames(draft, frames, total, settings, report)
+        manifest = sequence.Manifest(
             deepfsi=version("deepfsi"),
             device=device,
             image_shape=tuple(map(int, design.image_shape)),
@@ -119,19 +102,19 @@ def export_patterns(
             design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
             frames=_list_frames(counted, pictures, settings.sentinel_us, hashes),
         )
-        return _write(draft, Patterns(manifest, counted.on), design.file)
+        return _write(draft, sequence.Patterns(manifest, counted.on), design.file)
 
 
 def _list_frames(
-    counted: MaskFrames, pictures_us: list[int], sentinel_us: int, hashes: list[str]
-) -> tuple[Frame, ...]:
+    counted: mirrors.MaskFrames, pictures_us: list[int], sentinel_us: int, hashes: list[str]
+) -> tuple[sequence.Frame, ...]:
     """Frames of a pass as the manifest lists them."""
     ends = (
-        Frame(role="on", picture_us=sentinel_us, sha256=hashes[0]),
-        Frame(role="off", picture_us=sentinel_us, sha256=hashes[1]),
+        sequence.Frame(role="on", picture_us=sentinel_us, sha256=hashes[0]),
+        sequence.Frame(role="off", picture_us=sentinel_us, sha256=hashes[1]),
     )
     shown = (
-        Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=digest)
+        sequence.Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=digest)
         for (mask, rail), share, us, digest in zip(
             counted.shown, counted.shares.tolist(), pictures_us, hashes[2:-2], strict=True
         )
@@ -139,7 +122,7 @@ def _list_frames(
     return (*ends, *shown, *ends)
 
 
-def _write(folder: Path, patterns: Patterns, design: bytes | None) -> Patterns:
+def _write(folder: Path, patterns: sequence.Patterns, design: bytes | None) -> sequence.Patterns:
     """Write all files of a folder but the frames; the patterns with the manifest as written."""
     np.save(folder / "mirrors.npy", patterns.on)
     if design is not None:
@@ -147,10 +130,10 @@ def _write(folder: Path, patterns: Patterns, design: bytes | None) -> Patterns:
     digest = _digest(patterns.manifest.model_dump_json())
     manifest = patterns.manifest.model_copy(update={"sha256": digest})
     (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
-    return Patterns(manifest, patterns.on)
+    return sequence.Patterns(manifest, patterns.on)
 
 
-def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
+def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     """Patterns of a folder, without reading its frames.
 
     Raises `InputError` if the manifest or the mirror counts are missing, damaged or do not fit each
@@ -164,7 +147,7 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
             f"no patterns in {folder} ({error.strerror}): make them with `deepfsi dmd export`"
         ) from None
     with as_input_error(str(path), "export the patterns again"):
-        manifest = Manifest.model_validate_json(content)
+        manifest = sequence.Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):
         raise InputError(
             f"{path} was changed after it was written: export the patterns again, or remove its "
@@ -172,14 +155,14 @@ def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
         )
     shape = (len(manifest.shown), math.prod(manifest.image_shape))
     counts = Path(folder) / "mirrors.npy"
-    with open_array(counts, "<u4", shape, first=int(manifest.shown[0])) as file:
+    with frame_files.open_array(counts, "<u4", shape, first=int(manifest.shown[0])) as file:
         on = np.frombuffer(file.read(4 * math.prod(shape)), "<u4").reshape(shape)
     if on.max(initial=0) > manifest.grid.mirrors:
         raise InputError(
             f"{counts} has cells with more than their {manifest.grid.mirrors} mirrors: export the "
             "patterns again"
         )
-    return Patterns(manifest, on.astype(np.uint32, copy=False))
+    return sequence.Patterns(manifest, on.astype(np.uint32, copy=False))
 
 
 def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
@@ -187,10 +170,10 @@ def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
 
     Raises `InputError` if a frame is missing or damaged so that it cannot be read.
     """
-    yield from load_frames(Path(folder), read_patterns(folder).manifest)
+    yield from frame_files.load_frames(Path(folder), read_patterns(folder).manifest)
 
 
-def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> Patterns:
+def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> sequence.Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts.
 
     Raises `InputError` naming the first frame that is missing or not what was exported.
@@ -199,15 +182,15 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> P
     patterns = read_patterns(folder)
     manifest, grid = patterns.manifest, patterns.manifest.grid
     masks = iter(patterns.on)
-    for place, packed in enumerate(load_frames(folder, manifest)):
+    for place, packed in enumerate(frame_files.load_frames(folder, manifest)):
         frame = manifest.frames[place]
         name = f"frame {place} of {folder} ({frame})"
         if sha256(packed.data).hexdigest() != frame.sha256:
             raise InputError(f"{name} is not what was exported: export the patterns again")
         wanted = next(masks) if frame.role == "mask" else grid.mirrors * (frame.role == "on")
-        mirrors = unpack(packed, manifest.device)
-        on = recount(mirrors, grid)
-        if (on != wanted).any() or np.count_nonzero(mirrors) != on.sum():
+        lit = mirrors.unpack(packed, manifest.device)
+        on = mirrors.recount(lit, grid)
+        if (on != wanted).any() or np.count_nonzero(lit) != on.sum():
             raise InputError(
                 f"{name} does not show what manifest.json and mirrors.npy say: export the "
                 "patterns again"
@@ -240,7 +223,7 @@ def _digest(manifest: str | bytes) -> str:
 def _check_design(design: DesignRails) -> None:
     """Raise `InputError` unless the rails can be shown."""
     rails, light, pixels = design.rails, design.light, math.prod(design.image_shape)
-    check_known("light constraint", light, Light)
+    sequence.check_known("light constraint", light, sequence.Light)
     if rails.ndim != 3 or len(rails) not in (1, 2) or not rails.size or rails.shape[2] != pixels:
         raise InputError(
             f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
