@@ -157,10 +157,7 @@ def test_everything_a_result_depends_on_is_in_its_name():
 def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg, loaded):
     from deepfsi.datasets.catalog import DatasetInfo
 
-    listed = [
-        DatasetInfo("cifar10", 1, 1, 1, original),
-        DatasetInfo("cifar10-jpeg", 1, 1, 1, jpeg),
-    ]
+    listed = [DatasetInfo("cifar10", 1, 1, 1, original), DatasetInfo("cifar10-jpeg", 1, 1, 1, jpeg)]
     asked = []
     monkeypatch.setattr(patch_trials, "list_datasets", lambda: listed)
     monkeypatch.setattr(patch_trials, "load_dataset", lambda name, **how: asked.append((name, how)))

@@ -9,11 +9,7 @@ from pathlib import Path
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.report import (
-    accuracy_figure,
-    build,
-    count_figure,
-)
+from deepfsi.report import accuracy_figure, build, count_figure
 from deepfsi.report.comparison_page import summary
 from deepfsi.sweeps.results import write_results
 from shared.pages import Wellformed, words_of

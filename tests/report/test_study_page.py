@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.report import (
-    Section,
-    Table,
-    write_study,
-)
+from deepfsi.report import Section, Table, write_study
 from deepfsi.report.study_page import Shown, columns
 from shared.pages import SCRIPT, Wellformed, example, words_of
 

@@ -16,12 +16,7 @@ from deepfsi.sweeps.recipe import Recipe
 ALL = [each for members in experiments.STUDIES.values() for each in members]
 APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
 EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
-TINY = {
-    "data": "digits",
-    "ratios": (0.05, 0.1),
-    "photons": (1e2, 1e4),
-    "training": {"epochs": 1},
-}
+TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}
 
 
 def tiny(experiment, trials: int):

@@ -98,10 +98,7 @@ def example(folder) -> list[Section]:
     facts = {
         "versions": {"deepfsi": "0.1.0", "torch": "2.13.0", "python": "3.11.2"},
         "device": {"name": "cpu", "threads": 2, "instructions": ["avx512f", "amx_bf16"]},
-        "data": {
-            "name": SCRIPT,
-            "hash": "5f70bf18a086007016e948b04aed3b82103a36bea417",
-        },
+        "data": {"name": SCRIPT, "hash": "5f70bf18a086007016e948b04aed3b82103a36bea417"},
         "seeds": [0, 1, 2],
         "seconds": 5321.7,
     }

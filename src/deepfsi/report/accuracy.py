@@ -57,9 +57,7 @@ class Measured(Protocol):
 
 LINE_HEIGHT = 0.06  # of a name at the right edge, in parts of the axis
 
-
 Fields = tuple[str, ...]
-
 
 CHOSEN: Fields = ("design", "light", "rails")
 
@@ -130,16 +128,8 @@ def noises(results: Results) -> list[str]:
 def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     """Accuracy against photons, each design at its chosen mask count; one panel a noise.
 
-    Parameters
-    ----------
-    results : Results
-    top : float
-        End of the axis of accuracy, above the highest point.
-
-    Returns
-    -------
-    Figure
-        Error bars are the points' intervals. Circles are feature-specific designs, squares others.
+    The axis of accuracy ends at `top`. Error bars are the points' intervals. Circles are
+    feature-specific designs, squares others.
     """
     panels = noises(results)
     figure = Figure(figsize=(4.8 * len(panels), PANEL_HEIGHT), layout="constrained")

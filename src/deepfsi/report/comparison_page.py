@@ -60,17 +60,8 @@ class Best:
 def build(folder: str | os.PathLike[str]) -> Path:
     """Write `report.html` into the output folder of a comparison, all or nothing.
 
+    The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
     The accuracy figure is written beside it on its own, as `accuracy.png`.
-
-    Parameters
-    ----------
-    folder : path
-        Holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
-
-    Returns
-    -------
-    Path
-        The page.
 
     Raises
     ------

@@ -92,6 +92,8 @@ def heat_figure(
 ) -> Figure:
     """Accuracy by photon budget and compression ratio, a heat map for each design.
 
+    All panels share one colour scale. Values stand in the cells where they fit.
+
     Parameters
     ----------
     panels : mapping of str to array, shape (len(ratios), len(budgets))
@@ -102,11 +104,6 @@ def heat_figure(
         m / N, rising; drawn as categories.
     trained_at : float, optional
         Budget of the training, photons; its column is framed.
-
-    Returns
-    -------
-    Figure
-        All panels share one colour scale. Values stand in the cells where they fit.
     """
     edges = _edges(np.log10(budgets))
     columns = 2 if len(panels) == 4 else min(3, len(panels))
@@ -183,6 +180,9 @@ def contour_figure(
     Contours are interpolated between the grid's points on logarithmic axes; a grid of one row or
     column has points only.
 
+    The accuracies share one scale; the difference, second minus first, has one that is
+    symmetric about 0.
+
     Parameters
     ----------
     first, second : array, shape (len(ratios), len(budgets))
@@ -198,12 +198,6 @@ def contour_figure(
     apart : array of bool, shape (len(ratios), len(budgets)), optional
         Where the difference is larger than its uncertainty. These points are triangles that point
         up where the second is higher and down where it is lower.
-
-    Returns
-    -------
-    Figure
-        The accuracies share one scale; the difference, second minus first, has one that is
-        symmetric about 0.
     """
     difference = second - first
     norm, steps = _accuracy_range((first, second)), difference_levels(difference)

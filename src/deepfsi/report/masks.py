@@ -47,6 +47,8 @@ def masks_figure(
 ) -> Figure:
     """Masks of one design, those that count most photons first: images, or curves for spectra.
 
+    The scale is symmetric, from −peak to peak with 0 neutral; the peak is the largest |M_ij|.
+
     Parameters
     ----------
     rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
@@ -58,11 +60,6 @@ def masks_figure(
         Masks to show at most.
     bar : bool
         Draw the colour bar (images only).
-
-    Returns
-    -------
-    Figure
-        The scale is symmetric, from −peak to peak with 0 neutral; the peak is the largest |M_ij|.
     """
     matrix = signed(rails_or_matrix)
     chosen = brightest(rails_or_matrix, count)
@@ -145,12 +142,7 @@ def _colour_bar(figure: Figure, end: float, **where: Any) -> Colorbar:
 
 @styled
 def values_figure(rails_or_matrix: np.ndarray) -> Figure:
-    """Distribution of a design's mask values: share of all entries, on a log scale, per bin.
-
-    Parameters
-    ----------
-    rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
-    """
+    """Distribution of a design's mask values: share of all entries, on a log scale, per bin."""
     values = signed(rails_or_matrix).ravel()
     end = peak(values)
     counts, edges = np.histogram(values, bins=51, range=(-end, end))

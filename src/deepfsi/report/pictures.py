@@ -19,18 +19,8 @@ MOST_PICTURES = 48
 def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
     """Least-squares pictures from the counts of an acquisition, on one scale.
 
-    Parameters
-    ----------
-    pictures : array, shape (S, down, across) or (S, bands)
-        NaN where a scene was lost.
-    names : sequence of str
-        Of the scenes.
-
-    Returns
-    -------
-    Figure
-        At most the first 48 scenes. The scale ends at the brightest cell, and begins at 0 or at
-        the darkest cell below it.
+    Pictures (S, down, across) or (S, bands), NaN where a scene was lost; at most the first 48. The
+    scale ends at the brightest cell, and begins at 0 or at the darkest cell below it.
 
     Raises
     ------

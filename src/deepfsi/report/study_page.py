@@ -41,11 +41,6 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
     sections : sequence of Section
         In the order of the page.
 
-    Returns
-    -------
-    Path
-        The page.
-
     Raises
     ------
     InputError

@@ -19,15 +19,11 @@ from matplotlib.figure import Figure
 
 P = ParamSpec("P")
 
-
 INK, MUTED, GRID, PAPER = "#1b1f24", "#5d6670", "#dfe3e8", "#ffffff"
-
 
 DIVERGING = "RdBu_r"
 
-
 PANEL_HEIGHT = 3.5  # inches
-
 
 # Okabe and Ito's palette, yellow left out; every design also has a line of its own.
 COLOURS = {
@@ -45,7 +41,6 @@ COLOURS = {
     "custom": "#6a51a3",
 }
 
-
 DARK_COLOURS = {
     "impulse": "#f2f4f6",
     "raster": "#97a1ac",
@@ -61,9 +56,7 @@ DARK_COLOURS = {
     "custom": "#b39bff",
 }
 
-
 NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise"}
-
 
 LINES: dict[str, Any] = {
     "impulse": (0, (7, 2, 1.2, 2)),
@@ -77,7 +70,6 @@ LINES: dict[str, Any] = {
     "s-matrix": (0, (1, 3)),
 }
 
-
 CSS_NAMES = {
     INK: "ink",
     MUTED: "muted",
@@ -85,7 +77,6 @@ CSS_NAMES = {
     PAPER: "paper",
     **{colour: design for design, colour in COLOURS.items()},
 }
-
 
 STYLE: Any = {
     "font.size": 9,
@@ -175,18 +166,13 @@ def svg(figure: Figure, name: str, words: str) -> str:
 
 PAGE_WIDTH = 7.2  # inches, of a printed page's text
 
-
 SMALL = 7.5  # points
-
 
 ON_LIGHT, ON_DARK = "#101010", "#fefefe"  # ink on colour maps
 
-
 SEQUENTIAL = "cividis"
 
-
 GREYS = "gray"
-
 
 AXIS_NOISES: tuple[Literal["gaussian", "poisson"], ...] = ("gaussian", "poisson")
 

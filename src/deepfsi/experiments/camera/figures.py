@@ -75,6 +75,8 @@ def exposure_figure(
 ) -> Figure:
     """Accuracy against total exposure: a line for each design, published values open beside it.
 
+    Bars are intervals. Circles are feature-specific designs, squares others.
+
     Parameters
     ----------
     points : iterable of Accuracy
@@ -84,11 +86,6 @@ def exposure_figure(
         Chance is one over it.
     flux : float, optional
         Photons/s on the device; adds a photon axis on top.
-
-    Returns
-    -------
-    Figure
-        Bars are intervals. Circles are feature-specific designs, squares others.
     """
     own, others = list(points), list(published)
     exposures = sorted({point.exposure_s for point in [*own, *others]})
@@ -128,6 +125,8 @@ def digits_figure(
 ) -> Figure:
     """Success rate of each class and design: a square for each pair, a panel for each exposure.
 
+    Grey level and number both are the success rate, in per cent.
+
     Parameters
     ----------
     panels : mapping of str to array, shape (designs, classes)
@@ -135,11 +134,6 @@ def digits_figure(
     designs, classes : sequence of str
     word : str
         What a class is.
-
-    Returns
-    -------
-    Figure
-        Grey level and number both are the success rate, in per cent.
 
     Raises
     ------
@@ -183,6 +177,9 @@ def effects_figure(
 ) -> Figure:
     """Accuracy against what the laboratory varies: a column for each effect.
 
+    A row for each exposure, the longest on top. Values are on a logarithmic axis, and 0 stands
+    at its left end.
+
     Parameters
     ----------
     points : iterable of Accuracy
@@ -192,12 +189,6 @@ def effects_figure(
     flux : float, optional
         Photons/s on the device. A line then marks as much ambient light as the scene's, and the
         budget that was assumed rightly.
-
-    Returns
-    -------
-    Figure
-        A row for each exposure, the longest on top. Values are on a logarithmic axis, and 0 stands
-        at its left end.
     """
     rows = list(points)
     exposures = sorted({each.exposure_s for each in rows}, reverse=True)

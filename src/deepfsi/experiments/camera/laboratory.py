@@ -263,16 +263,7 @@ def measure(
 ) -> dict[str, Any]:
     """Tests of every design in the laboratory, several at a time.
 
-    Parameters
-    ----------
-    results : Results
-    data : Dataset
-        The camera's view of the scenes.
-    designs : Path
-        Folder of the designs.
-    workers : int, optional
-        Processes; one for each core by default.
-    report : Report
+    Parameters as of `Experiment.measure`.
     """
     raw = load_dataset(results.recipe["data"])
     places = draw_digits(raw.y_test, DRAWS, seed=0)

@@ -43,10 +43,6 @@ def views_figure(
     cell : tuple of float
         Height and width of a cell, in any unit: 24 and 32 mirrors on a DLP7000.
 
-    Returns
-    -------
-    Figure
-
     Raises
     ------
     InputError
@@ -90,6 +86,9 @@ def mirrors_figure(
 ) -> Figure:
     """One frame of a grey mask, whole and close by, where its mirrors can be told apart.
 
+    White is ON. Of the whole frame, a pixel is the average of a few mirrors. Below each column
+    and beside each row of the close-up stands which cell of the mask it is.
+
     Parameters
     ----------
     mirrors : array of bool, shape (rows, columns)
@@ -100,12 +99,6 @@ def mirrors_figure(
         First cell of the close-up, down and across; by default about the middle.
     cells : tuple of int
         Cells of the close-up, down and across.
-
-    Returns
-    -------
-    Figure
-        White is ON. Of the whole frame, a pixel is the average of a few mirrors. Below each
-        column and beside each row of the close-up stands which cell of the mask it is.
 
     Raises
     ------

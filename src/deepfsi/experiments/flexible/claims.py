@@ -141,12 +141,7 @@ class Saving:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers that claims, figures and tables share.
-
-    Attributes
-    ----------
-    results : Results
-    """
+    """Numbers that claims, figures and tables share."""
 
     results: Results
 

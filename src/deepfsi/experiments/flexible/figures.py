@@ -73,15 +73,7 @@ class Stops:
 def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
     """Accuracy against the photon budget, or the number of masks, on logarithmic axes.
 
-    Parameters
-    ----------
-    panels : mapping of str to sequence of Line
-        Label of the axis → its lines.
-
-    Returns
-    -------
-    Figure
-        A panel for each, with a key of its own.
+    A panel for each label of an axis, with a key of its own.
     """
     figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
@@ -101,17 +93,10 @@ def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
 def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
     """Accuracy against photons used, times of stopping, and accuracy under rejection.
 
-    Parameters
-    ----------
-    stopped : sequence of Stops
-    plain : Line
-        A design for whole exposures, against photons.
+    Three panels: accuracy against mean photons, the share of exposures still going on after
+    each part of the masks or looks, and accuracy against the share of answers accepted.
 
-    Returns
-    -------
-    Figure
-        Three panels: accuracy against mean photons, the share of exposures still going on after
-        each part of the masks or looks, and accuracy against the share of answers accepted.
+    `plain` is a design for whole exposures, against photons.
     """
     figure = Figure(figsize=(10.5, 3.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)

@@ -67,15 +67,7 @@ def measure(
 ) -> dict[str, Any]:
     """Tests of the first masks of nested designs, and of exposures that stop early.
 
-    Parameters
-    ----------
-    results : Results
-    data : Dataset
-    designs : Path
-        Folder of the designs.
-    workers : int, optional
-        Not used.
-    report : Report
+    Parameters as of `Experiment.measure`.
     """
     prefixes: list[Prefix] = []
     for recipe in ("nested", "both"):

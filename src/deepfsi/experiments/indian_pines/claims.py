@@ -75,12 +75,7 @@ def adapt(recipe: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers that claims, figures and tables share.
-
-    Attributes
-    ----------
-    results : Results
-    """
+    """Numbers that claims, figures and tables share."""
 
     results: Results
 

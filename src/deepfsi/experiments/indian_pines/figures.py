@@ -147,6 +147,8 @@ def class_maps_figure(
 def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, title: str) -> Figure:
     """Masks learned under both noises as curves over wavelength, by photon budget.
 
+    Each panel has a scale of its own.
+
     Parameters
     ----------
     rows : sequence of SpectralMasks
@@ -154,11 +156,6 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
         Band numbers are drawn where its wavelengths are not known.
     title : str
         What the masks were learned on.
-
-    Returns
-    -------
-    Figure
-        Each panel has a scale of its own.
     """
     figure = Figure(figsize=(PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")

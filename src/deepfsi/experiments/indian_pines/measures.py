@@ -151,15 +151,7 @@ def measure(
 ) -> dict[str, Any]:
     """Overview, parts, class maps, spectral masks and recalls of the trained designs.
 
-    Parameters
-    ----------
-    results : Results
-    data : Dataset
-    designs : Path
-        Folder of the designs.
-    workers : int, optional
-        Not used.
-    report : Report
+    Parameters as of `Experiment.measure`.
     """
     scene = load_spectra(results.recipe["data"])
     splits = list(dict.fromkeys(point.split for point in results.points))

@@ -44,7 +44,6 @@ LOOKS: dict[str, dict[str, Any]] = {
     "poisson": {"color": COLOURS["deepfsi"], "marker": "o", "linestyle": "-"},
 }
 
-
 ACROSS = 3
 """Masks beside each other in the table of masks."""
 
@@ -131,17 +130,10 @@ class Start:
 def error_figure(results: Results) -> Figure:
     """Accuracy against the impulse-imaging error, on which both noises can be compared.
 
-    Parameters
-    ----------
-    results : Results
-        Each design at its chosen mask count is drawn.
-
-    Returns
-    -------
-    Figure
-        A panel for gaussian and one for photon noise, as far as they were tested, with the same
-        axes. Less noise is on the right, as in figures against the budget. Bars are the points'
-        intervals; circles are feature-specific designs, squares others.
+    Each design is drawn at its chosen mask count. A panel for gaussian and one for photon noise, as
+    far as they were tested, with the same axes. Less noise is on the right, as in figures against
+    the budget. Bars are the points' intervals; circles are feature-specific designs, squares
+    others.
 
     Raises
     ------
@@ -188,19 +180,9 @@ def error_figure(results: Results) -> Figure:
 def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
     """Masks learned under both noises, and the distributions of their values, by photon budget.
 
-    Parameters
-    ----------
-    rows : sequence of LearnedMasks
-        One for each budget.
-    count : int
-        Masks of each to show at most, those that count most photons first.
-
-    Returns
-    -------
-    Figure
-        A row for each budget. Black is −peak, mid-grey 0 and white peak, as in the paper; the
-        peak, the largest |M_ij| of that budget and noise, stands below. Distributions are over
-        the values in parts of the peak, on a log scale.
+    A row for each budget, of `count` masks at most, those that count most photons first. Black is
+    −peak, mid-grey 0 and white peak, as in the paper; the peak, the largest |M_ij| of that budget
+    and noise, stands below. Distributions are over the values in parts of the peak, on a log scale.
     """
     height, width = rows[0].image_shape
     tile, gap, head, foot = 0.7, 0.05, 0.25, 0.6  # inches, as all that follows
@@ -281,16 +263,9 @@ def _name_values(figure: Figure, ax: Axes) -> None:
 def measures_figure(rows: Sequence[Measure]) -> Figure:
     """Measures of learned masks against the photon budget, one small panel for each measure.
 
-    Parameters
-    ----------
-    rows : sequence of Measure
-        A panel for each `measure`, a line for each `series`.
-
-    Returns
-    -------
-    Figure
-        Panels and lines are in the order of their first appearance; axes begin at 0. Bars run from
-        `low` to `high`.
+    A panel for each `measure` and a line for each `series`, in the order of their first
+    appearance; axes begin at 0. Bars run from
+    `low` to `high`.
     """
     measures = list(dict.fromkeys(row.measure for row in rows))
     columns = min(3, len(measures))
@@ -323,6 +298,9 @@ def starts_figure(
 ) -> Figure:
     """Gain of learned masks from the matrix that they start from.
 
+    A row for each noise: accuracies on the left, paired differences to pca on the right. Bars
+    are the intervals.
+
     Parameters
     ----------
     accuracies : sequence of Start
@@ -330,12 +308,6 @@ def starts_figure(
         Accuracy less that of the start "pca" in the same trial.
     chance : float
         Accuracy of guessing.
-
-    Returns
-    -------
-    Figure
-        A row for each noise: accuracies on the left, paired differences to pca on the right. Bars
-        are the intervals.
     """
     rows = list(dict.fromkeys(row.noise for row in accuracies))
     figure = Figure(figsize=(PAGE_WIDTH, 2.7 * len(rows) + 0.3), layout="constrained")

@@ -74,10 +74,7 @@ class PatchExperiment(Experiment):
     ) -> Results:
         """Train and test what the folder does not hold yet, and write the numbers.
 
-        Parameters
-        ----------
-        folder, command, quick, trials, device, workers, ray, report
-            As `Experiment.run`.
+        Parameters as of `Experiment.run`.
         """
         began = time.perf_counter()
         [recipe] = self.recipes(quick, trials).values()

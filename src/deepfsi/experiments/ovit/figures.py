@@ -15,15 +15,8 @@ from deepfsi.report.style import GREYS, PAGE_WIDTH, power_text, styled
 def patch_masks_figure(rows: Sequence[LearnedMasks]) -> Figure:
     """All masks of image patches, a panel for each budget.
 
-    Parameters
-    ----------
-    rows : sequence of LearnedMasks
-
-    Returns
-    -------
-    Figure
-        Masks that count most photons come first, row by row. Black is −peak, mid-grey 0 and white
-        peak; the peak, the largest |M_ij| of that budget, stands below.
+    Masks that count most photons come first, row by row. Black is −peak, mid-grey 0 and white
+    peak; the peak, the largest |M_ij| of that budget, stands below.
     """
     width = PAGE_WIDTH / max(len(rows), 3)
     figure = Figure(figsize=(width * len(rows), width + 0.5), layout="constrained")
