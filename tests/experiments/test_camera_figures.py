@@ -13,6 +13,7 @@ from deepfsi.experiments.camera import figures
 from deepfsi.experiments.camera.figures import Accuracy
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
+from deepfsi.report import style
 from shared.figures import assert_legible
 
 DESIGNS = {
@@ -92,14 +93,14 @@ def test_exposures_have_lines_and_published_values_open_beside(flux):
     open_ones = [
         line
         for line in ax.get_lines()
-        if line.get_markerfacecolor() == figures.PAPER and len(line.get_ydata()) == 1
+        if line.get_markerfacecolor() == style.PAPER and len(line.get_ydata()) == 1
     ]
     assert len(open_ones) == len(published)
     for line, point in zip(open_ones, published, strict=True):
         assert line.get_ydata()[0] == pytest.approx(point.accuracy)
         assert point.exposure_s < line.get_xdata()[0] < 2 * point.exposure_s
         assert line.get_marker() == ("o" if point.specific else "s")
-        assert line.get_color() == figures.COLOURS[point.design]
+        assert line.get_color() == style.COLOURS[point.design]
     if flux is not None:
         (top,) = ax.child_axes
         assert [tick.get_text() for tick in top.get_xticklabels()] == ["10³", "10⁴", "10⁵", "10⁶"]

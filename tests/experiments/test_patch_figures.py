@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepfsi.experiments.ovit.figures import patch_masks_figure
-from deepfsi.experiments.ovit.measures import LearnedMasks
+from deepfsi.experiments.ovit.figures import LearnedMasks, patch_masks_figure
 
 
 def patch_rows(budgets=(1e2, 1e4, 1e6), masks=9, side=3):

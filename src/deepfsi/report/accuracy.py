@@ -10,17 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from deepfsi.report.style import (
-    COLOURS,
-    INK,
-    LINES,
-    MUTED,
-    PANEL_HEIGHT,
-    PAPER,
-    noise_text,
-    photons_text,
-    styled,
-)
+from deepfsi.report import style
 from deepfsi.sweeps.results import Results
 
 T = TypeVar("T")
@@ -81,7 +71,7 @@ def axis_text(axis: str, value: Any) -> str:
     if axis == "levels":
         return f"{value} levels" if value else "continuous"
     if axis == "trained_at":
-        return f"from {photons_text(value)}"
+        return f"from {style.photons_text(value)}"
     return f"from {value}" if axis == "trained_under" else str(value)
 
 
@@ -124,15 +114,15 @@ def noises(results: Results) -> list[str]:
     return list(dict.fromkeys(point.noise for point in results.points))
 
 
-@styled
+@style.styled
 def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     """Accuracy against photons, each design at its chosen mask count; one panel a noise.
 
-    The axis of accuracy ends at `top`. Error bars are the points' intervals. Circles are
-    feature-specific designs, squares others.
+    The axis of accuracy ends at `top`, above the highest point. Error bars are the points'
+    intervals. Circles are feature-specific designs, squares others.
     """
     panels = noises(results)
-    figure = Figure(figsize=(4.8 * len(panels), PANEL_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(4.8 * len(panels), style.PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
         points = [p for p in results.points if p.noise == noise and p.best]
@@ -140,17 +130,17 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
         accuracy_axes(ax, points, series_axes(results), attrgetter("photons"), chance, top=top)
         ax.set_xlabel("photon budget Φ")
         budgets = sorted({p.photons for p in points})
-        short = all(len(photons_text(budget)) <= 4 for budget in budgets)
+        short = all(len(style.photons_text(budget)) <= 4 for budget in budgets)
         ax.xaxis.set_major_locator(
             FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
         )
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.photons_text(value)))
         if len(panels) > 1:
-            ax.set_title(noise_text(noise))
+            ax.set_title(style.noise_text(noise))
     return figure
 
 
-@styled
+@style.styled
 def count_figure(results: Results) -> Figure:
     """Accuracy against the number of masks, one panel for each noise and budget.
 
@@ -163,7 +153,7 @@ def count_figure(results: Results) -> Figure:
     ]
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.2 * columns, PANEL_HEIGHT * rows), layout="constrained")
+    figure = Figure(figsize=(4.2 * columns, style.PANEL_HEIGHT * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).flat
     several = len(noises(results)) > 1
     for ax, (noise, photons) in zip(axes, panels, strict=False):
@@ -175,8 +165,8 @@ def count_figure(results: Results) -> Figure:
         ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         if len(panels) > 1:
-            heading = f"{photons_text(photons)} photons"
-            ax.set_title(f"{heading}, {noise_text(noise)}" if several else heading)
+            heading = f"{style.photons_text(photons)} photons"
+            ax.set_title(f"{heading}, {style.noise_text(noise)}" if several else heading)
     for ax in list(figure.axes)[len(panels) :]:
         ax.remove()
     return figure
@@ -225,17 +215,19 @@ def accuracy_axes(
         x = np.array([across(p) for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
         full = np.array([filled(p) if filled else variant == 0 for p in rows])
         _draw_series(ax, rows, x, full, variant=variant, place=place, name=names[key])
-        ends.append((names[key], COLOURS.get(key[0], INK), float(x[-1]), rows[-1].accuracy))
+        ends.append(
+            (names[key], style.COLOURS.get(key[0], style.INK), float(x[-1]), rows[-1].accuracy)
+        )
     ax.set_xscale("log")
     margin = 10 ** (0.06 * decades)
     edges = min(left, right) / margin, max(left, right) * margin
     ax.set_xlim(edges[::-1] if left > right else edges)
-    ax.axhline(chance, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
+    ax.axhline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
     ax.set_ylim(0, top)
     ax.set_ylabel("accuracy")
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
-    _name_ends(ax, [*ends, ("chance", MUTED, ax.get_xlim()[1], chance)])
+    _name_ends(ax, [*ends, ("chance", style.MUTED, ax.get_xlim()[1], chance)])
 
 
 def _draw_series(
@@ -250,7 +242,7 @@ def _draw_series(
 ) -> None:
     """Draw one line with intervals, and its markers, filled or hollow."""
     design = rows[0].design
-    colour = COLOURS.get(design, INK)
+    colour = style.COLOURS.get(design, style.INK)
     y = np.array([p.accuracy for p in rows])
     reach = [[p.accuracy - p.low for p in rows], [p.high - p.accuracy for p in rows]]
     ax.errorbar(
@@ -258,7 +250,7 @@ def _draw_series(
         y,
         yerr=np.clip(reach, 0, None),
         color=colour,
-        linestyle=LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
+        linestyle=style.LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
         elinewidth=1,
         capsize=2,
         zorder=3 + place / 100,
@@ -270,7 +262,7 @@ def _draw_series(
             linestyle="none",
             marker="o" if rows[0].specific else "s",
             color=colour,
-            markerfacecolor=colour if full else PAPER,
+            markerfacecolor=colour if full else style.PAPER,
             zorder=4 + place / 100,
             label=name,
         )

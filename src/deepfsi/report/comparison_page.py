@@ -13,15 +13,7 @@ from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.report.accuracy import (
-    CHOSEN,
-    accuracy_figure,
-    count_figure,
-    noises,
-    series,
-    series_axes,
-    series_names,
-)
+from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, scale_figure, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
@@ -74,7 +66,7 @@ def build(folder: str | os.PathLike[str]) -> Path:
     results = read_results(home / "results.json")
     text = page_text(results, home / "designs")
     picture = io.BytesIO()
-    accuracy_figure(results).savefig(picture, dpi=160)
+    accuracy.accuracy_figure(results).savefig(picture, dpi=160)
     write_atomically(home / "accuracy.png", picture.getvalue())
     return write_atomically(home / "report.html", text.encode())
 
@@ -91,18 +83,17 @@ def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
 
 def page_text(results: Results, designs: Path) -> str:
     """Text of the page."""
-    data = results.data
-    points = results.points
-    axes = series_axes(results)
+    data, points = results.data, results.points
+    axes = accuracy.series_axes(results)
     learned = list(learned_masks(results, designs))
     return render(
         "page.html.jinja",
         results=results,
-        summary=[summary(results, noise) for noise in noises(results)],
-        variants=len(series(points, axes)) > len({p.design for p in points}),
+        summary=[summary(results, noise) for noise in accuracy.noises(results)],
+        variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
         counts=list(count_panels(results)),
-        tables=[best_table(results, noise) for noise in noises(results)],
+        tables=[best_table(results, noise) for noise in accuracy.noises(results)],
         designs_shown={p.label: p.title for p in points},
         covers=list(dict.fromkeys(p.covers for p in points)),
         learned=learned,
@@ -141,7 +132,7 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
     """
     optics: dict[tuple[str, ...], Point] = {}
     for p in sorted((p for p in points if p.photons == photons), key=_validated):
-        optics[tuple(str(getattr(p, axis)) for axis in (*CHOSEN, "levels", "masks"))] = p
+        optics[tuple(str(getattr(p, axis)) for axis in (*accuracy.CHOSEN, "levels", "masks"))] = p
     here = list(optics.values())
     single = [p for p in here if p.design != "impulse"]
     return sorted(single or here, key=lambda p: -p.accuracy)
@@ -150,8 +141,8 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
 def summary(results: Results, noise: str) -> str:
     """Say what the numbers say under a noise: who leads where, and how clearly at both ends."""
     points = chosen(results, noise)
-    axes = series_axes(results)
-    names = series_names(points, axes, "title")
+    axes = accuracy.series_axes(results)
+    names = accuracy.series_names(points, axes, "title")
     budgets = sorted({p.photons for p in points})
 
     def name(point: Point) -> str:
@@ -195,17 +186,12 @@ def listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def only(results: Results, points: list[Point]) -> Results:
-    """Return the same comparison with some of its points."""
-    return results.with_points(points)
-
-
 def accuracy_panels(results: Results) -> Iterator[Panel]:
     """Accuracy against photons, a picture for each noise."""
-    for i, noise in enumerate(noises(results)):
-        part = only(results, chosen(results, noise))
+    for i, noise in enumerate(accuracy.noises(results)):
+        part = results.with_points(chosen(results, noise))
         words = f"Accuracy against photon budget under {noise_text(noise)}; numbers in the table."
-        picture = svg(accuracy_figure(part), f"accuracy{i}", words)
+        picture = svg(accuracy.accuracy_figure(part), f"accuracy{i}", words)
         yield Panel(noise_text(noise).capitalize(), "", (Markup(picture),))
 
 
@@ -216,14 +202,14 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
         counts.setdefault((p.noise, p.design, p.light, p.rails), set()).add(p.masks)
     if max(map(len, counts.values())) < 2:
         return
-    for i, noise in enumerate(noises(results)):
+    for i, noise in enumerate(accuracy.noises(results)):
         points = [p for p in results.points if p.noise == noise]
         panels = []
         for j, photons in enumerate(sorted({p.photons for p in points})):
-            part = only(results, [p for p in points if p.photons == photons])
+            part = results.with_points(p for p in points if p.photons == photons)
             where = f"{photons_text(photons)} photons"
             words = f"Accuracy against number of masks at {where}; numbers in the last table."
-            picture = svg(count_figure(part), f"count{i}-{j}", words)
+            picture = svg(accuracy.count_figure(part), f"count{i}-{j}", words)
             panels.append(Panel(where, "", (Markup(picture),)))
         yield noise_text(noise).capitalize(), panels
 
@@ -231,11 +217,11 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
 def best_table(results: Results, noise: str) -> Best:
     """Table of the chosen mask counts under a noise."""
     points = chosen(results, noise)
-    axes = series_axes(results)
-    names = series_names(points, axes, "label")
+    axes = accuracy.series_axes(results)
+    names = accuracy.series_names(points, axes, "label")
     budgets = sorted({p.photons for p in points})
     rows: list[tuple[str, Point, list[Point | None]]] = []
-    for key, members in series(points, axes).items():
+    for key, members in accuracy.series(points, axes).items():
         at = {p.photons: p for p in members}
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
     leaders = {photons: ranking(points, photons)[0] for photons in budgets}
@@ -250,11 +236,11 @@ def colour_scale() -> Markup:
 
 def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
     """Masks and value distributions of every learned design whose files are there."""
-    for i, noise in enumerate(noises(results)):
+    for i, noise in enumerate(accuracy.noises(results)):
         points = [p for p in chosen(results, noise) if p.learned]
-        axes = series_axes(results)
-        names = series_names(points, axes, "title")
-        for j, (key, members) in enumerate(series(points, axes).items()):
+        axes = accuracy.series_axes(results)
+        names = accuracy.series_names(points, axes, "title")
+        for j, (key, members) in enumerate(accuracy.series(points, axes).items()):
             panels: list[Panel] = []
             for point in sorted(members, key=lambda p: p.photons):
                 path = designs / f"{point.keys[0]}.safetensors"

@@ -15,22 +15,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from deepfsi.report.style import (
-    DIVERGING,
-    MUTED,
-    ON_DARK,
-    ON_LIGHT,
-    PAGE_WIDTH,
-    PAPER,
-    SEQUENTIAL,
-    SMALL,
-    plain_bar,
-    power_text,
-    readable_ink,
-    signed_text,
-    styled,
-    thinned,
-)
+from deepfsi.report import style
 
 
 class Cell(Protocol):
@@ -83,7 +68,7 @@ def accuracy_grid(
     return grid
 
 
-@styled
+@style.styled
 def heat_figure(
     panels: Mapping[str, np.ndarray],
     budgets: Sequence[float],
@@ -109,7 +94,7 @@ def heat_figure(
     columns = 2 if len(panels) == 4 else min(3, len(panels))
     rows = -(-len(panels) // columns)
     height = 0.9 + max(1.0, 0.24 * len(ratios))
-    width = PAGE_WIDTH * (0.28 + 0.24 * columns)
+    width = style.PAGE_WIDTH * (0.28 + 0.24 * columns)
     figure = Figure(figsize=(width, rows * height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     norm = _accuracy_range(panels.values())
@@ -129,13 +114,13 @@ def heat_figure(
     figure.supxlabel(f"photon budget Φ of the test{framed}", fontsize=9)
     figure.supylabel("compression ratio m/N", fontsize=9)
     bar = figure.colorbar(
-        ScalarMappable(norm, SEQUENTIAL),
+        ScalarMappable(norm, style.SEQUENTIAL),
         ax=list(figure.axes),
         label="accuracy",
         aspect=30,
         pad=0.02,
     )
-    plain_bar(bar)
+    style.plain_bar(bar)
     _keep_if_they_fit(figure, labels, edges)
     return figure
 
@@ -146,25 +131,25 @@ def _cells(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normalize) -
         edges,
         np.arange(len(accuracy) + 1),
         np.ma.masked_invalid(accuracy),
-        cmap=SEQUENTIAL,
+        cmap=style.SEQUENTIAL,
         norm=norm,
-        edgecolors=PAPER,
+        edgecolors=style.PAPER,
         linewidth=0.4,
     )
     ax.spines[:].set_visible(False)
-    ax.tick_params(length=0, labelsize=SMALL)
+    ax.tick_params(length=0, labelsize=style.SMALL)
 
 
 def _frame_column(ax: Axes, edges: np.ndarray, column: int, rows: int) -> None:
     """Frame one column of cells, dark on light ink."""
     corner, wide = (edges[column], 0), edges[column + 1] - edges[column]
-    for colour, width in ((ON_DARK, 3.0), (ON_LIGHT, 1.3)):
+    for colour, width in ((style.ON_DARK, 3.0), (style.ON_LIGHT, 1.3)):
         frame = Rectangle(corner, wide, rows, fill=False, clip_on=False, zorder=4)
         frame.set(edgecolor=colour, linewidth=width)
         ax.add_patch(frame)
 
 
-@styled
+@style.styled
 def contour_figure(
     first: np.ndarray,
     second: np.ndarray,
@@ -203,12 +188,12 @@ def contour_figure(
     norm, steps = _accuracy_range((first, second)), difference_levels(difference)
     levels = [*(k / 10 for k in range(round(10 * float(norm.vmin or 0)), 10)), 0.95, 1.0]
     accuracy_norm, difference_norm = BoundaryNorm(levels, 256), BoundaryNorm(steps, 256)
-    figure = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
+    figure = Figure(figsize=(style.PAGE_WIDTH, 2.9), layout="constrained")
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     x, y = np.log10(budgets), np.log10(ratios)
     for ax, values, heading in zip(axes, (first, second), names, strict=False):
-        _contours(ax, x, y, values, accuracy_norm, SEQUENTIAL)
-        _dots(ax, x, y, values, np.isfinite(values), "o", accuracy_norm, SEQUENTIAL)
+        _contours(ax, x, y, values, accuracy_norm, style.SEQUENTIAL)
+        _dots(ax, x, y, values, np.isfinite(values), "o", accuracy_norm, style.SEQUENTIAL)
         ax.set_title(heading)
     _difference_panel(axes[2], x, y, difference, apart, difference_norm)
     for ax in axes:
@@ -216,16 +201,16 @@ def contour_figure(
     if pixels and _dim_lines(axes, pixels):
         _name_dim_lines(figure)
     axes[0].set_ylabel("compression ratio m/N")
-    bar, ticks = _bar_beside(axes[:2], accuracy_norm, SEQUENTIAL, "accuracy"), levels[::-2]
+    bar, ticks = _bar_beside(axes[:2], accuracy_norm, style.SEQUENTIAL, "accuracy"), levels[::-2]
     bar.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
     middles = (steps[1:] + steps[:-1]) / 2
-    bar = _bar_beside(axes[2:], difference_norm, DIVERGING, f"{names[1]}\n− {names[0]}")
-    bar.set_ticks(middles, labels=[signed_text(value) for value in middles])
+    bar = _bar_beside(axes[2:], difference_norm, style.DIVERGING, f"{names[1]}\n− {names[0]}")
+    bar.set_ticks(middles, labels=[style.signed_text(value) for value in middles])
     return figure
 
 
 def _name_dim_lines(figure: Figure) -> None:
-    key = Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
+    key = Line2D([], [], color=style.MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
     words = "0.1 photons per pixel and measurement; fewer above and left of it"
     figure.legend(
         [key], [words], loc="outside lower center", frameon=False, fontsize=8, handlelength=3
@@ -241,12 +226,12 @@ def _difference_panel(
     norm: BoundaryNorm,
 ) -> None:
     """Draw differences, as triangles where they are clear, in log10 coordinates."""
-    _contours(ax, x, y, values, norm, DIVERGING)
+    _contours(ax, x, y, values, norm, style.DIVERGING)
     clear = np.zeros(values.shape, dtype=bool) if apart is None else np.asarray(apart)
     up, down = clear & (values > 0), clear & (values < 0)
     same = np.isfinite(values) & ~up & ~down
     for marker, where in (("o", same), ("^", up), ("v", down)):
-        _dots(ax, x, y, values, where, marker, norm, DIVERGING)
+        _dots(ax, x, y, values, where, marker, norm, style.DIVERGING)
     ax.set_title("difference")
 
 
@@ -258,7 +243,7 @@ def _logarithmic(ax: Axes, budgets: Sequence[float], ratios: Sequence[float]) ->
     _budget_ticks(ax, budgets)
     ax.yaxis.set_major_locator(FixedLocator([math.log10(r) for r in _ratio_ticks(ratios)]))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(10**value)))
-    ax.tick_params(labelsize=SMALL)
+    ax.tick_params(labelsize=style.SMALL)
     ax.set_xlabel("photon budget Φ")
 
 
@@ -273,7 +258,7 @@ def _bar_beside(axes: np.ndarray, norm: BoundaryNorm, colours: str, label: str) 
         aspect=22,
         pad=0.02,
     )
-    plain_bar(bar)
+    style.plain_bar(bar)
     return bar
 
 
@@ -320,7 +305,7 @@ def _cell_labels(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normal
                 (edges[column] + edges[column + 1]) / 2,
                 row + 0.5,
                 f"{value:.2f}".removeprefix("0") if known else "–",
-                color=readable_ink(SEQUENTIAL, norm(value)) if known else MUTED,
+                color=style.readable_ink(style.SEQUENTIAL, norm(value)) if known else style.MUTED,
                 fontsize=6.5,
                 horizontalalignment="center",
                 verticalalignment="center_baseline",
@@ -351,7 +336,7 @@ def _contours(
         return
     known = np.ma.masked_invalid(values)
     ax.contourf(x, y, known, levels=norm.boundaries, norm=norm, cmap=colours)
-    ax.contour(x, y, known, levels=norm.boundaries, colors=ON_LIGHT, linewidths=0.4)
+    ax.contour(x, y, known, levels=norm.boundaries, colors=style.ON_LIGHT, linewidths=0.4)
 
 
 def _dots(
@@ -374,7 +359,7 @@ def _dots(
         cmap=colours,
         marker=marker,
         s=13 if marker == "o" else 26,
-        edgecolors=ON_LIGHT,
+        edgecolors=style.ON_LIGHT,
         linewidths=0.6,
         zorder=4,
     )
@@ -391,7 +376,10 @@ def _dim_lines(axes: Iterable[Axes], pixels: int) -> bool:
         budgets = [ratio + offset for ratio in ratios]
         if budgets[0] > right or budgets[1] < left:
             return False
-        for colour, width, dashes in ((ON_DARK, 3.0, "-"), (ON_LIGHT, 1.3, (0, (4, 2)))):
+        for colour, width, dashes in (
+            (style.ON_DARK, 3.0, "-"),
+            (style.ON_LIGHT, 1.3, (0, (4, 2))),
+        ):
             (line,) = ax.plot(budgets, ratios, color=colour, scalex=False, scaley=False, zorder=3)
             line.set(linewidth=width, linestyle=dashes)
     return True
@@ -409,5 +397,7 @@ def _ratio_ticks(ratios: Sequence[float]) -> list[float]:
 
 def _budget_ticks(ax: Axes, budgets: Sequence[float]) -> None:
     """Ticks at budgets, on an axis of log10 photons."""
-    ax.xaxis.set_major_locator(FixedLocator([math.log10(value) for value in thinned(budgets)]))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(10**value)))
+    ax.xaxis.set_major_locator(
+        FixedLocator([math.log10(value) for value in style.thinned(budgets)])
+    )
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(10**value)))

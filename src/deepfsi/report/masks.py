@@ -142,7 +142,7 @@ def _colour_bar(figure: Figure, end: float, **where: Any) -> Colorbar:
 
 @styled
 def values_figure(rails_or_matrix: np.ndarray) -> Figure:
-    """Distribution of a design's mask values: share of all entries, on a log scale, per bin."""
+    """Shares of the values of rails (2 or 1, m, N) or masks (m, N) in bins, on a log scale."""
     values = signed(rails_or_matrix).ravel()
     end = peak(values)
     counts, edges = np.histogram(values, bins=51, range=(-end, end))

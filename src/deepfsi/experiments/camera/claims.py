@@ -21,10 +21,12 @@ from deepfsi.experiments.camera.laboratory import (
     FREE,
     REPEATS,
     SWEPT,
+    DigitTest,
+    Measures,
+    RunTime,
     measure,
     prepare,
 )
-from deepfsi.experiments.camera.measures import DigitTest, Measures, RunTime
 from deepfsi.experiments.camera.published import (
     PAPER,
     PAPER_RUN_S,
@@ -110,9 +112,6 @@ def show(results: Results) -> Finding:
     )
 
 
-# ---------------------------------------------------------------- claims
-
-
 def _found(compared: Comparison) -> str:
     tests = [test for (_, exposure), test in compared.at.items() if exposure == 1e-2]
     order = sorted(tests, key=lambda test: -test.accuracy.mean)
@@ -179,9 +178,6 @@ def _even(compared: Comparison) -> Claim:
         f"standard deviation over digits lower by {less[nearest]} than "
         f"{compared.labels[nearest]}'s",
     )
-
-
-# ---------------------------------------------------------------- figures
 
 
 def _point(test: DigitTest) -> Accuracy:
@@ -268,9 +264,6 @@ def _greyest(mirrors: np.ndarray, grid: Grid, side: int = 3) -> tuple[int, int]:
     windows = np.lib.stride_tricks.sliding_window_view(grey, (side, side)).sum(axis=(2, 3))
     down, across = np.unravel_index(windows.argmax(), windows.shape)
     return int(down), int(across)
-
-
-# ---------------------------------------------------------------- tables
 
 
 def _intervals(compared: Comparison) -> Table:

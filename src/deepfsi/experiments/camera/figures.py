@@ -17,21 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from deepfsi.errors import InputError
+from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes
-from deepfsi.report.style import (
-    COLOURS,
-    GREYS,
-    INK,
-    LINES,
-    MUTED,
-    PAGE_WIDTH,
-    PAPER,
-    SMALL,
-    plain_bar,
-    power_text,
-    readable_ink,
-    styled,
-)
 
 BESIDE = 0.028
 """Shift of published values to the right of ours, share of the axis."""
@@ -65,7 +52,7 @@ class Accuracy:
     value: float = 0.0
 
 
-@styled
+@style.styled
 def exposure_figure(
     points: Iterable[Accuracy],
     published: Iterable[Accuracy] = (),
@@ -96,26 +83,26 @@ def exposure_figure(
     _published(ax, own, others, exposures)
     ax.set_xlabel("total exposure (s)")
     ax.xaxis.set_major_locator(FixedLocator(exposures))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
     if flux is not None:
         to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
         top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
         top.set_xlabel("photons on the device Φ")
         top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
         top.xaxis.set_minor_locator(NullLocator())
-        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
     if others:
-        looks: dict[str, Any] = {"color": INK, "marker": "o"}
+        looks: dict[str, Any] = {"color": style.INK, "marker": "o"}
         keys = [
             Line2D([], [], **looks),
-            Line2D([], [], **looks, markerfacecolor=PAPER, linestyle="none"),
+            Line2D([], [], **looks, markerfacecolor=style.PAPER, linestyle="none"),
         ]
         words = ["here, with interval", "published, with interval"]
         figure.legend(keys, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure
 
 
-@styled
+@style.styled
 def digits_figure(
     panels: Mapping[str, np.ndarray],
     designs: Sequence[str],
@@ -148,7 +135,7 @@ def digits_figure(
             )
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    width = PAGE_WIDTH if columns == 2 else 0.6 * PAGE_WIDTH
+    width = style.PAGE_WIDTH if columns == 2 else 0.6 * style.PAGE_WIDTH
     side = (width - 1.5) / (columns * len(classes))
     figure = Figure(
         figsize=(width, rows * (side * len(designs) + 0.32) + 0.35), layout="constrained"
@@ -165,13 +152,13 @@ def digits_figure(
         ax.remove()
     figure.supxlabel(word, fontsize=9)
     bar = figure.colorbar(
-        ScalarMappable(norm, GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
+        ScalarMappable(norm, style.GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
     )
-    plain_bar(bar)
+    style.plain_bar(bar)
     return figure
 
 
-@styled
+@style.styled
 def effects_figure(
     points: Iterable[Accuracy], axes: Mapping[str, str], *, flux: float | None = None
 ) -> Figure:
@@ -206,7 +193,7 @@ def effects_figure(
         keys |= _effect_lines(ax, members, [value * unit for value in values], unit)
         mark = {"ambient": flux, "assumed": (flux or 0) * exposure}.get(effect)
         if flux and mark:
-            ax.axvline(mark, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
+            ax.axvline(mark, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
         ax.set_ylim(0, 1)
         ax.grid(axis="y")
         if row == len(exposures) - 1:
@@ -233,9 +220,9 @@ def _squares(ax: Axes, percent: np.ndarray, norm: Normalize) -> None:
         np.arange(columns + 1),
         np.arange(rows + 1),
         np.ma.masked_invalid(percent),
-        cmap=GREYS,
+        cmap=style.GREYS,
         norm=norm,
-        edgecolors=MUTED,
+        edgecolors=style.MUTED,
         linewidth=0.5,
     )
     for (row, column), value in np.ndenumerate(percent):
@@ -244,8 +231,8 @@ def _squares(ax: Axes, percent: np.ndarray, norm: Normalize) -> None:
             column + 0.5,
             row + 0.5,
             f"{value:.0f}" if known else "–",
-            color=readable_ink(GREYS, norm(value)) if known else MUTED,
-            fontsize=SMALL,
+            color=style.readable_ink(style.GREYS, norm(value)) if known else style.MUTED,
+            fontsize=style.SMALL,
             horizontalalignment="center",
             verticalalignment="center_baseline",
         )
@@ -267,9 +254,9 @@ def _published(
             point.exposure_s * 10 ** (shift * decades),
             point.accuracy,
             yerr=[[point.accuracy - point.low], [point.high - point.accuracy]],
-            color=COLOURS.get(point.design, INK),
+            color=style.COLOURS.get(point.design, style.INK),
             marker="o" if point.specific else "s",
-            markerfacecolor=PAPER,
+            markerfacecolor=style.PAPER,
             markersize=4.5,
             elinewidth=0.7,
             zorder=2.5,
@@ -298,8 +285,8 @@ def _effect_lines(
             [p.value * unit or ground for p in own],
             [p.accuracy for p in own],
             yerr=np.clip(reach, 0, None),
-            color=COLOURS.get(design, INK),
-            linestyle=LINES.get(design, "-"),
+            color=style.COLOURS.get(design, style.INK),
+            linestyle=style.LINES.get(design, "-"),
             marker="o" if own[0].specific else "s",
             markersize=3.5,
             elinewidth=0.8,
@@ -314,7 +301,7 @@ def _effect_lines(
     ax.xaxis.set_major_formatter(
         FuncFormatter(lambda value, _: "0" if ticks[0] == 0 and value == ground else _short(value))
     )
-    ax.tick_params(labelsize=SMALL)
+    ax.tick_params(labelsize=style.SMALL)
     return lines
 
 
@@ -325,4 +312,4 @@ def _apart(values: Sequence[float]) -> list[float]:
 
 
 def _short(value: float) -> str:
-    return power_text(value) if value >= 1e3 else f"{value:g}"
+    return style.power_text(value) if value >= 1e3 else f"{value:g}"

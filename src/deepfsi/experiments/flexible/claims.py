@@ -191,9 +191,6 @@ def show(results: Results) -> Finding:
     )
 
 
-# ---------------------------------------------------------------- numbers
-
-
 def _range(results: Results) -> Rivalry:
     """The design for all budgets against those for one."""
     own = [p for p in points(results, recipe="budgets") if p.photons == p.trained_at]
@@ -236,9 +233,6 @@ def mean_rate(rates: Sequence[Estimate]) -> Difference:
     [rate] = rates
     half = (rate.high - rate.low) / 2
     return Difference(rate.mean, half / float(stats.norm.ppf((1 + CONFIDENCE) / 2)))
-
-
-# ---------------------------------------------------------------- words and claims
 
 
 def _found(numbers: Numbers) -> str:
@@ -334,9 +328,6 @@ def _stop_table(results: Results, measures: Measures) -> Table:
         ("", "mean photons", "accuracy"),
         tuple(rows),
     )
-
-
-# ---------------------------------------------------------------- figures
 
 
 def _lines_picture(numbers: Numbers) -> Picture:

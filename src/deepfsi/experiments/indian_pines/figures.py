@@ -12,21 +12,7 @@ from matplotlib.patheffects import withStroke
 from scipy.ndimage import distance_transform_edt
 
 from deepfsi.experiments.indian_pines.measures import ClassMap, Overview, SpectralMasks
-from deepfsi.report.style import (
-    AXIS_NOISES,
-    COLOURS,
-    GREYS,
-    GRID,
-    INK,
-    MUTED,
-    ON_DARK,
-    ON_LIGHT,
-    PAGE_WIDTH,
-    SMALL,
-    noise_text,
-    photons_text,
-    styled,
-)
+from deepfsi.report import style
 
 NO_CLASS = "#e9ecef"
 """Colour of pixels without a label."""
@@ -44,7 +30,7 @@ USES = (
     (NO_CLASS, "no label"),
     ("#9ec9e6", "training"),
     ("#cc5500", "test"),
-    (ON_LIGHT, "left out beside test"),
+    (style.ON_LIGHT, "left out beside test"),
 )
 """Colour and name of each use of a pixel, in the order of their numbers."""
 
@@ -54,15 +40,15 @@ MAPS_WIDTH = 9.6
 """Width of the class maps, inches."""
 
 LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": COLOURS["pca"], "linestyle": "-"},
-    {"color": COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
-    {"color": INK, "linestyle": (0, (1.2, 1.2))},
-    {"color": COLOURS["truncated-hadamard"], "linestyle": (0, (6, 1.6, 1.2, 1.6))},
+    {"color": style.COLOURS["pca"], "linestyle": "-"},
+    {"color": style.COLOURS["deepfsi"], "linestyle": (0, (5, 1.6))},
+    {"color": style.INK, "linestyle": (0, (1.2, 1.2))},
+    {"color": style.COLOURS["truncated-hadamard"], "linestyle": (0, (6, 1.6, 1.2, 1.6))},
 )
 """Colours and dashes of spectra and of spectral masks."""
 
 
-@styled
+@style.styled
 def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
     """One band of a scene, its classes, how many pixels each has, and spectra of some.
 
@@ -75,11 +61,11 @@ def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
     band_name : str
     """
     labels = scene.labels.values
-    figure = Figure(figsize=(PAGE_WIDTH, 6.4), layout="constrained")
+    figure = Figure(figsize=(style.PAGE_WIDTH, 6.4), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
     panels = figure.subplots(2, 2, height_ratios=(1.15, 1))
     band = panels[0, 0]
-    band.imshow(scene.band.values, cmap=GREYS, interpolation="none")
+    band.imshow(scene.band.values, cmap=style.GREYS, interpolation="none")
     band.set_title(band_name)
     _bare(band)
     classes = panels[0, 1]
@@ -91,7 +77,7 @@ def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
     return figure
 
 
-@styled
+@style.styled
 def class_maps_figure(
     scene: Overview, rows: Sequence[ClassMap], uses: Mapping[str, np.ndarray], *, title: str
 ) -> Figure:
@@ -126,24 +112,24 @@ def class_maps_figure(
                 if (row.split, row.photons) == (split, photons):
                     _class_map(ax, row.map.values)
                     ax.set_title(
-                        f"{photons_text(photons)} photons\n"
+                        f"{style.photons_text(photons)} photons\n"
                         f"test {row.test:.2f}, training {row.train:.2f}",
                         fontsize=8,
                     )
     _number_fields(panels[0, 0], truth, len(names))
     classes = [
-        Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=f"{number} {name}")
+        Patch(facecolor=colour, edgecolor=style.INK, linewidth=0.4, label=f"{number} {name}")
         for number, (colour, name) in enumerate(zip(CLASS_COLOURS, names, strict=False), start=1)
     ]
     parts = [Patch(facecolor=colour, label=f"pixels: {name}") for colour, name in USES]
     figure.legend(
         handles=[*classes, *parts], loc="outside lower center", ncols=5, frameon=False,
-        fontsize=SMALL, handlelength=1.2, handleheight=0.9,
+        fontsize=style.SMALL, handlelength=1.2, handleheight=0.9,
     )  # fmt: skip
     return figure
 
 
-@styled
+@style.styled
 def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, title: str) -> Figure:
     """Masks learned under both noises as curves over wavelength, by photon budget.
 
@@ -157,26 +143,26 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
     title : str
         What the masks were learned on.
     """
-    figure = Figure(figsize=(PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(style.PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
-    panels = figure.subplots(len(rows), len(AXIS_NOISES), squeeze=False, sharex=True)
+    panels = figure.subplots(len(rows), len(style.AXIS_NOISES), squeeze=False, sharex=True)
     for line, row in zip(panels, rows, strict=True):
         kinds = {
             "gaussian": (row.gaussian, row.gaussian_masks),
             "poisson": (row.poisson, row.poisson_masks),
         }
-        for ax, noise in zip(line, AXIS_NOISES, strict=True):
+        for ax, noise in zip(line, style.AXIS_NOISES, strict=True):
             curves, masks = np.array(kinds[noise][0]), kinds[noise][1]
             x, order = _bands(scene.wavelengths, curves.shape[1])
             for mask, look in zip(curves, LOOKS, strict=False):
                 ax.plot(x, mask[order], linewidth=1.1, **look)
-            ax.axhline(0, color=MUTED, linewidth=0.6)
+            ax.axhline(0, color=style.MUTED, linewidth=0.6)
             _shade(ax, scene.water)
             count = min(len(curves), len(LOOKS))
             ax.set_title(
-                f"{photons_text(row.photons)} photons, {noise_text(noise)}: "
+                f"{style.photons_text(row.photons)} photons, {style.noise_text(noise)}: "
                 f"{count} of {masks} masks",
-                fontsize=SMALL + 0.5,
+                fontsize=style.SMALL + 0.5,
             )
             ax.set_xlim(x[0], x[-1])
     figure.supxlabel(_band_label(scene), fontsize=9)
@@ -188,15 +174,15 @@ def _count_pixels(ax: Axes, labels: np.ndarray, names: Sequence[str]) -> None:
     """Draw a bar of each class's labelled pixels."""
     places = np.arange(1, len(names) + 1)
     counts = np.bincount(labels.ravel(), minlength=len(names) + 1)[1:]
-    ax.barh(places, counts, color=CLASS_COLOURS[: len(names)], edgecolor=INK, linewidth=0.4)
+    ax.barh(places, counts, color=CLASS_COLOURS[: len(names)], edgecolor=style.INK, linewidth=0.4)
     ax.set_yticks(places, [f"{k} {name}" for k, name in zip(places, names, strict=True)])
-    ax.tick_params(axis="y", labelsize=SMALL, length=0)
+    ax.tick_params(axis="y", labelsize=style.SMALL, length=0)
     ax.set_ylim(len(names) + 0.6, 0.4)
     ax.set_xlim(0, 1.2 * counts.max())
     for place, count in zip(places, counts, strict=True):
         ax.annotate(
             str(count), (count, place), (3, 0), textcoords="offset points",
-            verticalalignment="center", fontsize=SMALL,
+            verticalalignment="center", fontsize=style.SMALL,
         )  # fmt: skip
     ax.set_xlabel("labelled pixels")
 
@@ -211,7 +197,7 @@ def _draw_spectra(ax: Axes, scene: Overview) -> None:
     _shade(ax, scene.water)
     ax.set_ylim(bottom=0)
     ax.set_xlim(x[0], x[-1])
-    ax.legend(frameon=False, fontsize=SMALL)
+    ax.legend(frameon=False, fontsize=style.SMALL)
     ax.set_xlabel(_band_label(scene))
     ax.set_ylabel("value, scaled to [0, 1]")
 
@@ -230,7 +216,7 @@ def _band_label(scene: Overview) -> str:
 
 def _shade(ax: Axes, spans: Sequence[Sequence[float]]) -> None:
     for low, high in spans:
-        ax.axvspan(low, high, color=GRID, zorder=0, linewidth=0)
+        ax.axvspan(low, high, color=style.GRID, zorder=0, linewidth=0)
 
 
 def _bare(ax: Axes) -> None:
@@ -250,6 +236,6 @@ def _number_fields(ax: Axes, labels: np.ndarray, classes: int) -> None:
         depth = distance_transform_edt(np.pad(labels == number, 1))[1:-1, 1:-1]
         if depth.any():
             y, x = np.unravel_index(depth.argmax(), depth.shape)
-            text = ax.text(x, y, str(number), fontsize=SMALL, color=ON_LIGHT)
+            text = ax.text(x, y, str(number), fontsize=style.SMALL, color=style.ON_LIGHT)
             text.set(horizontalalignment="center", verticalalignment="center")
-            text.set_path_effects([withStroke(linewidth=1.5, foreground=ON_DARK)])
+            text.set_path_effects([withStroke(linewidth=1.5, foreground=style.ON_DARK)])

@@ -18,39 +18,23 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import impulse_imaging_error
+from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
-from deepfsi.report.style import (
-    AXIS_NOISES,
-    COLOURS,
-    GREYS,
-    INK,
-    LINES,
-    MUTED,
-    PAGE_WIDTH,
-    PANEL_HEIGHT,
-    SMALL,
-    noise_text,
-    plain_bar,
-    power_text,
-    signed_text,
-    styled,
-    thinned,
-)
 from deepfsi.sweeps.results import Point, Results
 
 LOOKS: dict[str, dict[str, Any]] = {
-    "gaussian": {"color": COLOURS["pca"], "marker": "s", "linestyle": (0, (5, 1.6))},
-    "poisson": {"color": COLOURS["deepfsi"], "marker": "o", "linestyle": "-"},
+    "gaussian": {"color": style.COLOURS["pca"], "marker": "s", "linestyle": (0, (5, 1.6))},
+    "poisson": {"color": style.COLOURS["deepfsi"], "marker": "o", "linestyle": "-"},
 }
 
 ACROSS = 3
 """Masks beside each other in the table of masks."""
 
 PLAIN: tuple[dict[str, Any], ...] = (
-    {"color": INK, "marker": "D", "linestyle": "-"},
-    {"color": MUTED, "marker": "", "linestyle": (0, (1, 1))},
-    {"color": COLOURS["truncated-hadamard"], "marker": "^", "linestyle": (0, (3, 1.6))},
+    {"color": style.INK, "marker": "D", "linestyle": "-"},
+    {"color": style.MUTED, "marker": "", "linestyle": (0, (1, 1))},
+    {"color": style.COLOURS["truncated-hadamard"], "marker": "^", "linestyle": (0, (3, 1.6))},
 )
 
 
@@ -126,7 +110,7 @@ class Start:
     high: float | None
 
 
-@styled
+@style.styled
 def error_figure(results: Results) -> Figure:
     """Accuracy against the impulse-imaging error, on which both noises can be compared.
 
@@ -140,7 +124,7 @@ def error_figure(results: Results) -> Figure:
     InputError
         If neither noise was tested.
     """
-    panels = [noise for noise in AXIS_NOISES if noise in noises(results)]
+    panels = [noise for noise in style.AXIS_NOISES if noise in noises(results)]
     if not panels:
         raise InputError(
             f"no impulse-imaging error for {', '.join(noises(results))}: give results of tests "
@@ -150,12 +134,12 @@ def error_figure(results: Results) -> Figure:
     pixels = math.prod(results.data.image_shape)
 
     def error(point: Point) -> float:
-        noise = AXIS_NOISES[AXIS_NOISES.index(point.noise)]
+        noise = style.AXIS_NOISES[style.AXIS_NOISES.index(point.noise)]
         return impulse_imaging_error(point.photons, mean, pixels, noise, sigma)
 
     chosen = [point for point in results.points if point.noise in panels and point.best]
     errors = [error(point) for point in chosen]
-    figure = Figure(figsize=(4.2 * len(panels), PANEL_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(4.2 * len(panels), style.PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for ax, noise in zip(axes, panels, strict=True):
         accuracy_axes(
@@ -166,17 +150,17 @@ def error_figure(results: Results) -> Figure:
             1 / len(results.data.classes),
             span=(max(errors), min(errors)),
         )
-        ax.set_title(noise_text(noise))
+        ax.set_title(style.noise_text(noise))
         ax.label_outer()
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
     gap = "; " if len(panels) > 1 else "\n"
     label = f"impulse-imaging reconstruction error (RMSE, reflectance){gap}less noise →"
     figure.supxlabel(label, fontsize=9)
     return figure
 
 
-@styled
+@style.styled
 def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
     """Masks learned under both noises, and the distributions of their values, by photon budget.
 
@@ -189,25 +173,27 @@ def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
     tall, down = tile * height / width, -(-count // ACROSS)
     row_height = down * (tall + gap) + 0.23
     total = head + row_height * len(rows) + foot
-    figure = Figure(figsize=(PAGE_WIDTH, total))
-    floor = 0.5 / max(signed(row.under(noise)).size for row in rows for noise in AXIS_NOISES)
+    figure = Figure(figsize=(style.PAGE_WIDTH, total))
+    floor = 0.5 / max(signed(row.under(noise)).size for row in rows for noise in style.AXIS_NOISES)
     block = ACROSS * (tile + gap) + 0.1
     for place, row in enumerate(rows):
         top = total - head - place * row_height
         bottom = top - down * (tall + gap) + gap
-        name = figure.text(0.12 / PAGE_WIDTH, (top + bottom) / 2 / total, "", fontweight="bold")
-        name.set(text=f"{power_text(row.photons)} photons", rotation=90)
+        name = figure.text(
+            0.12 / style.PAGE_WIDTH, (top + bottom) / 2 / total, "", fontweight="bold"
+        )
+        name.set(text=f"{style.power_text(row.photons)} photons", rotation=90)
         name.set(horizontalalignment="center", verticalalignment="center")
-        for noise, left in zip(AXIS_NOISES, (0.27, 0.27 + block), strict=True):
+        for noise, left in zip(style.AXIS_NOISES, (0.27, 0.27 + block), strict=True):
             end, first = _tiles(figure, row, noise, count, (left, top, tile, tall, gap))
             if place == 0:
-                first.set_title(noise_text(noise))
-            words = figure.text(left / PAGE_WIDTH, (bottom - 0.04) / total, f"peak {end:.2g}")
+                first.set_title(style.noise_text(noise))
+            words = figure.text(left / style.PAGE_WIDTH, (bottom - 0.04) / total, f"peak {end:.2g}")
             words.set(fontsize=8, verticalalignment="top")
         left = 0.27 + 2 * block + 0.5
-        ax = _axes_at(figure, left, bottom, PAGE_WIDTH - left - 0.15, top - bottom)
+        ax = _axes_at(figure, left, bottom, style.PAGE_WIDTH - left - 0.15, top - bottom)
         _value_shares(ax, row, floor)
-        ax.tick_params(labelsize=SMALL, labelbottom=place == len(rows) - 1)
+        ax.tick_params(labelsize=style.SMALL, labelbottom=place == len(rows) - 1)
         if place == 0:
             ax.set_title("distribution of values")
     _name_values(figure, ax)
@@ -234,7 +220,7 @@ def _tiles(
         below, right = divmod(spot, ACROSS)
         corner = left + right * (tile + gap), top - below * (tall + gap) - tall
         drawn.append(_axes_at(figure, *corner, tile, tall))
-        mask_axes(drawn[-1], matrix[index].reshape(row.image_shape), end, GREYS)
+        mask_axes(drawn[-1], matrix[index].reshape(row.image_shape), end, style.GREYS)
     return end, drawn[0]
 
 
@@ -246,31 +232,30 @@ def _name_values(figure: Figure, ax: Axes) -> None:
         loc="lower right",
         ncols=2,
         frameon=False,
-        fontsize=SMALL,
+        fontsize=style.SMALL,
         handlelength=2.2,
         columnspacing=1.0,
     )
     bar = figure.colorbar(
-        ScalarMappable(Normalize(-1, 1), GREYS),
+        ScalarMappable(Normalize(-1, 1), style.GREYS),
         cax=_axes_at(figure, 0.7, 0.36, 3.0, 0.1),
         orientation="horizontal",
     )
     bar.set_ticks([-1, 0, 1], labels=["−peak", "0", "peak"])
-    plain_bar(bar)
+    style.plain_bar(bar)
 
 
-@styled
+@style.styled
 def measures_figure(rows: Sequence[Measure]) -> Figure:
     """Measures of learned masks against the photon budget, one small panel for each measure.
 
     A panel for each `measure` and a line for each `series`, in the order of their first
-    appearance; axes begin at 0. Bars run from
-    `low` to `high`.
+    appearance; axes begin at 0. Bars run from `low` to `high`.
     """
     measures = list(dict.fromkeys(row.measure for row in rows))
     columns = min(3, len(measures))
     lines = -(-len(measures) // columns)
-    figure = Figure(figsize=(PAGE_WIDTH * columns / 3, 2.4 * lines), layout="constrained")
+    figure = Figure(figsize=(style.PAGE_WIDTH * columns / 3, 2.4 * lines), layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False)
     names = list(dict.fromkeys(row.series for row in rows))
     others = itertools.cycle(PLAIN)
@@ -288,11 +273,11 @@ def measures_figure(rows: Sequence[Measure]) -> Figure:
         _budget_axis(ax, [row.photons for row in members])
     for ax in list(axes.flat)[len(measures) :]:
         ax.remove()
-    _legend(figure, {noise_text(n) if n in LOOKS else n: line for n, line in handles.items()})
+    _legend(figure, {style.noise_text(n) if n in LOOKS else n: line for n, line in handles.items()})
     return figure
 
 
-@styled
+@style.styled
 def starts_figure(
     accuracies: Sequence[Start], differences: Sequence[Start], chance: float
 ) -> Figure:
@@ -310,18 +295,18 @@ def starts_figure(
         Accuracy of guessing.
     """
     rows = list(dict.fromkeys(row.noise for row in accuracies))
-    figure = Figure(figsize=(PAGE_WIDTH, 2.7 * len(rows) + 0.3), layout="constrained")
+    figure = Figure(figsize=(style.PAGE_WIDTH, 2.7 * len(rows) + 0.3), layout="constrained")
     axes = figure.subplots(len(rows), 2, squeeze=False)
     starts = list(dict.fromkeys(row.start for row in accuracies))
-    dotted: dict[str, Any] = {"color": MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+    dotted: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
     handles = {}
     for (left, right), noise in zip(axes, rows, strict=True):
         left.axhline(chance, **dotted)
-        right.axhline(0, color=COLOURS["pca"], linewidth=1.2)
+        right.axhline(0, color=style.COLOURS["pca"], linewidth=1.2)
         for place, start in enumerate(starts):
             look = {
-                "color": COLOURS.get(start, INK),
-                "linestyle": LINES.get(start, "-"),
+                "color": style.COLOURS.get(start, style.INK),
+                "linestyle": style.LINES.get(start, "-"),
                 "marker": "os^D"[place % 4],
             }
             shift = place - (len(starts) - 1) / 2
@@ -332,8 +317,8 @@ def starts_figure(
         left.set_ylim(0, 1)
         left.set_ylabel("accuracy")
         right.set_ylabel("accuracy less that of pca in a trial")
-        right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: signed_text(value)))
-        several = f"{noise_text(noise)}: " if len(rows) > 1 else ""
+        right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.signed_text(value)))
+        several = f"{style.noise_text(noise)}: " if len(rows) > 1 else ""
         left.set_title(f"{several}accuracy")
         right.set_title(f"{several}difference")
         budgets = {row.photons for row in accuracies if row.noise == noise}
@@ -384,14 +369,14 @@ def _budget_axis(ax: Axes, budgets: Iterable[float]) -> None:
     margin = 10 ** (0.07 * max(1.0, math.log10(values[-1] / values[0])))
     ax.set_xscale("log")
     ax.set_xlim(values[0] / margin, values[-1] * margin)
-    ax.xaxis.set_major_locator(FixedLocator(thinned(values)))
+    ax.xaxis.set_major_locator(FixedLocator(style.thinned(values)))
     ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
 
 
 def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
     """Share of all entries per bin of M/peak, an outline for each noise; `floor` is below all."""
-    for noise in AXIS_NOISES:
+    for noise in style.AXIS_NOISES:
         values = signed(row.under(noise)).ravel()
         counts, edges = np.histogram(values / peak(values), bins=41, range=(-1, 1))
         look = LOOKS[noise]
@@ -402,12 +387,12 @@ def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
             color=look["color"],
             linestyle=look["linestyle"],
             linewidth=1.2,
-            label=noise_text(noise),
+            label=style.noise_text(noise),
         )
     ax.set_yscale("log")
     ax.set_ylim(floor, 1.5)
     ax.set_xlim(-1, 1)
     ax.yaxis.set_major_locator(LogLocator(numticks=4))
     ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
     ax.set_ylabel("share of entries", fontsize=8)

@@ -69,7 +69,10 @@ class Measures:
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
 ) -> dict[str, Any]:
-    """Measures of the masks of every trial, and the masks of the first for the figure."""
+    """Measures of the masks of every trial, and the masks of the first for the figure.
+
+    Parameters as of `Experiment.measure`.
+    """
     mean_scene = data.x_train[: results.data.train].mean(axis=0, dtype=np.float64)
     matrices: dict[tuple[str, float], list[np.ndarray]] = {}
     for point in results.points:

@@ -18,11 +18,11 @@ import polars
 from pydantic import BaseModel, TypeAdapter
 
 from deepfsi.experiments.experiment import Experiment, Finding
-from deepfsi.experiments.ovit.figures import patch_masks_figure
-from deepfsi.experiments.ovit.measures import LEARNED, LearnedMasks, Measures, measure_masks
+from deepfsi.experiments.ovit.figures import LearnedMasks, patch_masks_figure
+from deepfsi.optics.measures import effective_directions
 from deepfsi.progress import SILENT, Report
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import listed
+from deepfsi.report.comparison_page import listed, read_masks
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
@@ -31,6 +31,9 @@ from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.summary import facts_of, point, provenance_of
 from deepfsi.sweeps.workers import Workers
+
+LEARNED = "deepfsi"
+"""Design whose masks are learned."""
 
 LABEL = "OViT"
 """Label of the learned design."""
@@ -52,6 +55,35 @@ PAPER = (
     "features."
 )
 """Finding of the paper."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Measures of the learned masks, by rising budget."""
+
+    masks: Sequence[LearnedMasks]
+
+
+def measure_masks(records: Sequence[Mapping[str, Any]], designs: Path) -> Measures:
+    """Throughput and directions of every trial's learned masks, and the masks of the first."""
+    trials = defaultdict(list)
+    for record in records:
+        if record["trial"]["job"]["design"] == LEARNED:
+            trials[record["trial"]["job"]["photons"]].append(record)
+    found = []
+    for photons, members in sorted(trials.items()):
+        rails = [read_masks(designs / f"{record['design']}.safetensors")[0] for record in members]
+        matrices = [each[0] - each[1] for each in rails]
+        found.append(
+            LearnedMasks(
+                photons,
+                side=members[0]["trial"]["job"]["patch"],
+                throughput=[record["test"][0]["throughput"] for record in members],
+                directions=[effective_directions(matrix) for matrix in matrices],
+                matrix=np.round(matrices[0], 6).tolist(),
+            )
+        )
+    return Measures(found)
 
 
 @dataclass(frozen=True)

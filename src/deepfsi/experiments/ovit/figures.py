@@ -2,13 +2,35 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.experiments.ovit.measures import LearnedMasks
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
 from deepfsi.report.style import GREYS, PAGE_WIDTH, power_text, styled
+
+
+@dataclass(frozen=True)
+class LearnedMasks:
+    """Learned masks of one budget.
+
+    Attributes
+    ----------
+    photons : float
+    side : int
+        Of a patch, pixels.
+    throughput, directions : sequence of float
+        Share of the budget counted, and independent directions, of each trial's masks.
+    matrix : array, shape (m, side²)
+        Masks of the first trial.
+    """
+
+    photons: float
+    side: int
+    throughput: Sequence[float]
+    directions: Sequence[float]
+    matrix: Sequence[Sequence[float]]
 
 
 @styled
