@@ -9,24 +9,20 @@ from typer.testing import CliRunner
 
 from conftest import quick
 from deepfsi.cli import app
-from deepfsi.datasets import load_dataset
+from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.patterns.folder import read_patterns
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory, made):
-    """A design, its patterns on a small device, and three scenes."""
+def lab(tmp_path_factory, made, digits):
+    """A design and three scenes."""
     folder = tmp_path_factory.mktemp("lab")
-    design = made("deepfsi", "equal-dwell", "dual")
-    design.save(folder / "design.safetensors")
-    data = load_dataset("digits")
-    for label in "037":
-        place = int(np.flatnonzero(data.y_test == int(label))[0])
-        image = np.rint(data.x_test[place].reshape(8, 8) * 255).astype(np.uint8)
-        (folder / "images" / label).mkdir(parents=True)
-        Image.fromarray(image).save(folder / "images" / label / "one.png")
+    made("deepfsi", "equal-dwell", "dual").save(folder / "design.safetensors")
+    firsts = {label: digits.x_test[(digits.y_test == int(label)).argmax()] for label in "037"}
+    pictures = {f"{label}/one.png": x.reshape(8, 8) for label, x in firsts.items()}
+    write_pictures(pictures, folder / "images")
     return folder
 
 

@@ -80,18 +80,16 @@ def test_a_flexible_design(done, tmp_path):
     file = tmp_path / "nested.safetensors"
     words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
     words += ["--light", "equal-dwell", "--rails", "single", "--hold-out", 300, "-o", file]
-    out = done("design", *words, "--json")
-    made = json.loads(out)
+    made = json.loads(done("design", *words, "--json"))
     assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
     training = made["info"]["job"]["training"]
     assert [training[key] for key in ("span", "nested", "levels")] == [1e3, 2, 2]
     assert [len(frame.unique()) for frame in Design.load(file).rails[0]] == [2] * 6
     out = done("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
     assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
-    out = done("stop", file, "--photons", "1e5", "--hold-out", 300, "--json")
-    found = json.loads(out)
-    assert found["rule"]["after"] == [2, 3, 4, 5, 6]
-    out = done("stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1)
+    words = ["stop", file, "--photons", "1e5", "--hold-out", 300]
+    assert json.loads(done(*words, "--json"))["rule"]["after"] == [2, 3, 4, 5, 6]
+    out = done(*words, "--threshold", 1)
     assert "1.0000" in out
     assert "the surest 90 %" in " ".join(out.split())
 

@@ -7,15 +7,8 @@ import pytest
 from dataset_samples import NM, refused
 from scipy.io import savemat
 
-from deepfsi.datasets import (
-    check,
-    download,
-    indian_pines,
-    list_datasets,
-    load_dataset,
-    load_spectra,
-    surrogate,
-)
+from deepfsi.datasets import check, download, list_datasets, load_dataset, load_spectra
+from deepfsi.datasets.indian_pines import CLASSES, WATER
 
 
 @pytest.fixture
@@ -30,7 +23,7 @@ def home(tmp_path, monkeypatch):
     cube = rng.integers(955, 9605, (145, 145, 220)).astype(np.uint16)
     arrays = {
         "indian_pines": cube,
-        "indian_pines_corrected": np.delete(cube, indian_pines.WATER, axis=2),
+        "indian_pines_corrected": np.delete(cube, WATER, axis=2),
         "indian_pines_gt": labels,
     }
     for name, array in arrays.items():
@@ -47,7 +40,7 @@ def test_the_community_s_files(home, name, bands):
     data = load_dataset(name)
     assert data.name == name
     assert data.image_shape == (256,)
-    assert data.classes == indian_pines.CLASSES
+    assert data.classes == CLASSES
     assert len(data.x_train) + len(data.x_test) == 16 * 29 * 29
     assert f"{bands} bands, padded with darkness to 256" in data.preprocessing
     assert "mapped from [955, 9604] to [0, 1]" in data.preprocessing
@@ -55,7 +48,7 @@ def test_the_community_s_files(home, name, bands):
     assert data.x_test[:, :bands].any(axis=0).all()
     assert data.wavelengths is not None
     assert np.isnan(data.wavelengths[bands:]).all()
-    kept = NM if bands == 220 else np.delete(NM, indian_pines.WATER)
+    kept = NM if bands == 220 else np.delete(NM, WATER)
     assert data.wavelengths[:bands].tolist() == kept.tolist()
     scene = load_spectra(name)
     assert scene.cube.shape == (145, 145, bands)
@@ -75,11 +68,7 @@ def test_without_the_band_table_there_are_no_wavelengths(home):
 
 def test_the_corrected_bands_are_the_published_ones():
     given = [*range(104, 109), *range(150, 164), 220]  # counted from 1
-    assert (indian_pines.WATER + 1).tolist() == given
-
-
-def test_names_of_the_classes_agree():
-    assert tuple(surrogate.CLASSES) == indian_pines.CLASSES
+    assert (WATER + 1).tolist() == given
 
 
 def test_what_is_missing_is_named(home):

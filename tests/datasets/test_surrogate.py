@@ -25,6 +25,10 @@ def test_the_simulated_scene_is_determined():
     assert not np.array_equal(first, other)
 
 
+def test_names_of_the_classes_agree():
+    assert tuple(surrogate.CLASSES) == indian_pines.CLASSES
+
+
 CROPS = ("Corn", "Soyb")
 
 LIVE = np.r_[0:103, 108:149, 163:219]  # bands that the air lets through
@@ -67,9 +71,9 @@ def test_the_physics_shows(scene):
         assert green > red
     soil = radiance(scene, "Soybean-clean", 780, 800) / radiance(scene, "Soybean-clean", 660, 685)
     assert soil < 2
-    leaf_water = radiance(scene, "Woods", 1640, 1660) / radiance(scene, "Woods", 1070, 1080)
-    dry = radiance(scene, "Soybean-clean", 1640, 1660) / radiance(
-        scene, "Soybean-clean", 1070, 1080
+    leaf_water, dry = (
+        radiance(scene, name, 1640, 1660) / radiance(scene, name, 1070, 1080)
+        for name in ("Woods", "Soybean-clean")
     )
     assert leaf_water < dry
 

@@ -12,19 +12,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.datasets import pictures
 from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.pickles import read_batch
-from deepfsi.datasets.pictures import (
-    Picture,
-    Shape,
-    as_shape,
-    check_total,
-    describe,
-    from_listings,
-    open_listings,
-    resized,
-)
+from deepfsi.datasets.pictures import Picture, Shape
 from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, data_root, retrieve
 from deepfsi.errors import InputError
 
@@ -68,9 +60,9 @@ def where(name: str) -> Path | None:
 
 def load_cifar(name: str, options: Options) -> Dataset:
     """Load grey CIFAR-10, or its copy in JPEG, in its own split; the training part is shuffled."""
-    shape, seed, images = as_shape(options.size), options.seed, options.images
+    shape, seed, images = pictures.as_shape(options.size), options.seed, options.images
     if shape is not None:
-        check_total(6 * BATCH, shape)
+        pictures.check_total(6 * BATCH, shape)
     if name == "cifar10-jpeg":
         return _load_jpeg(options)
     pixels, labels = read_batches(download(name))
@@ -83,7 +75,7 @@ def load_cifar(name: str, options: Options) -> Dataset:
         name="CIFAR-10",
         seed=seed,
         rescale=options.rescale,
-        values=describe(shape, True, images),
+        values=pictures.describe(shape, True, images),
     )
 
 
@@ -94,7 +86,7 @@ def _grey(pixels: npt.NDArray[np.uint8], shape: Shape | None) -> npt.NDArray[np.
     grey = np.empty((len(pixels), *(shape or (SIDE, SIDE))), np.uint8)
     for i, record in enumerate(pixels):
         colour = np.ascontiguousarray(record.reshape(3, SIDE, SIDE).transpose(1, 2, 0))
-        grey[i] = resized(Image.fromarray(colour).convert("L"), shape, True)
+        grey[i] = pictures.resized(Image.fromarray(colour).convert("L"), shape, True)
     return grey
 
 
@@ -192,13 +184,13 @@ def _contents(path: Path) -> list[tuple[bytes, str]]:
 
 def _load_jpeg(options: Options) -> Dataset:
     path = _jpeg_path()
-    with open_listings(path) as listings:
+    with pictures.open_listings(path) as listings:
         detail = _unlike(listings)
         if detail:
             raise InputError(
                 f"{path}: {detail}; replace it, or give its path to load it as any zip file"
             )
-        return from_listings(listings, "JPEG-decoded CIFAR-10", options, bilinear=True)
+        return pictures.from_listings(listings, "JPEG-decoded CIFAR-10", options, bilinear=True)
 
 
 def _jpeg_path() -> Path:
@@ -214,7 +206,7 @@ def _jpeg_path() -> Path:
 
 def _check_jpeg(path: Path) -> FileCheck:
     try:
-        with open_listings(path) as listings:
+        with pictures.open_listings(path) as listings:
             detail = _unlike(listings)
     except InputError as error:
         return FileCheck(path.name, False, str(error))
@@ -228,7 +220,7 @@ def _unlike(listings: list[list[Picture]]) -> str:
     if len(listings) != 2:
         return "it has no train and test folders"
     counts = (5 * BATCH // len(CLASSES), BATCH // len(CLASSES))
-    for part, pictures, count in zip(("train", "test"), listings, counts, strict=True):
-        if Counter(p.label for p in pictures) != dict.fromkeys(CLASSES, count):
+    for part, found, count in zip(("train", "test"), listings, counts, strict=True):
+        if Counter(picture.label for picture in found) != dict.fromkeys(CLASSES, count):
             return f"its {part} folder does not hold {count} images of each of {', '.join(CLASSES)}"
     return ""
