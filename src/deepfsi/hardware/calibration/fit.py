@@ -219,12 +219,9 @@ def calibrate_run(
 
 
 def find_spots(pictures: np.ndarray) -> np.ndarray:
-    """Place of the spot in each picture (n, down, across).
+    """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen.
 
-    Returns
-    -------
-    array, shape (n, 2)
-        (across, down) in the unit square; NaN where no spot stands out of the noise.
+    (across, down) in the unit square. A spot is seen where it stands out of the noise.
     """
     pictures = np.asarray(pictures, dtype=float)
     down, across = np.indices(pictures.shape[1:])

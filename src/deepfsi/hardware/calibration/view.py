@@ -112,15 +112,8 @@ def view_matrix(
 ) -> sparse.csr_array:
     """Matrix from a displayed scene to what each cell sees of it. Parameters as for `camera_view`.
 
-    Returns
-    -------
-    sparse array, shape (down * across, h * w)
-        Its rows sum to at most 1.
-
-    Raises
-    ------
-    InputError
-        If the scene is no image, or no cell looks at the display.
+    Its shape is (down * across, h * w), and its rows sum to at most 1. Raises `InputError` if the
+    scene is no image, or no cell looks at the display.
     """
     if len(image_shape) != 2:
         raise InputError(f"scenes of shape {image_shape} are no images: a camera's view needs two")

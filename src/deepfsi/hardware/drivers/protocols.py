@@ -55,20 +55,16 @@ def scan(
     show: Callable[[np.ndarray], None],
     path: Path,
 ) -> None:
-    """Record one pass over the loaded patterns for each scene, into one file.
+    """Record one pass over the loaded patterns for each scene, into one PTU file.
 
     Parameters
     ----------
-    projector : PatternProjector
+    projector, counter : PatternProjector, PhotonCounter
         Open, with patterns loaded.
-    counter : PhotonCounter
-        Open.
     scenes : iterable of array
         Reflectance (h, w).
     show : callable
         Displays a scene; returns when the display has settled.
-    path : path
-        The PTU file.
     """
     counter.start(path)
     for scene in scenes:

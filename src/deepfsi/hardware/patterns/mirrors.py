@@ -139,12 +139,8 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
     Each next mirror is the one that brings the mean of a repelling potential over the mirrors
     chosen closest to its mean over the whole cell (kernel herding), so that every beginning of the
     order represents the cell. Of very large cells whole blocks of mirrors are chosen, as often as
-    they have mirrors, and each gives those in an order of its own.
-
-    Returns
-    -------
-    array, shape (height, width)
-        0 to height · width - 1, each once; read only.
+    they have mirrors, and each gives those in an order of its own. Places are 0 to
+    height · width - 1, each once, in an array (height, width) that is read only.
 
     References
     ----------

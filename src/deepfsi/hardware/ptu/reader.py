@@ -112,22 +112,11 @@ def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
 def read_markers(
     path: str | os.PathLike[str], report: Report = SILENT
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Markers of a file, in its order.
+    """Markers of a file, in its order: times in ticks, int64 (n,), and bits, uint8 (n,).
 
-    Those of a file that is cut are given as far as it goes; see `Header.problems`. Whether times
-    run back is not looked at here.
-
-    Returns
-    -------
-    times : int64 array, shape (n,)
-        Ticks.
-    bits : uint8 array, shape (n,)
-        1 to 15: which of the four marker inputs.
-
-    Raises
-    ------
-    InputError
-        As `read_header`, and if a record is damaged or more than 2^24 are markers.
+    Bits are 1 to 15: which of the four marker inputs. Those of a file that is cut are given as far
+    as it goes; see `Header.problems`. Whether times run back is not looked at here. Raises
+    `InputError` as `read_header`, and if a record is damaged or more than 2^24 are markers.
     """
     header = read_header(path)
     times, bits, found = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], 0

@@ -54,19 +54,14 @@ class Fault(BaseModel):
 def name_faults(
     passes: list[Pass], unknown: set[int], markers: Markers
 ) -> tuple[np.ndarray, tuple[Fault, ...]]:
-    """Times of frames, and every fault of their markers.
+    """Starts of frames (S, F), and every fault of their markers, extra ones last.
+
+    Starts are in seconds, NaN where they are not known.
 
     Parameters
     ----------
     unknown : set of int
         Passes whose place is not certain.
-
-    Returns
-    -------
-    starts : array, shape (S, F)
-        Seconds; NaN where it is not known.
-    faults : tuple of Fault
-        In the order of scenes, extra markers last.
 
     Raises
     ------
