@@ -1,11 +1,6 @@
 """Trials that are stopped, killed, shared and repeated."""
 
-import json
 import multiprocessing
-import os
-import signal
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -48,28 +43,6 @@ def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
     assert len(list((tmp_path / "trials").iterdir())) == 4
     train_trials(trials, digits, tmp_path)
     assert len(calls) == 3 + 2
-
-
-@pytest.mark.slow
-def test_a_killed_process_leaves_only_whole_records(tmp_path):
-    command = [sys.executable, "-m", "deepfsi", "compare", "--designs", "pca,random"]
-    command += ["--epochs", "4", "--photons", "1e2", "--masks", "1,2,3,4,5,6", "--trials", "1"]
-    command += ["--workers", "1", "-o", str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    trials = tmp_path / "trials"
-    deadline = time.monotonic() + 120
-    while not (trials.is_dir() and len(list(trials.glob("*.json"))) >= 2):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    left = {path: path.stat().st_mtime_ns for path in trials.glob("*.json")}
-    for path in left:
-        assert json.loads(path.read_text())["test"]
-    subprocess.run(command, check=True, capture_output=True)
-    assert len(list(trials.glob("*.json"))) == 12
-    assert {path: path.stat().st_mtime_ns for path in left} == left
 
 
 @pytest.fixture
