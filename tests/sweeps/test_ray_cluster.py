@@ -33,7 +33,7 @@ from deepfsi.sweeps.ray_cluster import answers, run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
-from deepfsi.sweeps.workers import Workers
+from deepfsi.sweeps.workers import Resources, Workers
 from shared.trials import train_trials
 
 SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
@@ -58,18 +58,31 @@ def nodes(no_token: None) -> Iterator[Cluster]:
     made.shutdown()
 
 
-@pytest.fixture(params=["joins", "is connected"])
-def joined(nodes: Cluster, request: pytest.FixtureRequest) -> Iterator[str]:
-    """Give the address, to a process that must connect or is connected already."""
-    if request.param == "is connected":
+@pytest.fixture
+def connected(nodes: Cluster) -> str:
+    """Give the address, to a process that stays connected: its tests share their workers."""
+    if not ray.is_initialized():
         ray.init(nodes.address, log_to_driver=False, logging_level="error")
-    yield nodes.address
-    assert ray.is_initialized() == (request.param == "is connected")
+    return nodes.address
+
+
+@pytest.fixture
+def alone(nodes: Cluster) -> str:
+    """Give the address, to a process that must connect."""
     ray.shutdown()
+    return nodes.address
+
+
+@pytest.fixture(params=["joins", "is connected"])
+def joined(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Give the address, to a process that must connect or is connected already."""
+    connects = request.param == "joins"
+    yield request.getfixturevalue("alone" if connects else "connected")
+    assert ray.is_initialized() != connects
 
 
 @pytest.mark.slow
-def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
+def test_a_sweep_survives_the_death_of_a_node(nodes, connected, tmp_path):
     """A second node is killed at work; each record arrives once, as if it were made here."""
     recipe = Recipe(
         designs=("pca", "deepfsi"),
@@ -77,7 +90,7 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
         masks=(3, 6),
         trials=2,
         draws=1,
-        training={"epochs": 10, "batch": 32},
+        training={"epochs": 4, "batch": 32},
     )
     digits = load_dataset("digits")
     trials = plan(recipe, digits)
@@ -102,7 +115,9 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
         patch.setattr(Records, "write", write)
         killed = pool.submit(kill_at_work)
         try:
-            found = train_trials(trials, digits, tmp_path / "there", ray=nodes.address)
+            found = train_trials(
+                trials, digits, tmp_path / "there", ray=connected, resources=Resources(cpus=2)
+            )
         finally:
             over.set()
         killed.result()
@@ -115,7 +130,7 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, tmp_path):
 
 
 @pytest.mark.slow
-def test_patches_are_trained_on_a_cluster_as_here(nodes, tmp_path):
+def test_patches_are_trained_on_a_cluster_as_here(connected, tmp_path):
     data = synthetic((8, 8))
     recipe = PatchRecipe(
         data="synthetic",
@@ -128,8 +143,13 @@ def test_patches_are_trained_on_a_cluster_as_here(nodes, tmp_path):
     )
     context = PatchContext(data, recipe.validation, recipe.patch, "cpu")
     there, here = (
-        run_trials(plan_patches(recipe, data), context, tmp_path / folder, Workers(ray=ray))
-        for folder, ray in (("there", nodes.address), ("here", None))
+        run_trials(
+            plan_patches(recipe, data),
+            context,
+            tmp_path / folder,
+            Workers(ray=ray, resources=Resources(cpus=2)),
+        )
+        for folder, ray in (("there", connected), ("here", None))
     )
     for one, other in zip(there, here, strict=True):
         assert one["key"] == other["key"]
@@ -173,20 +193,20 @@ def test_every_result_arrives_once_and_shared_is_sent_once(joined):
     assert Counted.packed == 1
 
 
-def test_results_come_as_they_finish(nodes, tmp_path):
+def test_results_come_as_they_finish(connected, tmp_path):
     def work(folder: Path, task: int) -> int:
         while task == 0 and not (folder / "go").exists():
             time.sleep(0.02)
         return task
 
-    results = run_on_ray(work, tmp_path, range(6), address=nodes.address)
+    results = run_on_ray(work, tmp_path, range(6), address=connected)
     first = [next(results)[0] for _ in range(5)]
     (tmp_path / "go").touch()
     assert sorted(first) == [1, 2, 3, 4, 5]
     assert list(results) == [(0, 0)]
 
 
-def test_few_tasks_are_in_flight(nodes):
+def test_few_tasks_are_in_flight(connected):
     submitted = count()
 
     class Task:
@@ -194,14 +214,14 @@ def test_few_tasks_are_in_flight(nodes):
             next(submitted)
             return int, ()
 
-    results = run_on_ray(lambda _, task: task, None, [Task()] * 20, address=nodes.address)
+    results = run_on_ray(lambda _, task: task, None, [Task()] * 20, address=connected)
     next(results)
     assert next(submitted) == ray_cluster.TASKS_AHEAD * 2
     results.close()
 
 
 @pytest.mark.slow
-def test_a_dead_node_costs_no_result(nodes, tmp_path):
+def test_a_dead_node_costs_no_result(nodes, connected, tmp_path):
     """One task runs and one result waits on a node when it dies; both are made again elsewhere."""
     doomed = nodes.add_node(num_cpus=2)
     name = doomed.node_id
@@ -225,7 +245,7 @@ def test_a_dead_node_costs_no_result(nodes, tmp_path):
             time.sleep(0.02)
         return np.full(200_000, task)  # too big to travel with the news that it is finished
 
-    results = run_on_ray(work, (tmp_path, name), range(12), address=nodes.address)
+    results = run_on_ray(work, (tmp_path, name), range(12), address=connected)
     arrived = [next(results)]
     lost = {int(path.name.split()[1]) for path in tmp_path.glob(f"started * {name}")}
     assert len(lost) == 2
@@ -244,7 +264,7 @@ def test_a_dead_node_costs_no_result(nodes, tmp_path):
     assert lost <= elsewhere == set(range(12))
 
 
-def test_a_task_that_always_kills_its_worker_is_named(nodes, tmp_path):
+def test_a_task_that_always_kills_its_worker_is_named(connected, tmp_path):
     def work(folder: Path, task: int) -> int:
         if task == 1:
             with (folder / "deaths").open("a") as file:
@@ -253,18 +273,18 @@ def test_a_task_that_always_kills_its_worker_is_named(nodes, tmp_path):
         return task
 
     with pytest.raises(InputError, match=r"task 1 was lost and 1 retries .*WorkerCrashedError"):
-        list(run_on_ray(work, tmp_path, range(3), address=nodes.address, retries=1))
+        list(run_on_ray(work, tmp_path, range(3), address=connected, retries=1))
     assert (tmp_path / "deaths").read_text() == "xx"
 
 
-def test_what_work_raises_arrives_once_as_it_is(nodes, tmp_path):
+def test_what_work_raises_arrives_once_as_it_is(connected, tmp_path):
     def work(folder: Path, task: int) -> None:
         with (folder / "tries").open("a") as file:
             file.write("x")
         raise InputError("photons are 0: give more")
 
     with pytest.raises(InputError, match=r"^photons are 0: give more$") as raised:
-        list(run_on_ray(work, tmp_path, [1], address=nodes.address))
+        list(run_on_ray(work, tmp_path, [1], address=connected))
     assert type(raised.value) is InputError
     assert (tmp_path / "tries").read_text() == "x"
 
@@ -294,19 +314,19 @@ def test_stopping_early_cancels_the_rest(joined, tmp_path, end):
     until(lambda: not alive(pid))
 
 
-def test_workers_use_as_many_threads_as_they_have_cpus(nodes):
+def test_workers_use_as_many_threads_as_they_have_cpus(connected):
     def work(_: None, task: int) -> str:
         return os.environ["OMP_NUM_THREADS"]
 
-    assert list(run_on_ray(work, None, [0], address=nodes.address, cpus=2)) == [(0, "2")]
-    assert list(run_on_ray(work, None, [0], address=nodes.address, cpus=0.5)) == [(0, "1")]
+    assert list(run_on_ray(work, None, [0], address=connected, cpus=2)) == [(0, "2")]
+    assert list(run_on_ray(work, None, [0], address=connected, cpus=0.5)) == [(0, "1")]
 
 
-def test_what_no_node_has_is_refused(nodes):
+def test_what_no_node_has_is_refused(connected):
     with pytest.raises(InputError, match=r"no node .* 3 CPUs and 0 GPUs .*\(2.0, 0.0\)"):
-        next(run_on_ray(max, 0, [0], address=nodes.address, cpus=3))
+        next(run_on_ray(max, 0, [0], address=connected, cpus=3))
     with pytest.raises(InputError, match=r"no node .* 1 CPUs and 0.5 GPUs"):
-        next(run_on_ray(max, 0, [0], address=nodes.address, gpus=0.5))
+        next(run_on_ray(max, 0, [0], address=connected, gpus=0.5))
 
 
 @pytest.mark.parametrize(
@@ -320,6 +340,7 @@ def test_what_no_task_can_ask_for_is_refused(cpus, gpus):
 
 
 @pytest.mark.parametrize("scheme", ["", "ray://"])
+@pytest.mark.usefixtures("alone")
 def test_no_cluster_at_the_address(scheme):
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = f"{scheme}127.0.0.1:{server.getsockname()[1]}"
@@ -327,34 +348,35 @@ def test_no_cluster_at_the_address(scheme):
         next(run_on_ray(max, 0, [0], address=free))
 
 
+@pytest.mark.usefixtures("alone")
 def test_no_address_at_all():
     with pytest.raises(InputError, match="no Ray cluster answers at 'nonsense'"):
         next(run_on_ray(max, 0, [0], address="nonsense"))
 
 
-def test_auto_is_the_running_cluster(nodes):
-
+@pytest.fixture
+def address_there() -> Callable[[None, int], str]:
     def work(_: None, task: int) -> str:
         import ray
 
         return ray.get_runtime_context().gcs_address
 
-    assert list(run_on_ray(work, None, [0])) == [(0, nodes.address)]
+    return work
+
+
+def test_auto_is_the_running_cluster(alone, address_there):
+    assert list(run_on_ray(address_there, None, [0])) == [(0, alone)]
 
 
 @pytest.mark.slow
-def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch):
-    def work(_: None, task: int) -> str:
-        import ray
-
-        return ray.get_runtime_context().gcs_address
-
+@pytest.mark.usefixtures("alone")
+def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch, address_there):
     with socket.create_server(("127.0.0.1", 0)) as server:
         crashed = f"127.0.0.1:{server.getsockname()[1]}"
     monkeypatch.setattr(
         "ray._private.services.get_ray_address_from_environment", lambda *_: crashed
     )
-    [(_, address)] = run_on_ray(work, None, [0])
+    [(_, address)] = run_on_ray(address_there, None, [0])
     assert address != crashed
     assert not ray.is_initialized()
     until(lambda: not answers(address))
