@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from deepfsi import cli
 from deepfsi.errors import InputError
 from deepfsi.sweeps import planning
 from deepfsi.sweeps.planning import Crossing, check_plan, crossing, next_budget, photons_needed
@@ -94,11 +92,9 @@ def test_a_budget_that_is_tried_at_the_crossing_is_it():
 
 
 def test_more_seeds_that_differ_more_widen_the_interval():
-    calm = crossing(
-        DECADES, [[p - 0.001, p + 0.001] for p in (0.2, 0.6, 0.85, 0.95, 0.97)], 10**6, 0.9
-    )
-    wild = crossing(
-        DECADES, [[p - 0.02, p + 0.02] for p in (0.2, 0.6, 0.85, 0.95, 0.97)], 10**6, 0.9
+    means = (0.2, 0.6, 0.85, 0.95, 0.97)
+    calm, wild = (
+        crossing(DECADES, [[p - off, p + off] for p in means], 10**6, 0.9) for off in (0.001, 0.02)
     )
     assert calm.photons == pytest.approx(wild.photons)
     assert wild.low < calm.low < calm.high < wild.high
@@ -156,15 +152,13 @@ QUICK = Recipe(
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
-    from deepfsi.datasets import load_dataset
-
-    data, folder = load_dataset("digits"), tmp_path_factory.mktemp("plan")
-    return data, folder, photons_needed(QUICK, data, 0.8, folder, command="ours")
+def answer(digits, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    return folder, photons_needed(QUICK, digits, 0.8, folder, command="ours")
 
 
-def test_a_plan_on_digits(done):
-    data, _, (plan, results) = done
+def test_a_plan_on_digits(digits, answer):
+    _, (plan, results) = answer
     assert plan["data"]["name"] == "digits"
     needs = {need["design"]: need for need in plan["needs"]}
     assert list(needs) == ["pca", "raster"]
@@ -179,12 +173,12 @@ def test_a_plan_on_digits(done):
         assert more in budgets
     assert needs["pca"]["photons"] < needs["raster"]["photons"]
     assert needs["pca"]["masks"] == 8
-    assert needs["raster"]["masks"] == data.pixels
+    assert needs["raster"]["masks"] == digits.pixels
     json.dumps((plan, results.as_dict()))
 
 
-def test_masks_are_chosen_on_validation_data(done):
-    _, _, (plan, results) = done
+def test_masks_are_chosen_on_validation_data(answer):
+    _, (plan, results) = answer
     for need in plan["needs"]:
         for point in need["tried"]:
             rivals = [
@@ -195,14 +189,10 @@ def test_masks_are_chosen_on_validation_data(done):
             assert point["validation"] == max(rivals)
 
 
-def test_a_plan_goes_on_where_it_was(done, monkeypatch):
-    data, folder, first = done
-
-    def never(*given, **named):
-        raise AssertionError("trained again")
-
-    monkeypatch.setattr("deepfsi.sweeps.context.train", never)
-    assert photons_needed(QUICK, data, 0.8, folder, command="ours")[0] == first[0]
+def test_a_plan_goes_on_where_it_was(digits, answer, monkeypatch):
+    folder, first = answer
+    monkeypatch.setattr("deepfsi.sweeps.context.train", lambda *_: pytest.fail("trained again"))
+    assert photons_needed(QUICK, digits, 0.8, folder, command="ours")[0] == first[0]
 
 
 @pytest.mark.parametrize(
@@ -224,43 +214,23 @@ def test_what_cannot_be_planned(digits, target, changed, words):
         check_plan(recipe, digits, target)
 
 
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_the_command(done, tmp_path):
     words = ["--designs", "pca,raster", "--photons", "1e2,1e3,1e5", "--masks", "6", "--trials", "1"]
-    for more in ([], ["--json"]):
-        given = [
-            "plan",
-            "--target",
-            "0.7",
-            *words,
-            "--epochs",
-            "3",
-            "-o",
-            str(tmp_path / "p"),
-            *more,
-        ]
-        monkeypatch.setattr(sys, "argv", ["deepfsi", *given, "--workers", "1"])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 0
-        printed = capsys.readouterr().out
-        if not more:
-            assert "raster scan" in printed
-            assert "interval: test images, and what lies between" in printed
-    assert json.loads(printed)["target"] == 0.7
-    assert json.loads(printed) == {
-        **json.loads((tmp_path / "p/plan.json").read_text()),
-        "command": json.loads(printed)["command"],
-    }
+    words += ["--epochs", "3", "-o", tmp_path / "p", "--workers", "1"]
+    printed = done("plan", "--target", "0.7", *words)
+    assert "raster scan" in printed
+    assert "interval: test images, and what lies between" in printed
+    plan = json.loads(done("plan", "--target", "0.7", *words, "--json"))
+    assert plan["target"] == 0.7
+    kept = json.loads((tmp_path / "p/plan.json").read_text())
+    assert plan == {**kept, "command": plan["command"]}
     assert json.loads((tmp_path / "p/results.json").read_text())["points"]
 
 
-def test_a_bad_target_ends_before_any_work(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("target", ["2", "many"])
+def test_a_bad_target_ends_before_any_work(call, tmp_path, monkeypatch, target):
     monkeypatch.setattr(planning, "run_trials", None)
-    for target in ("2", "many"):
-        given = ["plan", "--target", target, "-o", str(tmp_path / "p")]
-        monkeypatch.setattr(sys, "argv", ["deepfsi", *given])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 2
-        assert "target" in capsys.readouterr().err
-        assert not (tmp_path / "p").exists()
+    code, _, errors = call("plan", "--target", target, "-o", tmp_path / "p")
+    assert code == 2
+    assert "target" in errors
+    assert not (tmp_path / "p").exists()

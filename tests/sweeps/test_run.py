@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.recipe_files import parts
+from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import Trial, plan

@@ -52,7 +52,7 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
-    from deepfsi.sweeps.recipe_files import only
+    from deepfsi.sweeps.recipe import only
 
     own = common.read_matrix(matrix)
     asked = dict(context.params)
@@ -95,8 +95,7 @@ def sweep(
 
     Example: deepfsi sweep recipes/baseline.toml -o runs/baseline --table runs/baseline.csv
     """
-    from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.sweeps.recipe_files import only
+    from deepfsi.sweeps.recipe import Recipe, only
     from deepfsi.sweeps.records import check_table, write_table
 
     if table is not None:

@@ -3,7 +3,7 @@
 import io
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -18,8 +18,7 @@ from deepfsi.files import write_atomically
 from deepfsi.progress import SILENT, Report
 from deepfsi.report.maps import Cell
 from deepfsi.report.section import Claim, Picture, Section, Table
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.recipe_files import parts
+from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
@@ -67,22 +66,15 @@ class Experiment:
     title: str
     paper: str
     show: Callable[[Results], Finding]
-    measure: Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]] | None = field(
-        default=None
-    )
-    prepare: Callable[[Dataset], Dataset] = field(default=lambda data: data)
-    adapt: Callable[[Any], Any] = field(default=lambda recipe: recipe)
+    measure: Measure | None = None
+    prepare: Callable[[Dataset], Dataset] = lambda data: data
+    adapt: Callable[[Any], Any] = lambda recipe: recipe
     settings: type[BaseModel] = Recipe
 
     def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Any]:
-        """The experiment's recipes by part; a single one has the experiment's name.
+        """The recipes, or their coarse versions, by part; a single one has the experiment's name.
 
-        Parameters
-        ----------
-        quick : bool
-            The coarse versions.
-        trials : int, optional
-            Instead of those of the recipes.
+        `trials` takes the place of theirs.
         """
         file = files("deepfsi.experiments") / "recipes" / f"{self.name}.toml"
         given = {} if trials is None else {"trials": trials}

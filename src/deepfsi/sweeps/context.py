@@ -16,7 +16,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
-from deepfsi.sweeps.results import SCHEMA
+from deepfsi.sweeps.records import record_of
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.learning import Diverged, train
 from deepfsi.training.loop import footprint
@@ -150,15 +150,8 @@ class SweepContext:
 
     def record(self, trial: Trial, design: Design) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""
-        return {
-            "schema": SCHEMA,
-            "key": trial.key,
-            "design": trial.design_key,
-            "trial": trial.model_dump(mode="json"),
-            "validation": _tested(trial, design, self.parts) if self.held_out else [],
-            "test": _tested(trial, design, self.data),
-            "info": design.info,
-        }
+        validation = _tested(trial, design, self.parts) if self.held_out else []
+        return record_of(trial, design, validation, _tested(trial, design, self.data))
 
 
 def _memory(device: torch.device) -> float:

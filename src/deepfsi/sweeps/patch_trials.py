@@ -1,7 +1,5 @@
 """Trials of designs that see images patch by patch: recipe, plan, training and tests."""
 
-import hashlib
-import json
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import product
@@ -16,6 +14,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
+from deepfsi.sweeps.records import content_hash, record_of
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.training.patches import (
     REVISION,
@@ -88,8 +87,7 @@ class PatchTrial(BaseModel):
 
     def _hash(self, exclude: set[str]) -> str:
         settings = self.model_dump(mode="json", exclude=exclude)
-        whole = {"patches": SCHEMA, "revision": REVISION, **settings}
-        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:24]
+        return content_hash({"patches": SCHEMA, "revision": REVISION, **settings})
 
 
 def plan_patches(recipe: PatchRecipe, data: Dataset) -> list[PatchTrial]:
@@ -180,12 +178,4 @@ class PatchContext:
             ]
             for data in (self.parts, self.data)
         )
-        return {
-            "schema": SCHEMA,
-            "key": trial.key,
-            "design": trial.design_key,
-            "trial": trial.model_dump(mode="json"),
-            "validation": validation,
-            "test": test,
-            "info": design.info,
-        }
+        return record_of(trial, design, validation, test)

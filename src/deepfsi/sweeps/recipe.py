@@ -2,16 +2,20 @@
 
 A recipe is a TOML file or `Recipe(...)`. Every list in it is an axis, in its training settings too,
 and `plan` gives the trials of their product.
+
+A file may hold several parts of a study, and a coarse version of each. Settings at its top hold for
+every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse version, and
+`[parts.NAME.quick]` in the coarse version of one part. Tables are merged.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.optics import codes
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
@@ -22,13 +26,15 @@ from deepfsi.training.job import Levels, TrainingNoise, TrainingSettings, traini
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""
 
+Settings = dict[str, Any]
+"""Fields of a recipe, as TOML gives them."""
+
 Physical = Literal["poisson", "gaussian", "none"]
 TRAINING_NOISE: dict[Physical, TrainingNoise] = {
     "poisson": "ml_gauss",
     "gaussian": "gaussian",
     "none": "none",
 }
-
 
 MASK_SETTINGS = ("start", "mask_lr", "precision")
 """Settings of the training that only learned masks have."""
@@ -177,3 +183,66 @@ class Recipe(BaseModel):
     def held_out(self, data: Dataset) -> int:
         """Number of training scenes that are kept for validation."""
         return len(data.x_train) // 6 if self.validation is None else self.validation
+
+
+def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
+    """Settings of each recipe of a file, by the name of its part.
+
+    A file without parts has one recipe, named "". `InputError` where `parts` or `quick` are
+    something else than tables, or nothing says what a coarse version is.
+    """
+    common = {name: value for name, value in file.items() if name not in ("parts", "quick")}
+    coarse, own = _table(file, "quick"), _table(file, "parts") or {"": {}}
+    found = {}
+    for name in own:
+        part = _table(own, name)
+        quick_part = _table(part, "quick")
+        settings = _merged(common, {key: part[key] for key in part if key != "quick"})
+        if quick:
+            if not (coarse or quick_part):
+                raise InputError("this recipe has no [quick] table: run it whole")
+            settings = _merged(_merged(settings, coarse), quick_part)
+        found[name] = settings
+    return found
+
+
+def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
+    """Settings of one recipe of a file.
+
+    Parameters
+    ----------
+    file : mapping
+        A whole recipe file.
+    part : str, optional
+        Needed where the file has several.
+    quick : bool
+        The coarse version.
+    """
+    found = parts(file, quick)
+    if part is None and "" not in found:
+        raise InputError(
+            f"the recipe has several parts, {', '.join(found)}: name one by the option --part of "
+            "deepfsi sweep"
+        )
+    if part is not None and "" in found:
+        raise InputError(f"the recipe has no parts: leave --part {part} out")
+    if (part or "") not in found:
+        raise InputError(f"the recipe has no part {part!r}: {closest(str(part), found)}")
+    return found[part or ""]
+
+
+def _table(file: Mapping[str, Any], name: str) -> Settings:
+    table = file.get(name, {})
+    if not isinstance(table, dict):
+        raise InputError(f"{name} of a recipe is a table, not {table!r}: write [{name}]")
+    return table
+
+
+def _merged(settings: Settings, changes: Settings) -> Settings:
+    whole = dict(settings)
+    for name, value in changes.items():
+        here = whole.get(name)
+        if isinstance(here, dict) and isinstance(value, dict):
+            value = _merged(here, value)
+        whole[name] = value
+    return whole

@@ -9,6 +9,7 @@ KEY is a hash of everything that the result depends on, the data included, so a 
 whoever finds it. Files are written whole or not at all, the record after its design.
 """
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from filelock import FileLock, Timeout
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.sweeps.results import SCHEMA
 
 
 class RecordedTrial(Protocol):
@@ -36,14 +38,37 @@ class RecordedTrial(Protocol):
         """Settings, as the record has them."""
 
 
-class Records:
-    """The records of a folder.
+def content_hash(settings: Mapping[str, Any]) -> str:
+    """Hash of settings, JSON types only."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def record_of(
+    trial: RecordedTrial, design: Design, validation: list[Any], test: list[Any]
+) -> dict[str, Any]:
+    """Record of a trial: its settings and what its tests gave.
 
     Parameters
     ----------
-    folder : Path
-        Made if need be.
+    trial : trial
+    design : Design
+        Trained for it.
+    validation, test : list of dict
+        Results on either data; JSON types only.
     """
+    return {
+        "schema": SCHEMA,
+        "key": trial.key,
+        "design": trial.design_key,
+        "trial": trial.model_dump(mode="json"),
+        "validation": validation,
+        "test": test,
+        "info": design.info,
+    }
+
+
+class Records:
+    """The records of a folder, which is made if need be."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -152,20 +177,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    """Write records as one table.
-
-    Parameters
-    ----------
-    records : sequence of dict
-        From `queue.run_trials`.
-    path : Path
-        Ends in .csv or .parquet.
-
-    Raises
-    ------
-    InputError
-        If it ends in something else.
-    """
+    """Write records as one table, to a path that ends in .csv or .parquet, else `InputError`."""
     import io
 
     import polars

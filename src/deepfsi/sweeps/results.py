@@ -47,19 +47,16 @@ class Point(Frozen):
         Data set and its split, in an experiment that has several.
     trained_under, noise : str
         Noise of the training and of the test.
-    light, rails, design, variant : str
     trained_at, photons : float
         Budget of the training and of the test.
     levels : int
         Grey levels of the masks in the test; 0 for continuous ones.
-    masks : int
     label, title : str
         Short and long name of the design.
     specific, learned : bool
         Whether the design depends on the task, and whether its masks are trained.
     ratio : float
         m / N.
-    trials : int
     validation : float or None
         Mean accuracy on validation data, if any was held out.
     accuracy, low, high : float
@@ -141,14 +138,10 @@ class Results(Frozen):
 
     Attributes
     ----------
-    title, command : str
     recipe : dict
         Its settings.
-    data : Data
-    provenance : Provenance
     chosen_on : {"validation", "nothing"}
         Data that mask counts were chosen on.
-    points : tuple of Point
     extra : dict
         Further numbers of an experiment.
     """

@@ -1,10 +1,8 @@
 """A trial, one training and its tests, and the trials of a recipe."""
 
 import hashlib
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -14,6 +12,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.optics.noise import Noise
 from deepfsi.sweeps.recipe import Physical, Recipe
+from deepfsi.sweeps.records import content_hash
 from deepfsi.training.job import REVISION, Job, check_job
 
 SCHEMA = 2
@@ -38,18 +37,17 @@ class Trial(BaseModel):
     @property
     def key(self) -> str:
         """Content hash that names the record."""
-        return _hash(self.model_dump(mode="json", exclude={"data", "variant"}))
+        return self._hash({"data", "variant"})
 
     @property
     def design_key(self) -> str:
         """Content hash that names the design: of what the training depends on."""
-        fields = {"job", "data_hash", "matrix_hash", "validation"}
-        return _hash(self.model_dump(mode="json", include=fields))
+        tests = {"draws", "test_photons", "test_noise", "test_levels"}
+        return self._hash({"data", "variant", *tests})
 
-
-def _hash(settings: Mapping[str, Any]) -> str:
-    whole = {"schema": SCHEMA, "revision": REVISION, **settings}
-    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:24]
+    def _hash(self, exclude: set[str]) -> str:
+        settings = self.model_dump(mode="json", exclude=exclude)
+        return content_hash({"schema": SCHEMA, "revision": REVISION, **settings})
 
 
 def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:

@@ -3,7 +3,7 @@
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.sweeps.recipe_files import only, parts
+from deepfsi.sweeps.recipe import only, parts
 
 FILE = {
     "data": "mnist",
