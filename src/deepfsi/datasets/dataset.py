@@ -75,21 +75,9 @@ class Dataset:
     def hold_out(self, count: int | None = None) -> "Dataset":
         """Set the last training scenes aside for validation; the test scenes are left out.
 
-        Parameters
-        ----------
-        count : int, optional
-            Training scenes to set aside, at least 1; by default one sixth of them
-            (10 000 of MNIST's 60 000). To hold nothing out, use the data set itself.
-
-        Returns
-        -------
-        Dataset
-            Its training part is the rest, its test part the validation scenes. Both are views.
-
-        Raises
-        ------
-        InputError
-            If `count` leaves nothing to validate on, or some class nothing to train on.
+        The test part is then those `count` scenes, by default one sixth (10 000 of MNIST's 60 000),
+        the training part the rest; both are views. Raises `InputError` if that leaves nothing to
+        validate on, or some class nothing to train on.
         """
         n = len(self.x_train)
         count = n // 6 if count is None else count

@@ -131,27 +131,13 @@ class SpectralImage:
         return np.clip(spectra, 0, 1, out=spectra)
 
     def parts(self, split: str = "random", seed: int = 0) -> tuple[Mask, Mask]:
-        """Divide the labelled pixels into a training and a test part.
+        """Divide the labelled pixels into a training and a test part, where they are in (H, W).
 
-        Parameters
-        ----------
-        split : {"random", "blocks"}
-            ``"random"``: a stratified fifth is for testing. ``"blocks"``: so are the pixels of
-            about a fifth of the 9x9 blocks into which the image is cut: of thirty draws the one
-            with the most classes in both parts. Training pixels that touch a test pixel are left
-            out. A class that lies in one block is not tested.
-        seed : int
-            Draws the fifth, 0 .. 2**32 - 1.
-
-        Returns
-        -------
-        train, test : array, shape (H, W), bool
-            Where their pixels are.
-
-        Raises
-        ------
-        InputError
-            If the split is unknown or the classes are too small for it.
+        ``"random"``: a stratified fifth is for testing. ``"blocks"``: so are the pixels of about a
+        fifth of the 9x9 blocks into which the image is cut: of thirty draws the one with the most
+        classes in both parts. Training pixels that touch a test pixel are left out. A class that
+        lies in one block is not tested. Raises `InputError` if the split is unknown or the classes
+        are too small for it.
         """
         check_seed(seed)
         if split not in SPLITS:
