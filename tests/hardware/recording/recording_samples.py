@@ -152,43 +152,19 @@ def named(scenes: int, **settings) -> Acquisition:
     return Acquisition(scenes=tuple(Scene(name=f"scene {i}") for i in range(scenes)), **given)
 
 
-def record(
-    path: Path,
-    starts: np.ndarray,
-    markers: np.ndarray,
-    photons: np.ndarray,
-    *,
-    bit: int = 1,
-    inputs: tuple[int, ...] = (0,),
-    length: float | np.ndarray = DWELL,
-    stray: int = 50,
-) -> None:
-    """Write photons (S, F, inputs) spread evenly over each frame, from 30 µs on to its end."""
-    times, codes = [markers], [np.full(len(markers), -bit)]
-    length = np.broadcast_to(length, starts.shape[1])
-    for column, each in enumerate(inputs):
-        for (scene, frame), many in np.ndenumerate(photons[..., column]):
-            inside = starts[scene, frame] + 3e-5 + (length[frame] - 4e-5) * np.arange(many) / many
-            times.append(inside)
-            codes.append(np.full(len(inside), each))
-    times.append(np.linspace(0, markers.min() * 0.9, stray))  # before the first marker
-    codes.append(np.zeros(stray, int))
-    times, codes = np.concatenate(times), np.concatenate(codes)
-    order = np.argsort(times, kind="stable")
-    path.unlink(missing_ok=True)
-    with Writer(path, TICK) as writer:
-        writer.write(np.rint(times[order] / TICK).astype(np.int64), codes[order])
+def split(patterns: Patterns, light: np.ndarray, arms: int) -> np.ndarray:
+    """Light (S, N) of scenes that each arm sees in each frame, (S, F, arms)."""
+    part = np.zeros((len(patterns.manifest.frames), patterns.on.shape[1]))
+    part[[0, -2]] = 1
+    part[patterns.manifest.shown] = patterns.fractions
+    return np.stack([light @ part.T, light @ (1 - part.T)], axis=-1)[..., :arms]
 
 
 def shining(patterns: Patterns, scenes: int, arms: int = 1, dark: int = 3) -> np.ndarray:
     """Photons (S, F, arms) of random scenes; at all ON some 1000."""
     rng = np.random.default_rng(9)
     bright = rng.uniform(100, 200, (scenes, patterns.on.shape[1]))
-    part = np.zeros((len(patterns.manifest.frames), patterns.on.shape[1]))
-    part[[0, -2]] = 1
-    part[patterns.manifest.shown] = patterns.fractions
-    both = np.stack([bright @ part.T, bright @ (1 - part.T)], axis=-1)[..., :arms]
-    return np.rint(both).astype(int) + dark
+    return np.rint(split(patterns, bright, arms)).astype(int) + dark
 
 
 @dataclass
@@ -205,11 +181,20 @@ class Run:
         return replace(self, folder=folder)
 
     def record(self, starts: np.ndarray, markers: np.ndarray, photons: np.ndarray) -> None:
-        """Record again, with other times or photons."""
-        inputs = (2, 1)[: photons.shape[-1]]
+        """Write photons (S, F, inputs) spread evenly over each frame, from 30 µs on to its end."""
+        times, codes = [markers], [np.full(len(markers), -4)]
         length = self.patterns.manifest.picture_s
-        path = self.folder / "photons.ptu"
-        record(path, starts, markers, photons, bit=4, inputs=inputs, length=length)
+        for column, each in enumerate((2, 1)[: photons.shape[-1]]):
+            for (scene, frame), many in np.ndenumerate(photons[..., column]):
+                part = np.arange(many) / many
+                times.append(starts[scene, frame] + 3e-5 + (length[frame] - 4e-5) * part)
+                codes.append(np.full(many, each))
+        times.append(np.linspace(0, markers.min() * 0.9, 50))  # before the first marker
+        codes.append(np.zeros(50, int))
+        every, kinds = np.concatenate(times), np.concatenate(codes)
+        order = np.argsort(every, kind="stable")
+        with Writer(self.folder / "photons.ptu", TICK) as writer:
+            writer.write(np.rint(every[order] / TICK).astype(np.int64), kinds[order])
 
     def edit(self, **changes) -> None:
         path = self.folder / "acquisition.json"

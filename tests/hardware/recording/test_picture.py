@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recording_samples import DEVICE, DWELL, SHAPE, named, record, train
+from recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
@@ -25,23 +25,13 @@ def test_a_picture_is_the_scene(tmp_path, light):
     )
     arms = 2 if light == "two-arm" else 1
     flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)
-    given = {"inputs": (0, 1)[:arms], "exposure_s": exposure, "settle_s": 3e-5}
+    given = {"inputs": (2, 1)[:arms], "marker_bit": 4, "exposure_s": exposure, "settle_s": 3e-5}
     prepare(tmp_path / "run", tmp_path / "patterns", named(2, flux=flux, **given))
     scenes = np.array([[0.1, 0.9, 0.5, 0.3, 0.0, 0.2], [0.6, 0.1, 0.4, 0.5, 1.0, 0.4]])
-    part = np.zeros((len(patterns.manifest.frames), 6))
-    part[[0, -2]] = 1
-    part[patterns.manifest.shown] = patterns.fractions
-    light_s = scenes * flux / 2.0
-    photons = np.stack([light_s @ part.T, light_s @ (1 - part.T)], axis=-1)[..., :arms]
+    photons = split(patterns, scenes * flux / 2.0, arms) * (DWELL - 4e-5) * 1e-2
     starts = train(patterns.manifest, 2)
-    record(
-        tmp_path / "run" / "photons.ptu",
-        starts,
-        starts.ravel(),
-        np.rint(photons * (DWELL - 4e-5) * 1e-2).astype(int),
-        inputs=(0, 1)[:arms],
-        length=patterns.manifest.picture_s,
-    )
+    run = Run(tmp_path / "run", patterns, starts, np.rint(photons).astype(int))
+    run.record(starts, starts.ravel(), run.photons)
     count(tmp_path / "run")
     found = reconstruct(tmp_path / "run")
     assert found.shape == (2, *SHAPE)
