@@ -142,25 +142,23 @@ def test_safetensors_without_our_header_are_refused(tmp_path, metadata):
     refused(path)
 
 
-@pytest.mark.parametrize("key", ["rails", "mean", "std", "shares", "classifier.layers.0.weight"])
-@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
-def test_tensors_that_are_not_finite_are_refused(saved, key, bad):
-    rewrite(saved, lambda _, tensors: tensors[key].view(-1)[0].fill_(bad))
-    refused(saved)
-
-
-@pytest.mark.parametrize("key", ["rails", "mean", "std", "shares", "classifier.layers.1.bias"])
-def test_a_missing_tensor_is_refused(saved, key):
-    rewrite(saved, lambda _, tensors: tensors.pop(key))
-    refused(saved)
-
-
-@pytest.mark.parametrize("key", ["rails", "mean", "std", "shares", "classifier.layers.1.weight"])
-def test_a_tensor_of_another_shape_is_refused(saved, key):
-    def change(_: Any, tensors: dict[str, torch.Tensor]) -> None:
-        tensors[key] = tensors[key][..., 1:].contiguous()
-
-    rewrite(saved, change)
+@pytest.mark.parametrize(
+    "key",
+    ["rails", "mean", "std", "shares", *(f"classifier.layers.{part}" for part in
+                                         ("0.weight", "1.weight", "1.bias"))],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensors, key: tensors.pop(key),
+        lambda tensors, key: tensors.update({key: tensors[key][..., 1:].contiguous()}),
+        lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.nan),
+        lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.inf),
+    ],
+    ids=["missing", "another shape", "nan", "infinite"],
+)
+def test_a_damaged_tensor_is_refused(saved, key, change):
+    rewrite(saved, lambda _, tensors: change(tensors, key))
     refused(saved)
 
 

@@ -24,6 +24,7 @@ from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
+LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale": "common"}
 
 
 @every_optics
@@ -140,19 +141,16 @@ def test_the_noise_of_a_range_is_its_mean_over_budgets():
 
 def test_a_design_for_a_range_does_where_those_for_one_budget_do_not(digits):
     """More accurate than each far from its own budget, by three sigma of the test scenes."""
-    how = {"masks": 12, "epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1,
-           "scale": "common"}  # fmt: skip
-    wide = quick(digits, photons=100.0, span=3e4, **how)
+    wide = quick(digits, masks=12, photons=100.0, span=3e4, **LONGER)
     for own, other in ((100.0, 3e6), (3e6, 100.0)):
-        narrow = quick(digits, photons=own, **how)
+        narrow = quick(digits, masks=12, photons=own, **LONGER)
         gained = [evaluate(design, digits, other, draws=5)[0].accuracy for design in (wide, narrow)]
         error = math.sqrt(sum(rate * (1 - rate) for rate in gained) / len(digits.x_test))
         assert gained[0] > gained[1] + 3 * error, (own, gained)
 
 
 def test_nested_masks_do_alone_and_others_do_not(digits):
-    how = {"masks": 20, "epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1,
-           "photons": 1e5, "scale": "common"}  # fmt: skip
+    how = {**LONGER, "masks": 20, "photons": 1e5}
     nested = quick(digits, nested=4, **how)
     whole = quick(digits, nested=20, **how)
     few = nested.first(4)

@@ -21,33 +21,24 @@ def results(good, digits):
     return evaluate(good, digits, [1e2, 1e3, 1e4, 1e6], draws=2)
 
 
-def test_accuracy_is_the_trace_of_the_confusion_matrix(results, digits):
+def test_accuracy_is_the_trace_of_the_confusion_matrix_whose_rows_are_true_classes(results, digits):
     for result in results:
         confusion = np.array(result.confusion)
         assert confusion.sum() == 2 * len(digits.y_test) == result.images * result.draws
         assert result.accuracy == pytest.approx(confusion.trace() / confusion.sum())
-
-
-def test_rows_of_the_confusion_matrix_are_true_classes(results, digits):
-    for result in results:
-        confusion = np.array(result.confusion)
         assert (confusion.sum(axis=1) == 2 * np.bincount(digits.y_test)).all()
         assert result.rates == pytest.approx(confusion.diagonal() / confusion.sum(axis=1))
 
 
-def test_the_interval_contains_the_accuracy_and_says_what_it_covers(results):
-    for result in results:
-        assert 0 <= result.low <= result.accuracy <= result.high <= 1
-        assert "images" in result.covers
-
-
-def test_the_interval_is_wilsons_over_images(results):
+def test_the_interval_is_wilsons_over_images_and_says_what_it_covers(results):
     for result in results:
         n, z = result.images, 1.959964
         p = round(result.accuracy * n) / n
         middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
         half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
         assert (result.low, result.high) == pytest.approx((middle - half, middle + half), abs=1e-5)
+        assert 0 <= result.low <= result.accuracy <= result.high <= 1
+        assert "images" in result.covers
 
 
 def test_more_draws_do_not_pretend_to_more_images(good, digits):
@@ -175,33 +166,25 @@ def test_a_bad_budget_is_refused(good, digits, bad):
         evaluate(good, digits, bad)
 
 
-def test_data_of_another_shape_is_refused(good):
-    with pytest.raises(InputError, match="pixels"):
-        evaluate(good, synthetic((12, 10)), 1e3)
-
-
-def test_data_with_other_classes_is_refused(good):
-    with pytest.raises(InputError, match="other classes"):
-        evaluate(good, synthetic((8, 8)), 1e3)
-
-
-def test_data_of_the_same_pixels_in_another_frame_is_refused(good, digits):
+def test_data_that_is_not_the_designs_is_refused(good, digits):
     x = digits.x_train.reshape(-1, 4, 16)
-    data = from_arrays(x, digits.y_train, classes=digits.classes, name="flat")
+    flat = from_arrays(x, digits.y_train, classes=digits.classes, name="flat")
+    for data, words in (
+        (synthetic((12, 10)), "pixels"), (synthetic((8, 8)), "other classes"), (flat, "of shape")
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            evaluate(good, data, 1e3)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [*({"draws": bad} for bad in (0, -1, 1.5)),
+     *({"noise": "gaussian", "sigma": bad} for bad in (-1.0, math.nan, math.inf))],
+    ids=str,
+)  # fmt: skip
+def test_draws_and_read_noise_that_cannot_be_are_refused(good, digits, settings):
     with pytest.raises(InputError):
-        evaluate(good, data, 1e3)
-
-
-@pytest.mark.parametrize("draws", [0, -1, 1.5])
-def test_draws_are_at_least_one(good, digits, draws):
-    with pytest.raises(InputError):
-        evaluate(good, digits, 1e3, draws=draws)
-
-
-@pytest.mark.parametrize("sigma", [-1.0, math.nan, math.inf])
-def test_read_noise_is_finite_and_not_negative(good, digits, sigma):
-    with pytest.raises(InputError):
-        evaluate(good, digits, 1e3, noise="gaussian", sigma=sigma)
+        evaluate(good, digits, 1e3, **settings)
 
 
 def test_an_unknown_noise_names_the_closest(good, digits):

@@ -14,7 +14,6 @@ import torch
 from torch import nn
 
 from conftest import PHOTONS, every_design, every_optics, quick
-from deepfsi import cli
 from deepfsi.design.artifact import Design
 from deepfsi.design.conditioning import Conditioning
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
@@ -134,7 +133,7 @@ def test_without_onnx_it_says_what_to_install(made, monkeypatch):
         to_onnx(made("deepfsi", "column", "dual"))
 
 
-def test_the_example_in_the_docs(good, digits, tmp_path, monkeypatch, capsys):
+def test_the_example_in_the_docs(good, digits, tmp_path):
     """Run by itself, where torch cannot be imported."""
     [block] = re.findall(r"```python\n(.*?)```", DEPLOY, flags=re.DOTALL)
     photons = np.full(20, PHOTONS, dtype=np.float32)
@@ -154,26 +153,15 @@ def test_the_example_in_the_docs(good, digits, tmp_path, monkeypatch, capsys):
     )
 
 
-def test_the_command(good, tmp_path, monkeypatch, capsys):
+def test_the_command(good, tmp_path, done):
     good.save(tmp_path / "d.safetensors")
-    monkeypatch.setattr(sys, "argv", ["deepfsi", "export", str(tmp_path / "d.safetensors")])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 0
-    assert "(batch, 2, 10)" in capsys.readouterr().out
+    assert "(batch, 2, 10)" in done("export", tmp_path / "d.safetensors")
     assert (tmp_path / "d.onnx").read_bytes() == to_onnx(good)
 
 
-def test_a_folder_of_patterns_exports_what_the_device_shows(good, tmp_path, monkeypatch):
-    file, folder = tmp_path / "d.safetensors", tmp_path / "patterns"
-    good.save(file)
-    for words in (
-        ["dmd", "export", file, "--device", "64x48", "-o", folder],
-        ["export", folder, "-o", tmp_path / "shown.onnx"],
-    ):
-        monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 0
+def test_a_folder_of_patterns_exports_what_the_device_shows(good, tmp_path, done):
+    file, folder = good.save(tmp_path / "d.safetensors"), tmp_path / "patterns"
+    done("dmd", "export", file, "--device", "64x48", "-o", folder)
+    done("export", folder, "-o", tmp_path / "shown.onnx")
     shown = Design.load(folder / "design.safetensors").as_shown(*check_patterns(folder).realised)
     assert (tmp_path / "shown.onnx").read_bytes() == to_onnx(shown) != to_onnx(good)

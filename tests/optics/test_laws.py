@@ -215,16 +215,10 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         **{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
     )
     accuracy = []
-    for design, masks in (
-        ("impulse", 1024),
-        ("deepfsi", 10),
-        ("pca", 10),
-        ("truncated-hadamard", 41),
-        ("raster", 1024),
-    ):
-        (one,) = train(
-            training_set, [Job(design=design, masks=masks, photons=PHOTONS, training=settings)]
-        )
+    counts = {"impulse": 1024, "deepfsi": 10, "pca": 10, "truncated-hadamard": 41, "raster": 1024}
+    for design, masks in counts.items():
+        job = Job(design=design, masks=masks, photons=PHOTONS, training=settings)
+        (one,) = train(training_set, [job])
         accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
     assert accuracy == sorted(accuracy, reverse=True)
     assert accuracy[1] > 0.86

@@ -82,14 +82,10 @@ def test_a_setting_that_is_not_allowed_is_one_clear_line(digits, settings):
 )
 def test_a_bad_matrix_is_refused_before_training(digits, matrix, match):
     seen = []
-    settings = {
-        "photons": 1e4,
-        "masks": 7,
-        "device": "cpu",
-        "report": Report(lambda share, what: seen.append(share)),
-    }
+    settings = {"photons": 1e4, "masks": 7, "device": "cpu"}
+    report = Report(lambda share, what: seen.append(share))
     with pytest.raises(InputError, match=match):
-        learn(digits, design="custom", matrix=matrix, **settings)
+        learn(digits, design="custom", matrix=matrix, report=report, **settings)
     assert not seen
 
 
@@ -149,10 +145,8 @@ def test_bfloat16_error_is_under_the_photon_noise_where_allowed(digits):
 
 
 def test_training_in_bfloat16_reads_as_well(digits):
-    accuracy = [
-        evaluate(quick(digits, masks=10, epochs=8, precision=precision), digits, PHOTONS)[
-            0
-        ].accuracy
-        for precision in ("float32", "bfloat16")
-    ]
+    designs = (
+        quick(digits, masks=10, epochs=8, precision=each) for each in ("float32", "bfloat16")
+    )
+    accuracy = [evaluate(design, digits, PHOTONS)[0].accuracy for design in designs]
     assert accuracy[0] == pytest.approx(accuracy[1], abs=0.05)

@@ -104,15 +104,9 @@ def test_a_designs_matrix_can_be_given_back_as_your_own(digits, made, light, rai
 
 
 def test_a_negative_matrix_cannot_be_a_single_rail(digits):
+    settings = {"photons": 1, "masks": 2, "rails": "single"}
     with pytest.raises(InputError, match="negative entries"):
-        learn(
-            digits,
-            design="custom",
-            matrix=np.full((2, 64), -0.1),
-            photons=1,
-            masks=2,
-            rails="single",
-        )
+        learn(digits, design="custom", matrix=np.full((2, 64), -0.1), **settings)
 
 
 @every_optics
@@ -145,15 +139,10 @@ def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, level
 @pytest.mark.parametrize(("light", "rails"), [("column", "dual"), ("free-dwell", "single")])
 def test_two_level_designs_train_together_as_alone(digits, light, rails):
     """But for cells so near half their frame's peak that float32 rounding decides them."""
+    settings = SETTINGS.model_copy(update={"levels": 2, "mask_lr": 0.1})
+    optics = {"light": light, "rails": rails, "training": settings}
     jobs = [
-        Job(
-            masks=6,
-            photons=photons,
-            seed=seed,
-            light=light,
-            rails=rails,
-            training=SETTINGS.model_copy(update={"levels": 2, "mask_lr": 0.1}),
-        )
+        Job(masks=6, photons=photons, seed=seed, **optics)
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
     ]
     training_set = TrainingSet(digits, "cpu")

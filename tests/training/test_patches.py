@@ -152,13 +152,8 @@ def test_it_learns_in_bright_light(data, patches):
 
 
 def test_the_throughput_is_what_is_counted(data, patches, learned):
-    rates = learned.scanner().rates(
-        cut(
-            photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance),
-            data.image_shape,
-            4,
-        )
-    )
+    light = photons_per_pixel(torch.from_numpy(data.x_train), 1.0, learned.summed_reflectance)
+    rates = learned.scanner().rates(cut(light, data.image_shape, 4))
     counted = rates.sum(dim=(1, 2, 3)).mean()
     assert float(learned.shares.sum()) == pytest.approx(float(counted), rel=1e-4)
 
@@ -168,28 +163,15 @@ def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
     assert again.mask_shape == (4, 4)
     x = cut(torch.from_numpy(data.x_test), data.image_shape, 4)
     assert torch.equal(learned.logits(x, BUDGET), again.logits(x, BUDGET))
-    for name in (
-        "name",
-        "light",
-        "summed_reflectance",
-        "image_shape",
-        "classes",
-        "exposure",
-        "info",
-    ):
+    fields = ("name", "light", "summed_reflectance", "image_shape", "classes", "exposure", "info")
+    for name in fields:
         assert getattr(again, name) == getattr(learned, name)
     assert torch.equal(again.rails, learned.rails)
 
 
 def test_probabilities_of_one_exposure(data, learned):
-    counts = learned.scanner().counts(
-        cut(
-            photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.summed_reflectance),
-            data.image_shape,
-            4,
-        ),
-        generator(),
-    )
+    light = photons_per_pixel(torch.from_numpy(data.x_test[:5]), 1e4, learned.summed_reflectance)
+    counts = learned.scanner().counts(cut(light, data.image_shape, 4), generator())
     chances = learned.classify(counts.numpy(), photons=BUDGET)
     assert chances.shape == (5, 3)
     assert np.allclose(chances.sum(axis=1), 1, atol=1e-5)

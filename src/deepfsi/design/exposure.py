@@ -257,9 +257,4 @@ def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
             "side that divides both"
         )
     blocks = scenes.unflatten(-1, (height // side, side, width // side, side))
-    return (
-        blocks.transpose(-3, -2)
-        .flatten(-2)
-        .flatten(-3, -2)
-        .reshape(*scenes.shape[:-1], -1, side * side)
-    )
+    return blocks.transpose(-3, -2).reshape(*scenes.shape[:-1], -1, side * side)
