@@ -204,7 +204,7 @@ class Design:
         return chances
 
     def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
-        """Class probabilities of one or many exposures.
+        """Class probabilities (..., C) of one or many exposures.
 
         Parameters
         ----------
@@ -216,11 +216,6 @@ class Design:
         dwell : array, shape (..., m), optional
             Share of the exposure that each mask had: goes with designs that choose dwells, whose
             counts are those of all looks together.
-
-        Returns
-        -------
-        array, shape (..., C)
-            Probabilities that sum to 1.
 
         Raises
         ------

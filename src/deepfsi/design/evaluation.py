@@ -85,7 +85,7 @@ def evaluate(
     seed: int = 0,
     report: Report = SILENT,
 ) -> list[Result]:
-    """Classify the test scenes of a data set under noise.
+    """Accuracy on the test scenes of a data set under noise, a `Result` for each budget.
 
     Parameters
     ----------
@@ -102,11 +102,6 @@ def evaluate(
     seed : int
         Of the noise.
     report : Report
-
-    Returns
-    -------
-    list of Result
-        One for each budget.
 
     Raises
     ------

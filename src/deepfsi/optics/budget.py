@@ -54,11 +54,6 @@ def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Ar
     summed_reflectance : float
         s of the training set, from `summed_reflectance`.
 
-    Returns
-    -------
-    array or tensor, shape (..., N)
-        Photons.
-
     Examples
     --------
     >>> import deepfsi, numpy
@@ -75,7 +70,7 @@ def impulse_imaging_error(
     noise: Literal["poisson", "gaussian"],
     sigma: float = 1.0,
 ) -> float:
-    """Root mean square reconstruction error of impulse imaging, the paper's noise axis.
+    """Root mean square error of impulse imaging in reflectance, the paper's noise axis.
 
     With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
     x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise.
@@ -91,11 +86,6 @@ def impulse_imaging_error(
     noise : {"poisson", "gaussian"}
     sigma : float
         Standard deviation of the gaussian noise, counts per readout.
-
-    Returns
-    -------
-    float
-        In units of reflectance.
     """
     budget = check_budget(photons)
     if noise not in ("poisson", "gaussian"):

@@ -68,7 +68,7 @@ def frames(rails: Tensor) -> Tensor:
 
 
 def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
-    """Bring a matrix to a light constraint, using as much light as it allows.
+    """Rails (2 or 1, m, N) of a matrix at a light constraint, using as much light as it allows.
 
     `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
     `two-arm` each mask's own peak.
@@ -77,11 +77,6 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     ----------
     matrix : tensor, shape (m, N)
         Any scale; non-negative if `rails` is "single".
-
-    Returns
-    -------
-    tensor, shape (2 or 1, m, N)
-        Rails that obey the constraint.
     """
     check_light(light, rails)
     if light == "two-arm":
@@ -112,11 +107,6 @@ def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     levels : int
         Grey levels, dark included, at least 2.
-
-    Returns
-    -------
-    tensor
-        Of the shape of `rails`.
     """
     if levels < 2:
         raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
@@ -148,7 +138,7 @@ def excess(rails: Tensor, light: Light) -> float:
 
 
 def used(rails: Tensor, light: Light) -> Tensor:
-    """Share of a constraint that the first k masks use, for every k.
+    """Share (..., m) of a constraint that the first k masks use; 0 while they are dark.
 
     Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
     beginning of all, on one device, they have taken this share of its time.
@@ -157,11 +147,6 @@ def used(rails: Tensor, light: Light) -> Tensor:
     ----------
     rails : tensor, shape (..., 2 or 1, m, N)
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-
-    Returns
-    -------
-    tensor, shape (..., m)
-        Rising, at most 1; 0 while masks are dark.
     """
     if light == "column":
         return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)

@@ -20,11 +20,6 @@ def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
     mean_scene : array, shape (N,)
         x̄, mean reflectance of each pixel over the training scenes.
 
-    Returns
-    -------
-    float
-        Dimensionless; at most 1 for a single detector.
-
     Raises
     ------
     InputError

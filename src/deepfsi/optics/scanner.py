@@ -93,7 +93,7 @@ def project(photons: Tensor, masks: Tensor) -> Tensor:
 def project_pair(
     photons: Tensor, difference: Tensor, total: Tensor, both: bool
 ) -> tuple[Tensor, Tensor]:
-    """Products of scenes with difference and total of rails.
+    """Products (..., *lead, m) of scenes with difference and total of rails.
 
     A single rail's difference is its total, and so is their product.
 
@@ -103,11 +103,6 @@ def project_pair(
     difference, total : tensor, shape (*lead, m, N)
     both : bool
         If not, the product with the difference is returned twice.
-
-    Returns
-    -------
-    tuple of tensor
-        Each (..., *lead, m).
     """
     if difference is total or not both:
         mean = project(photons, difference)
@@ -119,7 +114,7 @@ def project_pair(
 
 
 def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> Tensor:
-    """Features of centred scenes under MLGauss noise, as one differentiable step of training.
+    """Features (B, *lead, m) of centred scenes under MLGauss noise, one step of training.
 
     With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
     less the constant x̄ D.
@@ -134,10 +129,6 @@ def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> T
         Normal draws, times the root of the noise's variance for unit x S.
     disjoint : bool
         Whether S = |D|.
-
-    Returns
-    -------
-    tensor, shape (B, *lead, m)
     """
     return _Measure.apply(scenes, rails, epsilon, disjoint)  # type: ignore[no-untyped-call]
 

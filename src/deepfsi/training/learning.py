@@ -57,10 +57,6 @@ def learn(
         `TrainingSettings` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`,
         `decay`, `start`, `precision`, `levels`, `span`, `nested`, `looks`).
 
-    Returns
-    -------
-    Design
-
     Raises
     ------
     InputError
@@ -88,7 +84,7 @@ def train(
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
 ) -> list[Design]:
-    """Train designs side by side that differ in budget, sigma and seed only.
+    """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
     Parameters
     ----------
@@ -98,11 +94,6 @@ def train(
     matrix : array, shape (m, N), optional
         Sensing matrix of "custom" designs.
     report : Report
-
-    Returns
-    -------
-    list of Design
-        In the order of `jobs`.
     """
     began = time.perf_counter()
     device = training_set.device

@@ -121,24 +121,19 @@ class Patches:
     def matrix(self, design: str) -> np.ndarray:
         """Sensing matrix (m, N) of a fixed design, m = N for all."""
         if design not in self._matrices:
-            pixels = self.side**2
-            codes.check_count(design, pixels, self.as_scenes)
-            self._matrices[design] = codes.sensing_matrix(design, pixels, self.as_scenes)
+            self._matrices[design] = codes.sensing_matrix(design, self.side**2, self.as_scenes)
         return self._matrices[design]
 
     def masks(self, design: str) -> Fixed | Learned:
         """Masks of a design, on the device; learned ones start from principal components."""
         start = torch.from_numpy(self.matrix("pca" if design == "deepfsi" else design)).float()
-        masks: Fixed | Learned
         if design == "deepfsi":
-            masks = Learned(start, "column")
-        elif design == "raster":  # its scale is what defines it
-            masks = Fixed(start.unsqueeze(0))
-        else:
-            single = codes.DESIGNS[design].single_rail
-            rails = constraints.fit(start, "column", "single" if single else "dual")
-            masks = Fixed(rails)
-        return masks.to(self.device)
+            return Learned(start, "column").to(self.device)
+        if design == "raster":  # its scale is what defines it
+            return Fixed(start.unsqueeze(0)).to(self.device)
+        single = codes.DESIGNS[design].single_rail
+        rails = constraints.fit(start, "column", "single" if single else "dual")
+        return Fixed(rails).to(self.device)
 
 
 def precision(job: PatchJob, patches: Patches) -> torch.dtype:
