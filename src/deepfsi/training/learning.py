@@ -246,10 +246,7 @@ def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
 def provenance(
     job: BaseModel, data: Dataset, device: torch.device, seconds: float
 ) -> dict[str, Any]:
-    """Provenance of a trained design, for `Design.info`.
-
-    Parameters of its training; `seconds` is the time that this took.
-    """
+    """Provenance of a design for `Design.info`, from parameters of its training."""
     return {
         "job": job.model_dump(mode="json"),
         "data": {"name": data.name, "hash": data.hash},

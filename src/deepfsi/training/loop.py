@@ -56,16 +56,10 @@ def optimise(
     noise: FeatureNoise,
     report: Report = SILENT,
 ) -> tuple[list[Mlp], list[AdaptiveDwells]]:
-    """Train the classifiers of jobs, and the masks where they learn; masks are changed in place.
+    """Trained classifiers of jobs, and adaptive dwells of those of several looks.
 
-    Parameters as for `learning.train`; masks are of R replicas or of one for all, noise of the
-    jobs.
-
-    Returns
-    -------
-    classifiers : list of Mlp
-    schedules : list of AdaptiveDwells
-        Of jobs of several looks; else none.
+    Masks are trained in place where they learn. Parameters as for `learning.train`; masks are of R
+    replicas or of one for all, noise of the jobs.
     """
     job, settings, labels = jobs[0], jobs[0].training, training_set.labels
     classifiers, choosers = _networks(jobs, len(training_set.data.classes), labels.device)
