@@ -1,7 +1,5 @@
 """Figures of the camera: what they show is what they were given, and all words can be read."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

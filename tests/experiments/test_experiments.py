@@ -1,7 +1,5 @@
 """The paper's experiments, run small, and the arithmetic of their claims."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import shutil

@@ -1,7 +1,5 @@
 """The claims of flexible designs answer to the numbers."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The study of spectra: run small on either scene, and claims that answer to made-up numbers."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json
@@ -187,8 +185,6 @@ def test_the_full_recipe_is_the_papers():
     assert set(recipe.noise) == {"poisson", "gaussian"}
 
 
-# ---------------------------------------------------------------- claims
-
 LEVEL = {"deepfsi": 0.8, "pca": 0.7, "truncated-hadamard": 0.6, "control": 0.65,
          "hadamard": 0.4, "raster": 0.3, "impulse": 0.9}  # fmt: skip
 BUDGETS = (1e2, 1e4, 1e6)
@@ -292,9 +288,6 @@ def test_leakage_weighs_classes_by_their_share_of_the_scene():
 def test_small_numbers_survive_json():
     values = np.arange(12).reshape(3, 4) * 20
     assert np.array_equal(Packed(**json.loads(json.dumps(asdict(pack(values))))).values, values)
-
-
-# ---------------------------------------------------------------- figures
 
 
 def names(count):

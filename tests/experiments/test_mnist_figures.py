@@ -1,7 +1,5 @@
 """Figures of the study on MNIST: what they show is what they were given, and words can be read."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import xml.etree.ElementTree as ElementTree
@@ -22,9 +20,7 @@ from shared.results import a_point, some_results
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
 
-
 RATIOS = [codes.mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
-
 
 DESIGNS = ("impulse", "raster", "hadamard", "truncated-hadamard", "pca", "deepfsi", "control")
 
@@ -103,7 +99,6 @@ FIGURES = {
     "starts": lambda: figures.starts_figure(*starts_of()),
     "both starts": lambda: figures.starts_figure(*starts_of(("gaussian", "poisson"))),
 }
-
 
 every_figure = pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES.keys())
 

@@ -1,7 +1,5 @@
 """Masks of image patches: the brightest first, on a scale of their own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Heat maps and contour maps: what they show is what they were given, and words can be read."""
 
-from __future__ import annotations
-
 import itertools
 
 import matplotlib
@@ -16,7 +14,6 @@ from shared.figures import assert_legible, assert_sound
 from shared.results import a_point
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
-
 
 RATIOS = [codes.mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
 
@@ -51,7 +48,6 @@ FIGURES = {
         accuracies(1), accuracies(2), BUDGETS, RATIOS, ("full precision", "1/768 of the peak")
     ),
 }
-
 
 every_figure = pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES.keys())
 

@@ -1,17 +1,16 @@
 """What all figures share: settings, colours of the page, and words."""
 
-import matplotlib
 import pytest
 
 from deepfsi.report import accuracy_figure
 from deepfsi.report.style import photons_text, svg
+from shared.figures import assert_sound
 from shared.results import make_results
 
 
 def test_figures_leave_matplotlib_as_it_was(tmp_path):
-    before = dict(matplotlib.rcParams)
-    svg(accuracy_figure(make_results(tmp_path)), "a", "words")
-    assert dict(matplotlib.rcParams) == before
+    results = make_results(tmp_path)
+    assert_sound(lambda: accuracy_figure(results))
 
 
 def test_svg_colours_follow_the_page(tmp_path):

@@ -1,7 +1,5 @@
 """Design files, changed and refused."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

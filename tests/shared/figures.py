@@ -1,7 +1,5 @@
 """Checks that every figure passes."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 
 import matplotlib

@@ -1,6 +1,8 @@
 """Pages of reports: a study to write, and what a reader and a parser see of a page."""
 
 import re
+import subprocess
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
@@ -53,6 +55,25 @@ class Wellformed(HTMLParser):
             assert self.open.pop() == tag
 
 
+def assert_whole(page, files=frozenset()):
+    """Elements close, ids differ, and addresses are of the page itself or of files beside it."""
+    parser = Wellformed()
+    parser.feed(page)
+    assert parser.open == []
+    assert len(parser.ids) == len(set(parser.ids)) > 100
+    for address in parser.addresses:
+        assert address.startswith(("data:image/png;base64,", "#")) or address in files
+        assert address[0] != "#" or address[1:] in parser.ids
+    assert files <= set(parser.addresses)
+    assert not re.search(r"https?:|//fonts|@import", page)
+
+
+def run_without_torch(code, folder):
+    """Run a line of Python with a folder, which may import neither torch nor pyplot."""
+    code += "; assert not {'torch', 'matplotlib.pyplot'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", f"import sys; {code}", str(folder)], check=True)
+
+
 def accuracy_table() -> Table:
     """Sixty rows of words, numbers of every size, and values that are missing."""
     rng = np.random.default_rng(1)
@@ -75,17 +96,8 @@ def accuracy_table() -> Table:
             )
         )
     heads = (
-        "design",
-        "noise",
-        "photons",
-        "masks",
-        "accuracy",
-        "low",
-        "high",
-        "p",
-        "seed",
-        "choice",
-    )
+        "design", "noise", "photons", "masks", "accuracy", "low", "high", "p", "seed", "choice",
+    )  # fmt: skip
     return Table("Test accuracy of every design, budget and seed.", heads, tuple(rows))
 
 

@@ -1,7 +1,5 @@
 """Points and results of comparisons, whole, of which a test says only what matters to it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from itertools import product

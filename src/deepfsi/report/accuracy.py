@@ -45,7 +45,8 @@ class Measured(Protocol):
         """Upper end of its interval."""
 
 
-LINE_HEIGHT = 0.06  # of a name at the right edge, in parts of the axis
+LINE_HEIGHT = 0.06
+"""Height of a name at the right edge, in parts of the axis."""
 
 Fields = tuple[str, ...]
 

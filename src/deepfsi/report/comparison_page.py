@@ -20,6 +20,9 @@ from deepfsi.report.style import noise_text, photons_text, svg
 from deepfsi.sweeps.results import Point, Results, read_results
 
 MASKS_SHOWN = 12
+"""Masks of a design that the page shows at most."""
+
+SCALE_WORDS = "Colour bar from blue at minus the peak over white at 0 to red at the peak."
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,9 @@ def page_text(results: Results, designs: Path) -> str:
         covers=list(dict.fromkeys(p.covers for p in points)),
         learned=learned,
         learned_missing=not learned and any(p.learned for p in points),
-        scale=colour_scale() if learned and len(data.image_shape) == 2 else None,
+        scale=Markup(svg(scale_figure(), "scale", SCALE_WORDS))
+        if learned and len(data.image_shape) == 2
+        else None,
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
         facts=[
@@ -121,21 +126,17 @@ def chosen(results: Results, noise: str) -> list[Point]:
     return [p for p in results.points if p.noise == noise and p.best]
 
 
-def _validated(point: Point) -> float:
-    return -1.0 if point.validation is None else point.validation
-
-
 def ranking(points: list[Point], photons: float) -> list[Point]:
     """One-detector designs at a budget, most accurate first; impulse imaging if it is alone.
 
     Of a design that was trained in several ways on the same light, the one that validation chose.
     """
     optics: dict[tuple[str, ...], Point] = {}
-    for p in sorted((p for p in points if p.photons == photons), key=_validated):
+    here = [p for p in points if p.photons == photons]
+    for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
         optics[tuple(str(getattr(p, axis)) for axis in (*accuracy.CHOSEN, "levels", "masks"))] = p
-    here = list(optics.values())
-    single = [p for p in here if p.design != "impulse"]
-    return sorted(single or here, key=lambda p: -p.accuracy)
+    single = [p for p in optics.values() if p.design != "impulse"]
+    return sorted(single or optics.values(), key=lambda p: -p.accuracy)
 
 
 def summary(results: Results, noise: str) -> str:
@@ -226,12 +227,6 @@ def best_table(results: Results, noise: str) -> Best:
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
     leaders = {photons: ranking(points, photons)[0] for photons in budgets}
     return Best(noise_text(noise).capitalize(), budgets, rows, leaders)
-
-
-def colour_scale() -> Markup:
-    """Draw the one colour bar of all masks."""
-    words = "Colour bar from blue at minus the peak over white at 0 to red at the peak."
-    return Markup(svg(scale_figure(), "scale", words))
 
 
 def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:

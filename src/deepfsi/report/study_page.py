@@ -16,7 +16,8 @@ from deepfsi.report.rendering import flat, render
 from deepfsi.report.section import Cell, Claim, Section, Table
 from deepfsi.report.style import svg
 
-WIDE = 5.5  # inches; wider pictures have a line of the page for themselves
+WIDE = 5.5
+"""Inches; wider pictures have a line of the page for themselves."""
 
 # How an answer is written: word, mark, and place when claims are sorted by it.
 ANSWERS = {True: ("yes", "✓", 1), False: ("no", "✗", 2), None: ("open", "?", 3)}

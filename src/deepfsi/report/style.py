@@ -23,7 +23,8 @@ INK, MUTED, GRID, PAPER = "#1b1f24", "#5d6670", "#dfe3e8", "#ffffff"
 
 DIVERGING = "RdBu_r"
 
-PANEL_HEIGHT = 3.5  # inches
+PANEL_HEIGHT = 3.5
+"""Inches."""
 
 # Okabe and Ito's palette, yellow left out; every design also has a line of its own.
 COLOURS = {
@@ -164,9 +165,11 @@ def svg(figure: Figure, name: str, words: str) -> str:
     return re.sub(r"<svg[^>]*>", head, body, count=1)
 
 
-PAGE_WIDTH = 7.2  # inches, of a printed page's text
+PAGE_WIDTH = 7.2
+"""Width of a printed page's text, inches."""
 
-SMALL = 7.5  # points
+SMALL = 7.5
+"""Font size, points."""
 
 ON_LIGHT, ON_DARK = "#101010", "#fefefe"  # ink on colour maps
 

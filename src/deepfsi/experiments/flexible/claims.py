@@ -153,12 +153,21 @@ class Numbers:
     @cached_property
     def ranged(self) -> Rivalry:
         """One design for all budgets, against those for one."""
-        return _range(self.results)
+        own = [p for p in points(self.results, recipe="budgets") if p.photons == p.trained_at]
+        return Rivalry(
+            "photons",
+            {p.photons: p for p in points(self.results, recipe="range")},
+            {(p.design, p.photons): p for p in own},
+        )
 
     @cached_property
     def nested(self) -> Rivalry:
         """First masks of one design, against designs of so many."""
-        return _nested(self.results, self.measures.prefixes)
+        members = [p for p in self.measures.prefixes if p.recipe == "nested"]
+        own = [p for p in _counts(self.results, members[0].photons) if p.photons == p.trained_at]
+        dedicated = {(p.design, p.masks): p for p in own}
+        shown = {p.masks: p for p in members if (LEARNED, p.masks) in dedicated}
+        return Rivalry("masks", shown, dedicated)
 
     @property
     def nested_at(self) -> str:
@@ -189,25 +198,6 @@ def show(results: Results) -> Finding:
         claims_of(numbers),
         tables_of(numbers),
     )
-
-
-def _range(results: Results) -> Rivalry:
-    """The design for all budgets against those for one."""
-    own = [p for p in points(results, recipe="budgets") if p.photons == p.trained_at]
-    return Rivalry(
-        "photons",
-        {p.photons: p for p in points(results, recipe="range")},
-        {(p.design, p.photons): p for p in own},
-    )
-
-
-def _nested(results: Results, prefixes: Iterable[Prefix]) -> Rivalry:
-    """The first masks of a nested design against designs of so many."""
-    members = [p for p in prefixes if p.recipe == "nested"]
-    own = [p for p in _counts(results, members[0].photons) if p.photons == p.trained_at]
-    dedicated = {(p.design, p.masks): p for p in own}
-    shown = {p.masks: p for p in members if (LEARNED, p.masks) in dedicated}
-    return Rivalry("masks", shown, dedicated)
 
 
 def _counts(results: Results, photons: float) -> list[Point]:
