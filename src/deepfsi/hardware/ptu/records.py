@@ -180,17 +180,8 @@ def _decode(
     first = [(int(where[0]), how) for where, how in damages if len(where)]
     if first:
         raise _Damage(*min(first))
-    part = Part(
-        kind=kind,
-        words=words,
-        places=places,
-        times=times,
-        bits=bits,
-        sync=sync,
-        wraps=wraps,
-        runs=runs,
-        reached=max(int(bases[-1]), latest),
-    )
+    reached = max(int(bases[-1]), latest)
+    part = Part(kind, words, places, times, bits, sync, wraps, runs, reached)
     return part, _State(int(bases[-1]) // kind.wrap, latest, after)
 
 
