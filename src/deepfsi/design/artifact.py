@@ -254,12 +254,8 @@ class Design:
         """The first masks alone, with the light that the constraint gives to so many.
 
         On one device their frames share the whole exposure. An exposure of all masks that stops
-        after these has taken `used` of its budget, and is one of this design at that budget.
-
-        Raises
-        ------
-        InputError
-            If the design was not trained for so few.
+        after these has taken `used` of its budget, and is one of this design at that budget. Raises
+        `InputError` if the design was not trained for so few.
         """
         fewest = self.fewest_masks
         if not fewest <= masks <= self.masks:
@@ -321,13 +317,7 @@ class Design:
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:
-        """Content of the design file.
-
-        Raises
-        ------
-        InputError
-            If the classifier is a module of your own, which no file can rebuild.
-        """
+        """Content of the design file, or `InputError` if the classifier is a module of your own."""
         if not isinstance(self.classifier, Mlp | Vit):
             raise InputError(
                 f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "

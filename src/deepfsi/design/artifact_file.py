@@ -29,8 +29,10 @@ WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info"
 """Fields of a design that its header holds as they are."""
 
 STATISTICS = ("mean", "std", "shares")
+"""Tensors of one number a mask."""
+
 TENSORS = ("rails", *STATISTICS)
-"""Fields of a design that are tensors; statistics have one number a mask."""
+"""Fields of a design that are tensors."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -121,13 +123,7 @@ def pack(
 
 
 def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Fields of `artifact.Design` that a design file holds.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, of a newer schema, or no whole design file.
-    """
+    """Fields of `artifact.Design` that a file holds, or `InputError` as for `Design.load`."""
     if not Path(path).is_file():
         raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
     try:

@@ -166,10 +166,7 @@ class ExposureKind:
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of masks or looks after which an exposure may stop, and the share taken then.
 
-        Raises
-        ------
-        InputError
-            If it may stop nowhere before its end, or that saves nothing.
+        Raises `InputError` if it may stop nowhere before its end, or that saves nothing.
         """
         raise InputError(
             "this design needs all its masks for an answer: learn nested ones with --nested, or "
@@ -235,7 +232,7 @@ class PatchExposure(ExposureKind):
 
 
 def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
-    """Patches (..., P, side²) of images (..., H · W), row by row.
+    """Patches (..., P, side²) of images (..., H · W), row by row; `InputError` if a rest stays.
 
     Parameters
     ----------
@@ -244,11 +241,6 @@ def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
         H and W.
     side : int
         Of a patch, pixels.
-
-    Raises
-    ------
-    InputError
-        If the sides of the image are no multiples of the patch's.
     """
     height, width = image_shape
     if height % side or width % side:

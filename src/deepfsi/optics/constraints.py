@@ -138,15 +138,10 @@ def excess(rails: Tensor, light: Light) -> float:
 
 
 def used(rails: Tensor, light: Light) -> Tensor:
-    """Share (..., m) of a constraint that the first k masks use; 0 while they are dark.
+    """Share (..., m) of a constraint that the first k masks of rails use; 0 while they are dark.
 
     Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
     beginning of all, on one device, they have taken this share of its time.
-
-    Parameters
-    ----------
-    rails : tensor, shape (..., 2 or 1, m, N)
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     """
     if light == "column":
         return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)

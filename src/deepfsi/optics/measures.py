@@ -13,12 +13,8 @@ from deepfsi.errors import InputError
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
     """Share of a scene's light that the detectors count, Σ_ij |M_ij| x̄_j / Σ_j x̄_j.
 
-    Parameters
-    ----------
-    matrix : array, shape (m, N)
-        Shares of each pixel's photons.
-    mean_scene : array, shape (N,)
-        x̄, mean reflectance of each pixel over the training scenes.
+    M (m, N) are shares of each pixel's photons, x̄ (N,) the mean reflectance of each pixel over the
+    training scenes. For a single detector it is at most 1.
 
     Raises
     ------
