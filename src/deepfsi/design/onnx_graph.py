@@ -95,7 +95,7 @@ class _Graph:
         self.constants: list[Any] = []
 
     def constant(self, name: str, value: Any, dtype: type = np.float32) -> str:
-        """Add numbers; returns their name."""
+        """Add numbers, parameters as for `numpy.asarray`; returns their name."""
         array: Any = np.asarray(value, dtype=dtype)
         self.constants.append(self.onnx.numpy_helper.from_array(array, name))
         return name
@@ -112,7 +112,7 @@ class _Graph:
     def finish(
         self, inputs: Mapping[str, Shape], outputs: Mapping[str, Shape], about: Mapping[str, Any]
     ) -> bytes:
-        """Content of the ``.onnx`` file, of shapes after the axis of the batch."""
+        """Content of the ``.onnx`` file; parameters as of a graph, shapes without its batch."""
         helper = self.onnx.helper
 
         def values(shapes: Mapping[str, Shape]) -> list[Any]:
