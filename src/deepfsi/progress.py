@@ -22,11 +22,11 @@ class Report:
 
     Examples
     --------
-    >>> report = Report(lambda share, what: print(f"{share:.2f} {what}"))
+    >>> report = Report(lambda share, what: print(f"{share:.2f}", what))
     >>> report(0.5, "halfway")
     0.50 halfway
-    >>> report.part(0.5, 1.0)(0.5)
-    0.75
+    >>> report.part(0.5, 1.0)(0.5, "the second half")
+    0.75 the second half
     """
 
     show: Callable[[float, str], None] = _nothing
