@@ -15,6 +15,7 @@ from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, scanner
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
+from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Learned
 
 
@@ -168,7 +169,7 @@ def some_rails(light: str, rails: str) -> Tensor:
 def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, rails, levels):
     steps = levels - 1
     before = some_rails(light, rails)
-    shown = constraints.quantise(before, light, levels)
+    shown = quantise(before, light, levels)
     peak = before.sum(dim=1, keepdim=True) if light == "two-arm" else shown
     peak = peak.amax(dim=-1, keepdim=True)
     share = steps * shown / torch.where(peak > 0, peak, 1.0)
@@ -188,23 +189,23 @@ def test_quantised_rails_are_whole_steps_of_their_frames_peak_and_obey(light, ra
 def test_replicas_are_quantised_as_if_alone(light, rails, levels):
     before = some_rails(light, rails)
     before[1] *= 0.1
-    each = [constraints.quantise(one, light, levels) for one in before]
-    assert torch.equal(constraints.quantise(before, light, levels), torch.stack(each))
-    nested = constraints.quantise(before.view(3, 1, *before.shape[1:]), light, levels)
+    each = [quantise(one, light, levels) for one in before]
+    assert torch.equal(quantise(before, light, levels), torch.stack(each))
+    nested = quantise(before.view(3, 1, *before.shape[1:]), light, levels)
     assert torch.equal(nested[:, 0], torch.stack(each))
 
 
 def test_column_is_mended_where_rounding_up_would_break_it():
     """Two frames at 0.6 of their peaks, which round up to both of them: 1.2 times the light."""
     before = torch.tensor([[[0.6, 1.0, 0.0], [0.6, 0.0, 1.0]]]) / 1.2
-    shown = constraints.quantise(before, "column", 2)
+    shown = quantise(before, "column", 2)
     assert torch.equal(shown, torch.tensor([[[0.5, 0.5, 0.0], [0.5, 0.0, 0.5]]]))
 
 
 @pytest.mark.parametrize("levels", [1, 0, -1])
 def test_a_device_needs_two_levels(levels):
     with pytest.raises(InputError, match="grey levels are not allowed"):
-        constraints.quantise(torch.ones(1, 1, 2), "column", levels)
+        quantise(torch.ones(1, 1, 2), "column", levels)
 
 
 @every_optics

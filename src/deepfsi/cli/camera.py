@@ -393,7 +393,7 @@ def _check_shown(file: Path, patterns: "Patterns") -> None:
 def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.hardware.patterns.gates import find_cost, find_gates, longest_exposure
+    from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
 
     manifest = patterns.manifest
     sentinels = len(manifest.frames) - len(manifest.shown)

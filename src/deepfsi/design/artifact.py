@@ -19,6 +19,7 @@ from deepfsi.files import write_atomically
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.scanner import Scanner, subtract
 
 LONGEST_LOOK = 1.05
@@ -248,7 +249,7 @@ class Design:
         Classifier and statistics stay as they are; `TrainingSettings.levels` trains for such a
         device.
         """
-        return replace(self, rails=constraints.quantise(self.rails, self.light, levels))
+        return replace(self, rails=quantise(self.rails, self.light, levels))
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.

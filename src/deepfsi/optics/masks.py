@@ -5,7 +5,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, quantise, separate
+from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, separate
+from deepfsi.optics.grey_levels import quantise
 
 
 class Fixed(nn.Module):

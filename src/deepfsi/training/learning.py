@@ -18,6 +18,7 @@ from deepfsi.design.exposure import FixedDwells
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics, mean_over_exposures
+from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.job import Job, TrainingSettings, check_jobs, training_for
@@ -152,7 +153,7 @@ def _initial_masks(
     else:
         fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
     fitted = constraints.equalise(fitted) if several else fitted
-    return Fixed(constraints.quantise(fitted, light, levels) if levels else fitted)
+    return Fixed(quantise(fitted, light, levels) if levels else fitted)
 
 
 def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:

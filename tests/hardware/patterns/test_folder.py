@@ -23,6 +23,7 @@ from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_p
 from deepfsi.hardware.patterns.mirrors import make_frames, unpack
 from deepfsi.hardware.patterns.sequence import DEVICES, Device, find_device
 from deepfsi.optics import constraints
+from deepfsi.optics.grey_levels import quantise
 from deepfsi.progress import Report
 
 every_shown = pytest.mark.parametrize(
@@ -47,7 +48,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     manifest = shown.manifest
     # `quantise` also mends what rounding breaks of a column design; dimming leaves no need for it
     law = "free-dwell" if light == "column" else light
-    wanted = constraints.quantise(given, law, manifest.grid.mirrors + 1) * manifest.dimmed
+    wanted = quantise(given, law, manifest.grid.mirrors + 1) * manifest.dimmed
     tolerance = FLOAT32 if light == "two-arm" else 1e-12  # arms sum to one time in float32 only
     assert np.allclose(shown.rails, wanted.numpy(), rtol=tolerance, atol=1e-15)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pattern_samples import export, grey
 
-from deepfsi.hardware.patterns.gates import find_gates
+from deepfsi.hardware.patterns.timing import find_gates
 
 
 @pytest.mark.parametrize(

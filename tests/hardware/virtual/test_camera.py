@@ -11,8 +11,8 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.gates import Gates, find_gates
 from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Patterns, find_grid
+from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.ptu import reader as ptu
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counting import count

@@ -28,9 +28,9 @@ from deepfsi.hardware.calibration.background import (
 )
 from deepfsi.hardware.calibration.view import Calibration, view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.gates import find_gates
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns, find_device, find_grid
+from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import detector

@@ -20,8 +20,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.patterns.gates import Gates, find_gates
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.recording.alignment import MOST_FRAMES
 
 MOST_READOUTS = 2**21

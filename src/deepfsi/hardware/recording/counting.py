@@ -1,20 +1,20 @@
 """Photons of a recording counted frame by frame, for the exposure it was made for or another."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.gates import Gates
 from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header, read_header
-from deepfsi.hardware.ptu.reader import count_gates, read_markers
-from deepfsi.hardware.recording.acquisition import Acquisition, gates_of, read_acquisition
-from deepfsi.hardware.recording.alignment import align, find_steps
+from deepfsi.hardware.ptu.reader import count_gates
+from deepfsi.hardware.recording.acquisition import gates_of, read_acquisition
+from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.gates import Windows, find_frames, in_ticks
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
@@ -64,8 +64,8 @@ def count(
             f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
             f"{gates.length_s.min():g} s: give a longer exposure"
         )
-    starts, whole, faults = _find_frames(header, acquisition, manifest, report.part(0.0, 0.4))
-    windows = _Windows.of(manifest, gates)
+    starts, whole, faults = find_frames(header, acquisition, manifest, report.part(0.0, 0.4))
+    windows = Windows.of(manifest, gates)
     opens = starts[whole][:, windows.frame] + windows.offset
     found, seconds = _count_windows(
         header, opens, windows.length, acquisition.inputs, report.part(0.4, 1.0)
@@ -84,82 +84,6 @@ def count(
     return counts
 
 
-def _find_frames(
-    header: Header, acquisition: Acquisition, manifest: Manifest, report: Report
-) -> tuple[np.ndarray, np.ndarray, list[Fault]]:
-    """Start of each frame (S, F) in seconds, scenes whose masks' frames are whole (S,), faults."""
-    path, tick_s = header.path, header.tick_s
-    times, bits = read_markers(path, report)
-    times = times[bits & acquisition.marker_bit != 0]
-    end = int(times.max(initial=0)) - header.kind.wrap if header.problems else None
-
-    def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-        edges = np.clip(np.stack([_ticks(starts, tick_s), _ticks(stops, tick_s)]), 0, end)
-        unique, places = np.unique(edges, return_inverse=True)
-        found = count_gates(path, unique[:-1], unique[1:], acquisition.inputs[:1])[:, 0]
-        before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
-        return before[1] - before[0]
-
-    try:
-        aligned = align(times * tick_s, manifest, len(acquisition.scenes), counter=counter)
-    except InputError as error:
-        raise InputError(f"{path} has {len(times)} frame markers: {error}") from None
-    starts = aligned.starts_s.copy()
-    last = float(times.max(initial=0)) * tick_s
-    if header.problems:
-        starts[starts >= last] = np.nan  # the frame that was being recorded when the file ended
-    shown = starts[:, manifest.shown]
-    # A mask's frame is whole if a marker came after it.
-    whole = np.isfinite(shown).all(axis=1) & (shown[:, -1] < last)
-    if not whole.any():
-        why = aligned.faults[0] if aligned.faults else "it ends too early"
-        raise InputError(f"{path} has no whole exposure ({why}): record again")
-    return starts, whole, list(aligned.faults)
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """Windows of a pass in order: its gates, and what of each frame they leave after settling.
-
-    Attributes
-    ----------
-    frame : array, shape (g,)
-        Of each window.
-    offset, length : arrays, shape (g,)
-        When a window opens after its frame's start, and for how long, seconds.
-    gates : array, shape (f, R)
-        Places of the gates among the windows.
-    frames : int
-        Frames of a pass, F.
-    """
-
-    frame: np.ndarray
-    offset: np.ndarray
-    length: np.ndarray
-    gates: np.ndarray
-    frames: int
-
-    @classmethod
-    def of(cls, manifest: Manifest, gates: Gates) -> "_Windows":
-        """Windows of a pass over the frames of a manifest."""
-        repeats, frames = gates.repeats, len(manifest.frames)
-        each = np.ones(frames, np.int64)
-        each[manifest.shown] += repeats
-        frame = np.repeat(np.arange(frames), each)
-        first = np.cumsum(each) - each
-        places = first[manifest.shown][:, None] + np.arange(repeats)
-        offset = np.full(len(frame), gates.settle_s)
-        offset[places] = gates.starts_s
-        offset[places[:, -1] + 1] = gates.settle_s + repeats * gates.length_s
-        length = np.maximum(manifest.picture_s[frame] - offset, 0.0)
-        length[places] = gates.length_s[:, None]
-        return cls(frame, offset, length, places, frames)
-
-    def sum_frames(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the windows of each frame, along the second axis."""
-        return np.add.reduceat(values, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
-
-
 def _count_windows(
     header: Header, opens: np.ndarray, length: np.ndarray, inputs: tuple[int, ...], report: Report
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -169,8 +93,8 @@ def _count_windows(
     whose frame's start is not known is not open.
     """
     tick_s, known = header.tick_s, np.isfinite(opens).ravel()
-    starts = _ticks(opens.ravel()[known], tick_s)
-    stops = _ticks((opens + length).ravel()[known], tick_s)
+    starts = in_ticks(opens.ravel()[known], tick_s)
+    stops = in_ticks((opens + length).ravel()[known], tick_s)
     starts = np.minimum.accumulate(starts[::-1])[::-1]
     stops[:-1] = np.minimum(stops[:-1], starts[1:])
     found = np.zeros((opens.size, len(inputs)), np.int64)
@@ -204,7 +128,7 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
 def _assemble(
     manifest: Manifest,
     gates: Gates,
-    windows: _Windows,
+    windows: Windows,
     whole: np.ndarray,
     found: np.ndarray,
     rates: np.ndarray,
@@ -238,8 +162,3 @@ def _assemble(
         lengths_s=lengths,
         faults=faults,
     )
-
-
-def _ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
-    """Times in ticks, rounded."""
-    return np.rint(seconds / tick_s).astype(np.int64)

@@ -25,9 +25,9 @@ from pydantic import Field, FiniteFloat, field_validator
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.gates import Gates, find_gates
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest
+from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, Scene, prepare
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw

@@ -1,4 +1,4 @@
-"""Gates: the time windows in which the photons of each frame are counted."""
+"""Timing of patterns: gates in which photons of each frame are counted, and the cost of a pass."""
 
 import math
 from dataclasses import dataclass

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pattern_samples import UNEQUAL, export
 
-from deepfsi.hardware.patterns.gates import find_cost, find_gates
+from deepfsi.hardware.patterns.timing import find_cost, find_gates
 
 
 @pytest.mark.parametrize("exposure", [1e-3, 4e-3, 0.017])

@@ -1,0 +1,36 @@
+"""Masks rounded to the grey levels of a device."""
+
+import torch
+from torch import Tensor
+
+from deepfsi.errors import InputError
+from deepfsi.optics.constraints import Light, peak
+
+
+def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
+    """Rails as a device shows them: each frame in `levels` grey levels from dark to its own peak.
+
+    Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two
+    arms the positive rail is the pattern, and the other gets what is left of the time.
+
+    Parameters
+    ----------
+    rails : tensor, shape (..., 2 or 1, m, N)
+        Leading axes are replicas, each by itself.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    levels : int
+        Grey levels, dark included, at least 2.
+    """
+    if levels < 2:
+        raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
+    steps = levels - 1
+    if light == "two-arm":
+        total = rails.sum(dim=-3)
+        time = total.amax(dim=-1, keepdim=True)
+        plus = (rails[..., 0, :, :] / peak(total) * steps).round() / steps * time
+        return torch.stack([plus, time - plus], dim=-3)
+    step = peak(rails) / steps
+    shown = (rails / step).round() * step
+    if light != "column":
+        return shown
+    return shown / shown.sum(dim=(-3, -2), keepdim=True).amax(dim=-1, keepdim=True).clamp(min=1)
