@@ -195,6 +195,8 @@ class Design:
         looks = self.exposure.expose_live(show, self.mean, self.std)
         with torch.no_grad():
             for look, seen in enumerate(looks, start=1):
+                if until is None and look < self.exposure.looks:
+                    continue
                 features = torch.from_numpy(counted).to(self.rails)
                 logits = self.logits(features, budget, seen.dwell)
                 chances = logits.softmax(dim=-1).cpu().numpy()
