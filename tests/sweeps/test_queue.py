@@ -122,17 +122,11 @@ def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digit
         assert first["test"] == second["test"]
 
 
-@pytest.mark.slow
-def test_a_mistake_in_a_worker_is_told(digits, tmp_path):
-    trials = plan(small(designs="deepfsi", photons=1e3, training={"epochs": 2, "lr": 1e30}), digits)
-    with pytest.raises(InputError, match="diverged"):
-        train_trials(trials, digits, tmp_path, count=2)
-    assert not list(tmp_path.glob("**/*.lock"))
-
-
-def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
-    recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
-    trials = plan(recipe, digits)
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path, count):
+    settings = {"epochs": 2, "lr": [1e-2, 1e30]}
+    trials = plan(small(designs="pca", masks=3, trials=2, training=settings), digits)
     with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
-        train_trials(trials, digits, tmp_path)
+        train_trials(trials, digits, tmp_path, count=count)
+    assert not list(tmp_path.glob("**/*.lock"))
     assert len(list((tmp_path / "trials").iterdir())) == len(trials) / 2

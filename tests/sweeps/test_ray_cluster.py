@@ -163,6 +163,12 @@ def until(condition: Callable[[], Any], seconds: float = 120) -> None:
         time.sleep(0.05)
 
 
+def free_address() -> str:
+    """Address at which nothing answers."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return f"127.0.0.1:{server.getsockname()[1]}"
+
+
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
@@ -339,19 +345,12 @@ def test_what_no_task_can_ask_for_is_refused(cpus, gpus):
         next(run_on_ray(max, 0, [0], cpus=cpus, gpus=gpus))
 
 
-@pytest.mark.parametrize("scheme", ["", "ray://"])
+@pytest.mark.parametrize("form", ["{}", "ray://{}", "nonsense"])
 @pytest.mark.usefixtures("alone")
-def test_no_cluster_at_the_address(scheme):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        free = f"{scheme}127.0.0.1:{server.getsockname()[1]}"
-    with pytest.raises(InputError, match=f"no Ray cluster answers at '{free}'"):
-        next(run_on_ray(max, 0, [0], address=free))
-
-
-@pytest.mark.usefixtures("alone")
-def test_no_address_at_all():
-    with pytest.raises(InputError, match="no Ray cluster answers at 'nonsense'"):
-        next(run_on_ray(max, 0, [0], address="nonsense"))
+def test_no_cluster_at_the_address(form):
+    address = form.format(free_address())
+    with pytest.raises(InputError, match=f"no Ray cluster answers at '{address}'"):
+        next(run_on_ray(max, 0, [0], address=address))
 
 
 @pytest.fixture
@@ -371,8 +370,7 @@ def test_auto_is_the_running_cluster(alone, address_there):
 @pytest.mark.slow
 @pytest.mark.usefixtures("alone")
 def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch, address_there):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        crashed = f"127.0.0.1:{server.getsockname()[1]}"
+    crashed = free_address()
     monkeypatch.setattr(
         "ray._private.services.get_ray_address_from_environment", lambda *_: crashed
     )

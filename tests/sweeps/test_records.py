@@ -22,20 +22,15 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
         write_table(records, tmp_path / "all.xls")
 
 
-def test_a_record_that_is_something_else_is_made_again(digits, tmp_path):
+@pytest.mark.parametrize(
+    ("folder", "left"),
+    [("trials", None), ("designs", None), ("trials", '{"key":'), ("trials", "null")],
+)
+def test_what_is_lost_or_damaged_is_made_again(digits, tmp_path, folder, left):
     trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
     train_trials(trials, digits, tmp_path)
-    (path,) = (tmp_path / "trials").iterdir()
-    path.write_text("null")
-    assert len(train_trials(trials, digits, tmp_path)) == 1
-
-
-@pytest.mark.parametrize("loss", ["record", "design", "damage"])
-def test_what_is_lost_is_made_again(digits, tmp_path, loss):
-    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
-    train_trials(trials, digits, tmp_path)
-    (path,) = (tmp_path / ("designs" if loss == "design" else "trials")).iterdir()
-    path.write_text('{"key":') if loss == "damage" else path.unlink()
+    (path,) = (tmp_path / folder).iterdir()
+    path.write_text(left) if left else path.unlink()
     (again,) = train_trials(trials, digits, tmp_path)
     assert again["key"] == trials[0].key
     assert len(list(tmp_path.glob("*/*"))) == 2

@@ -38,7 +38,7 @@ def find(name: str) -> tuple[Experiment, ...]:
 
 
 def is_study(folder: Path) -> bool:
-    """Whether a folder holds results of an experiment."""
+    """True where a folder holds results of an experiment."""
     return any((folder / f"{each.name}.json").is_file() for each in _every())
 
 

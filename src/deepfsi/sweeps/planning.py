@@ -300,16 +300,9 @@ def _more(recipe: Recipe, kind: tuple[str, ...], curve: Curve, target: float) ->
     above = next(place for place, each in enumerate(tried) if each > budget)
     masks = {curve[tried[place]].masks for place in (above - 1, above)}
     light, rails, design = kind
-    asked = {
-        "designs": (design,),
-        "light": (light,),
-        "rails": (rails,),
-        "photons": (budget,),
-        "gaussian_photons": (),
-        "masks": tuple(sorted(masks)),
-        "ratios": (),
-    }
-    return recipe.model_copy(update=asked)
+    one = {"designs": (design,), "light": (light,), "rails": (rails,), "photons": (budget,)}
+    counts = {"masks": tuple(sorted(masks)), "ratios": (), "gaussian_photons": ()}
+    return recipe.model_copy(update={**one, **counts})
 
 
 def _need(kind: tuple[str, ...], curve: Curve, images: int, target: float) -> dict[str, Any]:

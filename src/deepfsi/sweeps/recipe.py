@@ -10,7 +10,7 @@ every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse v
 
 from collections.abc import Iterator, Mapping
 from itertools import product
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -78,6 +78,9 @@ Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
+Value = TypeVar("Value")
+Axis = Annotated[tuple[Value, ...], BeforeValidator(_axis)]
+Filled = Annotated[Axis[Value], Field(min_length=1)]
 
 
 class Recipe(BaseModel):
@@ -90,7 +93,7 @@ class Recipe(BaseModel):
     split: Literal["random", "blocks"] | None = Field(
         None, description="how a hyperspectral image is divided for testing; random unless given"
     )
-    designs: Annotated[tuple[Name, ...], BeforeValidator(_axis), Field(min_length=1)] = (
+    designs: Filled[Name] = (
         "impulse",
         "raster",
         "hadamard",
@@ -99,42 +102,31 @@ class Recipe(BaseModel):
         "deepfsi",
         "control",
     )
-    photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis), Field(min_length=1)] = (
-        1e2,
-        1e3,
-        1e4,
-        1e5,
-    )
-    gaussian_photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis)] = Field(
+    photons: Filled[Budget] = (1e2, 1e3, 1e4, 1e5)
+    gaussian_photons: Axis[Budget] = Field(
         (), description="budgets under gaussian noise, if others"
     )
-    ratios: Annotated[tuple[Ratio, ...], BeforeValidator(_axis)] = Field(
-        (), description="m / N; the paper's unless given"
-    )
-    masks: Annotated[tuple[Count, ...], BeforeValidator(_axis)] = Field(
-        (), description="mask counts, instead of ratios"
-    )
-    noise: Annotated[tuple[Physical, ...], BeforeValidator(_axis), Field(min_length=1)] = (
-        "poisson",
-    )
-    train_noise: Annotated[tuple[TrainingNoise, ...], BeforeValidator(_axis)] = Field(
+    ratios: Axis[Ratio] = Field((), description="m / N; the paper's unless given")
+    masks: Axis[Count] = Field((), description="mask counts, instead of ratios")
+    noise: Filled[Physical] = ("poisson",)
+    train_noise: Axis[TrainingNoise] = Field(
         (), description="noises of the training, if others: photon noise is trained by ml_gauss"
     )
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
-    light: Annotated[tuple[Light, ...], BeforeValidator(_axis), Field(min_length=1)] = ("column",)
-    rails: Annotated[tuple[Rails, ...], BeforeValidator(_axis), Field(min_length=1)] = ("dual",)
+    light: Filled[Light] = ("column",)
+    rails: Filled[Rails] = ("dual",)
     trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
     validation: int | None = Field(
         None, ge=0, description="training scenes held out to choose on; a sixth unless given"
     )
     draws: int = Field(3, ge=1, description="noise draws of each test scene")
-    test_photons: Annotated[tuple[Budget, ...], BeforeValidator(_axis)] = Field(
+    test_photons: Axis[Budget] = Field(
         (), description="budgets of the tests; that of the training unless given"
     )
-    test_noise: Annotated[tuple[Noise, ...], BeforeValidator(_axis)] = Field(
+    test_noise: Axis[Noise] = Field(
         (), description="noises of the tests; that of the training unless given"
     )
-    test_levels: Annotated[tuple[Levels, ...], BeforeValidator(_axis), Field(min_length=1)] = Field(
+    test_levels: Filled[Levels] = Field(
         (0,),
         description="grey levels, dark included, of the masks shown in the tests; 0: continuous",
     )

@@ -157,7 +157,7 @@ class Results(Frozen):
     extra: dict[str, Any] = {}
 
     def with_points(self, points: Iterable[Point]) -> "Results":
-        """The same comparison with other points."""
+        """Results of this comparison with other points."""
         return self.model_copy(update={"points": tuple(points)})
 
 
