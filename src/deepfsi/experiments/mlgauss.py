@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from deepfsi.experiments.experiment import Experiment, Finding
+from deepfsi.experiments.experiment import Experiment, Finding, points
 from deepfsi.experiments.paired_maps import pair
 from deepfsi.report.section import Claim, Picture
 from deepfsi.report.style import photons_text
@@ -24,7 +24,7 @@ PAPER = (
 
 def show(results: Results) -> Finding:
     """Contour maps of both tests and of their difference."""
-    both = pair(results, "noise", "ml_gauss", "poisson")
+    both = pair(*(points(results, noise=noise) for noise in ("ml_gauss", "poisson")))
     pixels = round(results.points[0].masks / results.points[0].ratio)
     large = {place: each for place, each in both.differences.items() if abs(each.mean) > NOTICED}
     bright = {

@@ -1,15 +1,16 @@
 """Two ways to test the same designs, over budgets and compression ratios."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.experiments.experiment import budgets, points
+from deepfsi.experiments.experiment import budgets
 from deepfsi.report.maps import accuracy_grid, contour_figure
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, difference
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Point
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,8 @@ class Pair:
         )
 
 
-def pair(results: Results, axis: str, first: object, second: object) -> Pair:
-    """Tests that differ in the field `axis`: the second less the first."""
-    one, other = (points(results, **{axis: value}) for value in (first, second))
+def pair(one: Sequence[Point], other: Sequence[Point]) -> Pair:
+    """Two tests at the same ratios and budgets: the second less the first."""
     lights, ratios = budgets(one), sorted({point.ratio for point in one})
     there = {(point.ratio, point.photons): point for point in one}
     return Pair(

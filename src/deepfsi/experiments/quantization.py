@@ -20,7 +20,7 @@ PAPER = (
 def show(results: Results) -> Finding:
     """Contour maps with continuous masks, with quantised ones, and their difference."""
     levels = max(point.levels for point in results.points)
-    both = pair(results, "levels", 0, levels)
+    both = pair(*(points(results, levels=each) for each in (0, levels)))
     loss = _mean_loss(results, levels)
     most, where = both.largest
     claim = Claim(

@@ -241,12 +241,12 @@ def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
                 path = designs / f"{point.keys[0]}.safetensors"
                 if path.is_file():
                     name = f"masks{i}-{j}-{len(panels)}"
-                    panels.append(mask_panel(point, *read_masks(path), name))
+                    panels.append(_mask_panel(point, *read_masks(path), name))
             if panels:
                 yield Learned(f"{names[key]}, {noise_text(noise)}", panels)
 
 
-def mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:
+def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:
     """Masks of one design at one budget, and the distribution of their values."""
     masks, photons = rails.shape[1], photons_text(point.photons)
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"

@@ -28,17 +28,7 @@ BESIDE = 0.028
 class Accuracy:
     """Accuracy of a design in the laboratory, with its interval.
 
-    Attributes
-    ----------
-    design, label : str
-    specific : bool
-        Whether the design is feature-specific.
-    exposure_s : float
-    accuracy, low, high : float
-    effect : str
-        What the laboratory varies.
-    value : float
-        Of the effect, 0 or more.
+    `effect` is what the laboratory varies, and `value` how much there is of it, 0 or more.
     """
 
     design: str

@@ -140,17 +140,7 @@ class DigitTest:
 
 @dataclass(frozen=True)
 class RunTime:
-    """Time from a photon file to its classes, for one exposure.
-
-    Attributes
-    ----------
-    design, label : str
-    seconds : float
-    photons : int
-        Counted photons.
-    bytes : int
-        Size of the photon file.
-    """
+    """Time from a photon file to its classes for one exposure, its counts, and the file's size."""
 
     design: str
     label: str
@@ -170,17 +160,10 @@ class Views:
 
 @dataclass(frozen=True)
 class Measures:
-    """Everything that is measured in the laboratory.
+    """Everything that is measured in the laboratory, as `hardware.json` holds it.
 
-    Attributes
-    ----------
-    calibration, camera : dict
-        The fitted view and the virtual camera, as their models write themselves.
-    views : Views
-    frame : str
-        DeepFSI's first frame in base64, a bit for each mirror.
-    tests : sequence of DigitTest
-    times : sequence of RunTime
+    Calibration and camera are as their models write themselves; `frame` is DeepFSI's first in
+    base64, a bit for each mirror.
     """
 
     calibration: dict[str, Any]

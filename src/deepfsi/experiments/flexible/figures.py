@@ -53,16 +53,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Stops:
-    """Exposures of one kind of design that stop early.
-
-    Attributes
-    ----------
-    name : str
-        For the key.
-    look : str
-        Of `LOOKS`.
-    trials : sequence of Stopped
-    """
+    """Exposures of one kind of design that stop early: name in the key, one of `LOOKS`, trials."""
 
     name: str
     look: str

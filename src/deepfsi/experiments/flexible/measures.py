@@ -48,14 +48,7 @@ class Prefix:
 
 @dataclass(frozen=True)
 class Measures:
-    """Everything that is measured beyond accuracies.
-
-    Attributes
-    ----------
-    prefixes : sequence of Prefix
-    stopped, looked : sequence of Stopped
-        Exposures of nested masks, and of several looks, that stop early; of each trial.
-    """
+    """First masks; trials that stop exposures of nested masks, and of several looks, early."""
 
     prefixes: Sequence[Prefix]
     stopped: Sequence[Stopped]

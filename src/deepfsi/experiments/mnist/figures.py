@@ -93,13 +93,7 @@ class LearnedMasks:
 class Start:
     """Accuracy of masks that start from a matrix, or its difference to another's.
 
-    Attributes
-    ----------
-    noise, start : str
-        Noise of the test and name of the matrix.
-    photons, value : float
-    low, high : float or None
-        95 % interval; None where there is none.
+    Under the noise of the test, with its 95 % interval, None where there is none.
     """
 
     noise: str
