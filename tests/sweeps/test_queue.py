@@ -106,27 +106,30 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path):
 def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
     recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=2)
     trials = plan(recipe, digits) + plan(shared_training(), digits)
+    wild = plan(small(designs="pca", masks=6, training={"epochs": 2, "lr": 1e30}), digits)
     mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
     mine.start()
     try:
-        two = train_trials(trials, digits, tmp_path / "two", count=2)
+        with pytest.raises(InputError, match=r"diverged and the others are done: pca, 6 masks;"):
+            train_trials([*trials, *wild], digits, tmp_path / "two", count=2)
         assert mine.is_alive()
     finally:
         mine.kill()
         mine.join()
         mine.close()
+    assert not list(tmp_path.glob("**/*.lock"))
     assert len(list((tmp_path / "two" / "designs").iterdir())) < len(trials)
+    two = train_trials(trials, digits, tmp_path / "two")
     one = train_trials(trials, digits, tmp_path / "one")
     for first, second in zip(one, two, strict=True):
         assert first["key"] == second["key"]
         assert first["test"] == second["test"]
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path, count):
-    settings = {"epochs": 2, "lr": [1e-2, 1e30]}
-    trials = plan(small(designs="pca", masks=3, trials=2, training=settings), digits)
+def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
+    recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
+    trials = plan(recipe, digits)
     with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
-        train_trials(trials, digits, tmp_path, count=count)
+        train_trials(trials, digits, tmp_path)
     assert not list(tmp_path.glob("**/*.lock"))
     assert len(list((tmp_path / "trials").iterdir())) == len(trials) / 2
