@@ -16,6 +16,7 @@ from deepfsi.sweeps.records import content_hash
 from deepfsi.training.job import REVISION, Job, check_job
 
 SCHEMA = 2
+"""Version of what the keys of trials are hashes of."""
 
 
 class Trial(BaseModel):
