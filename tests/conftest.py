@@ -4,8 +4,6 @@ A statistical tolerance is five standard deviations of the estimator, so that on
 million fails by chance; the seeds are fixed, so that it then fails always.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

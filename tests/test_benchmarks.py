@@ -1,7 +1,5 @@
 """The benchmarks run, and what they compare is what they say."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from functools import cache

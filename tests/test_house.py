@@ -3,8 +3,6 @@
 `lint-imports` checks the layers; what may be larger than the rule is in a table of CONTRIBUTING.md.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A design file gives the design back bit for bit, or one clear error; it never runs code."""
 
-from __future__ import annotations
-
 import copy
 import json
 import os

@@ -1,7 +1,5 @@
 """The paper's classifier."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Designs for a range of budgets, and masks of which the first ones do by themselves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Accuracy is counted right, repeats, and goes to its limits in the dark and in bright light."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Inputs of an exposure, and images cut in blocks, row by row."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The graph gives what torch gives, and says what it is."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

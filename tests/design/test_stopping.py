@@ -1,7 +1,5 @@
 """Early stopping: the same photons, an honest choice, and what is saved."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

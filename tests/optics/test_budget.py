@@ -1,7 +1,5 @@
 """Budgets become photons per pixel; the noise axis is the error of an impulse camera."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

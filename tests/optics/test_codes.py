@@ -1,7 +1,5 @@
 """Each named design is the matrix that DESIGN.md says."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """No set of masks takes more light than its constraint allows, whatever training does to it."""
 
-from __future__ import annotations
-
 import copy
 import math
 

@@ -1,7 +1,5 @@
 """The adapter to deepinv in the docs, with deepinv where it is installed and by its formula."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

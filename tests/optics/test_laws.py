@@ -1,7 +1,5 @@
 """The paper's claims as laws, over all designs and all light constraints at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Masks of one's own, from everything that holds them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

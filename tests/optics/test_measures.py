@@ -1,7 +1,5 @@
 """Measures of masks: exact values where these are known, and what must not change them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Each noise has the mean and variance it claims, and a gradient where masks train through it."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The optical front end draws the right counts, on every path, and passes the right gradient."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

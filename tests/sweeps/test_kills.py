@@ -3,8 +3,6 @@
 DEEPFSI_KILLS=50 pytest tests/sweeps/test_kills.py kills it more often.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """The photons that a target needs: known crossings of made-up curves lie in the interval."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -3,8 +3,6 @@
 Work functions are nested, so that they travel by value: workers do not see the test modules.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

@@ -1,7 +1,5 @@
 """Jobs that are refused, and the precision that they get."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

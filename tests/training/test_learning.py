@@ -1,7 +1,5 @@
 """Designs that training makes: masks, own matrices, grey levels, statistics, shapes of scenes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

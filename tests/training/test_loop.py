@@ -1,7 +1,5 @@
 """Training repeats, and treats replicas as if alone."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

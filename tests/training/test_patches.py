@@ -1,7 +1,5 @@
 """Images seen patch by patch: the physics of the masks, and the training behind them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

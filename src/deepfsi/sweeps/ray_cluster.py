@@ -1,7 +1,5 @@
 """Many tasks on a Ray cluster: what is shared is sent once, results come back as they finish."""
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 import os
