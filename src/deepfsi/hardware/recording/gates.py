@@ -18,7 +18,18 @@ from deepfsi.progress import Report
 def find_frames(
     header: Header, acquisition: Acquisition, manifest: Manifest, report: Report
 ) -> tuple[np.ndarray, np.ndarray, list[Fault]]:
-    """Start of each frame (S, F) in seconds, scenes whose masks' frames are whole (S,), faults."""
+    """Start of each frame (S, F) in seconds, scenes whose masks' frames are whole (S,), faults.
+
+    Parameters
+    ----------
+    header : Header
+        Of the photon file.
+    acquisition : Acquisition
+    manifest : Manifest
+        Of the patterns that were shown.
+    report : Report
+        Given the share of the file whose markers are read.
+    """
     path, tick_s = header.path, header.tick_s
     times, bits = read_markers(path, report)
     times = times[bits & acquisition.marker_bit != 0]
