@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
-__all__ = ["InputError", "as_input_error", "closest"]
+__all__ = ["InputError", "as_input_error", "check_known", "closest"]
 
 
 class InputError(ValueError):
@@ -49,6 +49,20 @@ def closest(name: str, allowed: Iterable[str]) -> str:
     matches = get_close_matches(name.lower(), by_lower_case, n=1)
     guess = f"did you mean '{by_lower_case[matches[0]]}'? " if matches else ""
     return f"{guess}Known: {', '.join(allowed)}"
+
+
+def check_known(what: str, name: str, known: Iterable[str]) -> None:
+    """Raise `InputError` with the closest known name unless a name is known.
+
+    Parameters
+    ----------
+    what : str
+        What it names.
+    known : iterable of str
+        The names.
+    """
+    if name not in (known := list(known)):
+        raise InputError(f"unknown {what} {name!r}: {closest(name, known)}")
 
 
 @contextmanager

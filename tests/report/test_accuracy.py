@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.report import accuracy_figure
+from deepfsi.report.accuracy import accuracy_figure
 from shared.results import DESIGNS, make_results, with_all
 
 

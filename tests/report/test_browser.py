@@ -16,7 +16,8 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
-from deepfsi.report import build, write_study
+from deepfsi.report.comparison_page import build
+from deepfsi.report.study_page import write_study
 from shared.pages import example
 from shared.results import make_results
 

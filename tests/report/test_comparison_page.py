@@ -6,8 +6,8 @@ import re
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.report import accuracy_figure, build, count_figure
-from deepfsi.report.comparison_page import summary
+from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report.comparison_page import build, summary
 from deepfsi.sweeps.results import write_results
 from shared.pages import assert_whole, run_without_torch, words_of
 from shared.results import make_results, with_all
@@ -181,4 +181,6 @@ def test_damaged_design_file_is_named(tmp_path):
 
 def test_report_needs_no_torch(tmp_path):
     make_results(tmp_path)
-    run_without_torch("from deepfsi.report import build; build(sys.argv[1])", tmp_path)
+    run_without_torch(
+        "from deepfsi.report.comparison_page import build; build(sys.argv[1])", tmp_path
+    )

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.report import masks_figure, values_figure
-from deepfsi.report.masks import signed
+from deepfsi.report.masks import masks_figure, signed, values_figure
 from deepfsi.report.style import svg
 
 

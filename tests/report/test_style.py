@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepfsi.report import accuracy_figure
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import photons_text, svg
 from shared.figures import assert_sound
 from shared.results import make_results

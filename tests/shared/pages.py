@@ -7,16 +7,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from deepfsi.report import (
-    Claim,
-    Picture,
-    Section,
-    Table,
-    accuracy_figure,
-    count_figure,
-    masks_figure,
-    values_figure,
-)
+from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report.masks import masks_figure, values_figure
+from deepfsi.report.section import Claim, Picture, Section, Table
 from shared.results import make_results
 
 SCRIPT = "<script>window.harmed = true</script>"

@@ -200,8 +200,8 @@ def show(
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
-    from deepfsi import report
     from deepfsi.design.artifact import Design
+    from deepfsi.report.masks import masks_figure
 
     common.check_picture(out)
     if count < 1:
@@ -210,7 +210,7 @@ def show(
     common.check_writable(out.parent)
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
-    figure = report.masks_figure(made.matrix, made.mask_shape, title=title, count=count)
+    figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)
     common.draw(figure, out)
 
 

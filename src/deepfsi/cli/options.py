@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
     import numpy as np
@@ -171,8 +171,7 @@ def job_settings(
     from deepfsi.sweeps.recipe import TRAINING_NOISE
 
     noise = options["noise"]
-    if noise not in TRAINING_NOISE:
-        raise InputError(f"unknown noise {noise!r}: {closest(noise, TRAINING_NOISE)}")
+    check_known("noise", noise, TRAINING_NOISE)
     usual = TRAINING_NOISE[noise]
     if options["looks"] > 1 and usual == "ml_gauss":
         usual = "poisson"  # a look shows many masks too shortly for MLGauss

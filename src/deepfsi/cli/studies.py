@@ -182,7 +182,7 @@ def report(
     Example: deepfsi report runs/paper
     """
     from deepfsi import experiments
-    from deepfsi.report import build
+    from deepfsi.report.comparison_page import build
 
     write = experiments.page if experiments.is_study(folder) else build
     print(f"report: {write(folder)}")
@@ -244,7 +244,7 @@ def _run(
 
 
 def _finish(results: "Results", out: Path, as_json: bool) -> None:
-    from deepfsi.report import build
+    from deepfsi.report.comparison_page import build
     from deepfsi.sweeps.results import write_results
 
     write_results(out / "results.json", results)

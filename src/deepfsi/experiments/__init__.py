@@ -3,7 +3,7 @@
 import io
 from pathlib import Path
 
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known
 from deepfsi.experiments import compression, mlgauss, quantization
 from deepfsi.experiments.camera import claims as camera_study
 from deepfsi.experiments.experiment import Experiment
@@ -32,8 +32,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
 
 def find(name: str) -> tuple[Experiment, ...]:
     """Experiments of that name, or `InputError`."""
-    if name not in STUDIES:
-        raise InputError(f"unknown experiment {name!r}: {closest(name, STUDIES)}")
+    check_known("experiment", name, STUDIES)
     return STUDIES[name]
 
 

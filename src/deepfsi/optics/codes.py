@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,7 @@ DESIGNS: dict[str, Code] = {
 
 def check_design(name: str) -> str:
     """Return the name of a design, or raise `InputError` that names the closest."""
-    if name not in DESIGNS:
-        raise InputError(f"unknown design {name!r}: {closest(name, DESIGNS)}")
+    check_known("design", name, DESIGNS)
     return name
 
 

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known
 
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Name of a light constraint."""
@@ -29,10 +29,8 @@ SLACK = 1e-5
 
 def check_light(light: str, rails: str) -> None:
     """Raise `InputError` unless the constraint exists and can be had with these rails."""
-    if light not in get_args(Light):
-        raise InputError(f"unknown light constraint {light!r}: {closest(light, get_args(Light))}")
-    if rails not in get_args(Rails):
-        raise InputError(f"unknown rails {rails!r}: {closest(rails, get_args(Rails))}")
+    check_known("light constraint", light, get_args(Light))
+    check_known("rails", rails, get_args(Rails))
     if light == "two-arm" and rails == "single":
         raise InputError(
             "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import check_known
 
 Noise = Literal["none", "gaussian", "poisson", "ml_gauss"]
 """Name of a detector noise."""
@@ -29,8 +29,7 @@ differences and wrong at 1e10 (PyTorch issues 86782 and 136750).
 
 def check_noise(name: str) -> Noise:
     """Return the name of a noise, or raise `InputError` that names the closest."""
-    if name not in get_args(Noise):
-        raise InputError(f"unknown noise {name!r}: {closest(name, get_args(Noise))}")
+    check_known("noise", name, get_args(Noise))
     return name  # type: ignore[return-value]
 
 

@@ -14,10 +14,11 @@ from hashlib import sha256
 from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns import frame_files, mirrors, sequence
 from deepfsi.progress import SILENT, Report
@@ -223,7 +224,7 @@ def _digest(manifest: str | bytes) -> str:
 def _check_design(design: DesignRails) -> None:
     """Raise `InputError` unless the rails can be shown."""
     rails, light, pixels = design.rails, design.light, math.prod(design.image_shape)
-    sequence.check_known("light constraint", light, sequence.Light)
+    check_known("light constraint", light, get_args(sequence.Light))
     if rails.ndim != 3 or len(rails) not in (1, 2) or not rails.size or rails.shape[2] != pixels:
         raise InputError(
             f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"

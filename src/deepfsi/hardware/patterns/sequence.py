@@ -23,7 +23,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known, closest
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -51,20 +51,6 @@ Selection = Literal["ordered", "random"]
 
 Format = Literal["npy", "raw", "png"]
 """Files of the frames."""
-
-
-def check_known(what: str, name: str, known: object) -> None:
-    """Raise `InputError` with the closest known name unless a name is known.
-
-    Parameters
-    ----------
-    what : str
-        What it names.
-    known : Literal type
-        Of the known names.
-    """
-    if name not in get_args(known):
-        raise InputError(f"unknown {what} {name!r}: {closest(name, get_args(known))}")
 
 
 class Device(BaseModel):
@@ -201,10 +187,10 @@ class FrameSettings:
                 f"dwell {self.dwell_s!r} is not allowed: give seconds above 0, up to "
                 f"{LONGEST_PICTURE_S:g}"
             )
-        check_known("selection", self.selection, Selection)
+        check_known("selection", self.selection, get_args(Selection))
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is not allowed: give 0 or more")
-        check_known("format", self.format, Format)
+        check_known("format", self.format, get_args(Format))
 
     @property
     def sentinel_us(self) -> int:
@@ -332,7 +318,7 @@ class Manifest(BaseModel):
             raise ValueError("a frame shows a rail that does not exist")
         if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
-        check_known("light constraint", self.light, Light)
+        check_known("light constraint", self.light, get_args(Light))
         if self.two_arm != (self.light == "two-arm") or not seen:
             raise ValueError(f"the rails are not those of {self.light}")
         find_grid(self.device, self.image_shape)  # the device must hold the cells
