@@ -106,6 +106,17 @@ def test_from_photons_to_classes(done, lab, patterns, tmp_path):
     assert contents["markers"]["1"] == 3 * len(read_patterns(patterns).manifest.frames)
 
 
+@pytest.mark.parametrize("words", [[], ["--json"]])
+def test_a_cut_file_is_inspected_as_far_as_it_goes_and_ends_in_2(call, run, words):
+    path = run / "photons.ptu"
+    path.write_bytes(path.read_bytes()[:-400])
+    code, out, errors = call("camera", "inspect", path, *words)
+    assert code == 2
+    assert "records" in out
+    assert errors.count("\n") == 1
+    assert "100 of" in errors
+
+
 def test_another_design_is_not_taken_for_the_one_that_was_shown(refuse, run, tmp_path, digits):
     quick(digits, light="equal-dwell", seed=1).save(tmp_path / "other.safetensors")
     assert "not the design" in refuse("camera", "classify", tmp_path / "other.safetensors", run)

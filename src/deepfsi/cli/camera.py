@@ -10,6 +10,7 @@ from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.sequence import Patterns
+    from deepfsi.hardware.ptu.reader import Contents
     from deepfsi.hardware.virtual.camera import Camera
 
 dmd = typer.Typer(
@@ -277,6 +278,8 @@ def camera_inspect(
 ) -> None:
     """Say what is in a photon file: records, photons and markers by channel, overflows, span.
 
+    A file that is cut or damaged is described as far as it goes, and the exit code is 2.
+
     Example: deepfsi camera inspect photons.ptu
     """
     from deepfsi.hardware.ptu.reader import inspect
@@ -285,7 +288,13 @@ def camera_inspect(
         contents = inspect(file, report)
     if as_json:
         common.print_json(contents.model_dump())
-        return
+    else:
+        _print_contents(file, contents)
+    if contents.problems:
+        raise InputError(f"{file} is not whole: {'; '.join(contents.problems)}")
+
+
+def _print_contents(file: Path, contents: "Contents") -> None:
     rows = [
         ("record type", contents.kind),
         ("time unit", f"{contents.tick_s:g} s"),

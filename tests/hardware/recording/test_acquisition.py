@@ -50,6 +50,7 @@ def test_bad_files_are_named(run, name, content):
         ({"marker_bit": 1}, "photons.ptu has 0 frame markers"),
         ({"marker_bit": 3}, "marker_bit"),
         ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
+        ({"manifest_sha256": None}, "acquisition.json has no manifest_sha256.* prepare"),
         ({"unknown": 1}, "unknown"),
         ({"schema_version": 2}, "schema_version"),
     ],

@@ -88,8 +88,8 @@ def test_gates_open_and_close_when_they_should(tmp_path):
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
 def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
     starts = train(run.patterns.manifest, 3, drift)
-    run.record(starts, starts.ravel(), run.photons)
     wanted = read_counts(run.folder).counts
+    run.record(starts, starts.ravel(), run.photons)
     counts = count(run.folder, exposure_s=11 * DWELL, settle_s=0.0)
     assert (counts.counts == wanted).all()
     assert count(run.folder, exposure_s=11 * DWELL / 8, settle_s=0.0).counts.shape[1] == 8

@@ -1,5 +1,6 @@
 """The file of counts: read as it was written, or refused."""
 
+import json
 import zipfile
 
 import numpy as np
@@ -46,18 +47,51 @@ def rewrite(run: Run, compression: int = zipfile.ZIP_STORED, **arrays: np.ndarra
     [
         {"counts": np.zeros((3, 1, 2, 5), np.int64)},
         {"counts": np.zeros((3, 1, 2, 6), np.int32)},
-        {"counts": np.full((3, 1, 2, 6), -1)},
-        {"valid": np.zeros((3, 1), bool)},
         {"valid": np.full((3, 1), 2, np.uint8)},
-        {"gate_s": np.full(11, np.nan)},
-        {"on_rate": np.full(3, np.inf)},
         {"about": np.frombuffer(b"{}", np.uint8)},
+        {"sha256": np.zeros(3, np.uint8)},
     ],
 )
 def test_damaged_counts_are_refused(run, arrays):
     rewrite(run, **arrays)
     with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
         read_counts(run.folder)
+
+
+@pytest.mark.parametrize("name", ["swapped", "large", "bright", "valid", "exposure", "faults"])
+def test_edited_counts_are_refused(run, name):
+    """Every one of these was read, and classified, as it stood."""
+    with np.load(run.folder / "counts.npz") as file:
+        held = dict(file)
+    about = json.loads(held["about"].tobytes())
+    if name == "swapped":
+        held["counts"] = held["counts"][[1, 0, 2]]
+    elif name == "large":
+        held["counts"][1, 0, 0, 3] = 10**9
+    elif name == "bright":
+        held["on_rate"] = held["on_rate"] * 10
+    elif name == "valid":
+        held["valid"][0] = False
+    elif name == "exposure":
+        about["exposure_s"] *= 2
+    else:
+        about["faults"] = [{"kind": "lost", "scene": 0, "frame": None, "detail": ""}]
+    rewrite(run, **held | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+    for read in (read_counts, reconstruct):
+        with pytest.raises(InputError, match=r"counts\.npz was changed after it was written"):
+            read(run.folder)
+
+
+def test_counts_are_of_the_photons_beside_them(run):
+    path = run.folder / "photons.ptu"
+    wanted = read_counts(run.folder).counts
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"counts\.npz is of another photons\.ptu"):
+        read_counts(run.folder)
+    path.unlink()  # kept elsewhere
+    assert (read_counts(run.folder).counts == wanted).all()
 
 
 def test_compressed_or_cut_counts_are_refused(run):

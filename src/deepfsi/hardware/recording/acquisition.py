@@ -145,12 +145,17 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
     Raises `InputError` if a file is missing, damaged, or does not fit the others.
     """
     path = Path(folder) / "acquisition.json"
-    hint = "a folder that `deepfsi camera simulate` wrote has one, or write it with `prepare`"
+    hint = "make the folder with `deepfsi camera prepare` or `simulate`"
     content = read_limited(path, LARGEST_JSON, hint)
     with as_input_error(str(path)):
         acquisition = Acquisition.model_validate_json(content)
     patterns = read_patterns(path.parent / "patterns")
     manifest = path.parent / "patterns" / "manifest.json"
+    if acquisition.manifest_sha256 is None:
+        raise InputError(
+            f"{path} has no manifest_sha256, so nothing says that {manifest} was shown: make the "
+            "folder with `deepfsi camera prepare`"
+        )
     if sha256(manifest.read_bytes()).hexdigest() != acquisition.manifest_sha256:
         raise InputError(
             f"{manifest} is not the one that {path} was made with: copy the patterns that were "

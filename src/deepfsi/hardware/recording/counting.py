@@ -80,7 +80,7 @@ def count(
     rates = photons[fits] / spent[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
     counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure, tuple(faults))
-    counts.save(Path(folder) / "counts.npz", acquisition)
+    counts.save(Path(folder), acquisition)
     return counts
 
 

@@ -1,4 +1,8 @@
-"""Photon counts of each readout, and their file counts.npz."""
+"""Photon counts of each readout, and their file counts.npz.
+
+The file carries hashes of what was counted (settings, patterns, photons.ptu) and of its own
+content: counts of something else, and counts that were edited, are refused.
+"""
 
 import io
 import json
@@ -7,6 +11,7 @@ import os
 import struct
 import zipfile
 from dataclasses import dataclass
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
 
@@ -103,10 +108,11 @@ class Counts:
         """
         return self.flux * self.exposure_s
 
-    def save(self, path: Path, acquisition: Acquisition) -> None:
-        """Write counts.npz, with the hash of the acquisition that was counted."""
+    def save(self, folder: Path, acquisition: Acquisition) -> None:
+        """Write counts.npz to the folder of the acquisition that was counted."""
         about = {
             "acquisition": acquisition.digest,
+            "photons_sha256": _hash_file(folder / "photons.ptu"),
             "repeats": self.counts.shape[1],
             "exposure_s": self.exposure_s,
             "settle_s": self.settle_s,
@@ -116,34 +122,36 @@ class Counts:
         arrays: dict[str, Any] = {
             name: held for name, held in vars(self).items() if isinstance(held, np.ndarray)
         }
+        arrays["about"] = text
         file = io.BytesIO()
-        np.savez(file, about=text, **arrays)
-        write_atomically(path, file.getvalue())
+        np.savez(file, sha256=_hash_arrays(arrays), **arrays)
+        write_atomically(folder / "counts.npz", file.getvalue())
 
 
 def read_counts(folder: str | os.PathLike[str]) -> Counts:
     """Counts of a folder as `count` wrote them.
 
-    Raises `InputError` if there are none, or they are damaged or of another acquisition.
+    Raises `InputError` if there are none, they were changed, or they are of another acquisition or
+    photon file.
     """
     acquisition, patterns = read_acquisition(folder)
-    return load_counts(Path(folder) / "counts.npz", acquisition, patterns.manifest)
+    return load_counts(Path(folder), acquisition, patterns.manifest)
 
 
-def load_counts(path: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
-    """Counts of an acquisition of a manifest's patterns. Parameters as of `Counts.save`."""
+def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
+    """Counts in the folder of an acquisition of a manifest's patterns.
+
+    Parameters as of `read_acquisition`, which gives the others. Raises as `read_counts`.
+    """
+    path, photons = folder / "counts.npz", folder / "photons.ptu"
     content = read_limited(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
-    damaged = InputError(
-        f"{path} is not a whole file of counts: make it with `deepfsi camera count`"
-    )
+    again = "count again with `deepfsi camera count`"
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            about = _About.model_validate_json(_member(archive, "about", "|u1", None).tobytes())
+            text = _member(archive, "about", "|u1", None)
+            about = _About.model_validate_json(text.tobytes())
             if about.acquisition != acquisition.digest:
-                raise InputError(
-                    f"{path} is of another acquisition than acquisition.json: count again with "
-                    "`deepfsi camera count`"
-                )
+                raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
             scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
             kinds: dict[str, tuple[str, tuple[int, ...]]] = {
                 "counts": ("<i8", (scenes, about.repeats, rails, masks)),
@@ -155,28 +163,44 @@ def load_counts(path: Path, acquisition: Acquisition, manifest: Manifest) -> Cou
                 "lengths_s": ("<f8", (rails, masks)),
             }
             arrays = {name: _member(archive, name, *kind) for name, kind in kinds.items()}
+            digest = _member(archive, "sha256", "|u1", (sha256().digest_size,))
     except InputError:
         raise
     except _UNREADABLE:
-        raise damaged from None
-    if arrays["valid"].view(np.uint8).max() > 1 or not arrays["valid"].any():
-        raise damaged
-    lit = arrays["valid"].any(axis=1)
-    known = [arrays[name] for name in ("gate_s", "dark_rate", "lengths_s")]
-    known += [arrays["on_rate"][lit], arrays["off_rate"][lit], arrays["counts"]]
-    if not all(bool((np.isfinite(each) & (each >= 0)).all()) for each in known):
-        raise damaged
+        raise InputError(
+            f"{path} is not a whole file of counts: make it with `deepfsi camera count`"
+        ) from None
+    if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
+        raise InputError(f"{path} was changed after it was written: {again}")
+    if photons.is_file() and _hash_file(photons) != about.photons_sha256:
+        raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
     return Counts(
         **arrays, exposure_s=about.exposure_s, settle_s=about.settle_s, faults=about.faults
     )
 
 
+def _hash_file(path: Path) -> str:
+    """Hash of a file's content."""
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
+
+
+def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Hash of named arrays, their types and shapes, uint8 (32,)."""
+    found = sha256()
+    for name, held in sorted(arrays.items()):
+        found.update(f"{name} {held.dtype.str} {held.shape}\n".encode())
+        found.update(np.ascontiguousarray(held).tobytes())
+    return np.frombuffer(found.digest(), np.uint8)
+
+
 class _About(BaseModel):
-    """Settings with which a file was counted, and the hash of the acquisition that was."""
+    """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     acquisition: str
+    photons_sha256: str
     repeats: int = Field(ge=1, le=MOST_READOUTS)
     exposure_s: Positive
     settle_s: float = Field(ge=0, allow_inf_nan=False)

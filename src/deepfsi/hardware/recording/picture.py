@@ -33,11 +33,10 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
         As `read_counts`, or if the flux is not known and no light was seen.
     """
     acquisition, patterns = read_acquisition(folder)
-    path = Path(folder) / "counts.npz"
-    counts = load_counts(path, acquisition, patterns.manifest)
+    counts = load_counts(Path(folder), acquisition, patterns.manifest)
     budget = counts.photons if acquisition.flux is None else acquisition.flux * counts.exposure_s
     if not budget > 0:
-        raise InputError(f"{path} has no light: its all-ON frames are not brighter than the dark")
+        raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")
     valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
     mean = np.einsum("sr,srkm->skm", weights, counts.signal())[valid]
