@@ -1,6 +1,7 @@
 """Progress of a long task."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 
@@ -45,3 +46,39 @@ class Report:
 
 SILENT = Report()
 """Shows nothing."""
+
+
+@contextmanager
+def terminal_bar(what: str, hidden: bool = False) -> Iterator[Report]:
+    """Progress bar with the time left on standard error, where that is a terminal.
+
+    Parameters
+    ----------
+    what : str
+        Words before the bar, where the task has none.
+    hidden : bool
+        Show no bar on a terminal either.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as TimeLeft
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft())
+    console = Console(stderr=True)
+    hidden = hidden or not console.is_terminal
+    with Progress(*columns, console=console, disable=hidden, transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield Report(lambda share, now: bar.update(task, completed=share, description=now or what))
+
+
+@contextmanager
+def shown(report: Report | None, what: str) -> Iterator[Report]:
+    """The report of a task that was given one, else a bar where a terminal is attached.
+
+    Parameters as for `terminal_bar`.
+    """
+    if report is not None:
+        yield report
+        return
+    with terminal_bar(what) as bar:
+        yield bar

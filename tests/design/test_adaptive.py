@@ -346,7 +346,7 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
     with pytest.raises(InputError, match="finite"):
         design.classify_live(lambda dwell: np.full(6, np.nan), 1e3)
     fixed = seeing(digits, looks=1)
-    with pytest.raises(InputError, match="--looks"):
+    with pytest.raises(InputError, match="`looks`"):
         fixed.classify_live(lambda dwell: np.zeros(6), 1e3)
     with pytest.raises(InputError, match="leave dwell out"):
         fixed.classify(np.zeros(6), 1e3, dwell=np.ones(6) / 6)

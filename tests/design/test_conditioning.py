@@ -218,7 +218,7 @@ def test_what_cannot_be_is_refused(digits, settings, words):
 
 
 def test_a_plain_design_has_no_first_masks(digits):
-    with pytest.raises(InputError, match="--nested"):
+    with pytest.raises(InputError, match="`nested`"):
         quick(digits, masks=6).first(3)
     with pytest.raises(InputError, match="3 to 8"):
         quick(digits, **TRAINED).first(2)

@@ -178,9 +178,9 @@ def test_under_column_nothing_is_saved(digits):
 
 def test_what_cannot_stop_is_refused(nested, digits):
     plain = quick(digits.hold_out(HELD_OUT), masks=4, light="free-dwell", rails="single")
-    with pytest.raises(InputError, match="--nested"):
+    with pytest.raises(InputError, match="`nested`"):
         stop(plain, digits, PHOTONS, held_out=HELD_OUT)
-    with pytest.raises(InputError, match="--hold-out 200"):
+    with pytest.raises(InputError, match="`hold_out=200`"):
         stop(nested, digits, PHOTONS, held_out=200)
     with pytest.raises(InputError, match="give 0 to 1"):
         stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=1.5)

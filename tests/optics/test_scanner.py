@@ -309,3 +309,22 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
     for ours, autograd in zip(found[0][1], found[1][1], strict=True):
         assert torch.isfinite(ours).all()
         assert torch.allclose(ours, autograd, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("photons", "match"),
+    [
+        (torch.ones(5, 3), r"shape \(5, 3\) do not fit masks of 2 pixels: give \(..., 2\)"),
+        (torch.tensor(1.0), "do not fit masks of 2 pixels"),
+        (torch.ones(5, 2).numpy(), r"ndarray: give a tensor"),
+        ([[1.0, 2.0]], "list: give a tensor"),
+        (torch.ones(5, 2, dtype=torch.int64), r"give photons.float\(\)"),
+    ],
+)
+@pytest.mark.parametrize("noise", NOISES)
+def test_photons_of_another_shape_or_kind_are_one_line(photons, match, noise):
+    scanner = Scanner.from_rails(RAILS, noise)
+    for see in (scanner, scanner.counts, scanner.rates):
+        with pytest.raises(InputError, match=match) as error:
+            see(photons)
+        assert "\n" not in str(error.value)

@@ -55,7 +55,6 @@ def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
         {"seed": 2**70},
         {"design": "random", "seed": -1},
         {"device": "tpu"},
-        {"colour": "red"},
     ],
     ids=str,
 )

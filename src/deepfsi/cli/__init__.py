@@ -1,7 +1,8 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
+import re
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import typer
 
@@ -40,7 +41,7 @@ def main() -> NoReturn:
     except (KeyboardInterrupt, typer.Abort):
         code = _STOPPED
     except InputError as error:
-        _fail(str(error))
+        _fail(as_options(str(error)))
     except typer.TyperException as error:
         _fail(getattr(error, "format_message", error.__str__)())
     except OSError as error:
@@ -50,6 +51,24 @@ def main() -> NoReturn:
         kept = "; finished trials are kept, run again to go on" if resumes else ""
         print(f"deepfsi: stopped{kept}", file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def as_options(message: str) -> str:
+    """A message with the settings of Python in it, in backticks, as options: `size` → --size."""
+    known = _names(typer.main.get_command(app))
+
+    def option(setting: re.Match[str]) -> str:
+        name = f"--{setting[1].replace('_', '-')}"
+        value = f" {setting[2]}" if setting[2] else ""
+        return f"{name}{value}" if name in known else setting[0]
+
+    return re.sub(r"`([a-z_]+)(?:=\"?([^`\"]+)\"?)?`", option, message)
+
+
+def _names(command: Any) -> set[str]:
+    """Options of a command and of those in its group."""
+    own = {name for parameter in command.params for name in parameter.opts}
+    return own.union(*(_names(each) for each in getattr(command, "commands", {}).values()))
 
 
 def _fail(message: str) -> NoReturn:

@@ -3,13 +3,13 @@
 import json
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepfsi.errors import InputError
-from deepfsi.progress import Report
+from deepfsi.progress import Report, terminal_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -136,16 +136,6 @@ def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]])
     Console().print(table)
 
 
-@contextmanager
-def progress(what: str, quiet: bool) -> Iterator[Report]:
+def progress(what: str, quiet: bool) -> AbstractContextManager[Report]:
     """Progress bar on standard error with the time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as TimeLeft
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft())
-    console = Console(stderr=True)
-    hidden = quiet or not console.is_terminal
-    with Progress(*columns, console=console, disable=hidden, transient=True) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield Report(lambda share, now: bar.update(task, completed=share, description=now or what))
+    return terminal_bar(what, quiet)

@@ -11,13 +11,15 @@ from deepfsi.datasets.catalog import check, download, list_datasets
 from deepfsi.datasets.conditions import ambient, jitter
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.display import read_display, write_display, write_pictures
-from deepfsi.datasets.load import load_dataset, load_spectra
+from deepfsi.datasets.load import Source, as_dataset, load_dataset, load_spectra
 from deepfsi.datasets.spectra import SpectralImage
 
 __all__ = [
     "Dataset",
+    "Source",
     "SpectralImage",
     "ambient",
+    "as_dataset",
     "check",
     "download",
     "from_arrays",

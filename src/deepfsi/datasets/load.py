@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from deepfsi.datasets import cifar, idx, indian_pines
 from deepfsi.datasets.arrays import Options, Range, from_arrays, load_npz, split_arrays
@@ -83,6 +83,22 @@ def load_dataset(
         return _load_arrays(source, options)
     name = os.fspath(source)
     return _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
+
+
+Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
+"""A data set, or what `load_dataset` makes one of."""
+
+
+def as_dataset(data: Source) -> Dataset:
+    """A data set as it is, or the one of a name, a path or a tuple of arrays, as `load_dataset`."""
+    if isinstance(data, Dataset):
+        return data
+    if not isinstance(data, str | os.PathLike | tuple):
+        raise InputError(
+            f"scenes were given as {type(data).__name__}: give a Dataset, a name such as 'digits', "
+            "a path, or a tuple (x, y) or (x, y, x_test, y_test)"
+        )
+    return load_dataset(data)
 
 
 def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:

@@ -26,7 +26,7 @@ LONGEST_LOOK = 1.05
 """Longest time of a look over that asked for: frames last whole microseconds."""
 
 
-@dataclass
+@dataclass(repr=False)
 class Design:
     """Masks and the classifier that reads them.
 
@@ -76,6 +76,16 @@ class Design:
     classes: tuple[str, ...]
     exposure: ExposureKind = field(default_factory=FixedDwells)
     info: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        budget = self.info.get("job", {}).get("photons")
+        trained = f", learned at {budget:g} photons" if budget else ""
+        shape = "x".join(map(str, self.mask_shape))
+        rails = {1: "single", 2: "dual"}[len(self.rails)]
+        return (
+            f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, {rails} rails, "
+            f"{type(self.classifier).__name__}, {len(self.classes)} classes{trained}>"
+        )
 
     @property
     def matrix(self) -> np.ndarray:
@@ -265,7 +275,7 @@ class Design:
             raise InputError(
                 f"the first {masks} masks of this design do not do by themselves: give "
                 f"{fewest} to {self.masks}"
-                + ("" if fewest < self.masks else ", or learn nested ones with --nested")
+                + ("" if fewest < self.masks else ", or learn nested ones with `nested`")
             )
         used = constraints.used(self.rails, self.light)
         share = float(used[masks - 1] / used[-1])

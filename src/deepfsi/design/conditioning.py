@@ -113,7 +113,7 @@ class Conditioning(ExposureKind):
         if light == "column":
             raise InputError(
                 "under the column constraint all masks see light at once, so that stopping saves "
-                "nothing: use a design for one device, --light free-dwell or equal-dwell"
+                'nothing: use a design for one device, `light="free-dwell"` or equal-dwell'
             )
         used = constraints.used(rails, light)[fewest - 1 :]
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.datasets import Dataset
+from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.noise import check_noise
 from deepfsi.optics.scanner import Scanner
-from deepfsi.progress import SILENT, Report
+from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import wilson
 
 COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
@@ -76,21 +76,21 @@ class Result:
 
 def evaluate(
     design: Design,
-    data: Dataset,
+    data: Source,
     photons: Sequence[float] | float,
     *,
     noise: str = "poisson",
     sigma: float = 1.0,
     draws: int = 3,
     seed: int = 0,
-    report: Report = SILENT,
+    report: Report | None = None,
 ) -> list[Result]:
     """Accuracy on the test scenes of a data set under noise, a `Result` for each budget.
 
     Parameters
     ----------
     design : Design
-    data : Dataset
+    data : Dataset, str, path or tuple of arrays
         Its test part is used; its pixels and classes must be the design's.
     photons : float or sequence of float
         Budgets Φ.
@@ -101,7 +101,8 @@ def evaluate(
         Noise draws of each scene (1 is enough without noise).
     seed : int
         Of the noise.
-    report : Report
+    report : Report, optional
+        Where to say how far it is; a bar where a terminal is attached unless given.
 
     Raises
     ------
@@ -118,13 +119,15 @@ def evaluate(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    check_data(design, data)
+    scenes = as_dataset(data)
+    check_data(design, scenes)
     if not (math.isfinite(sigma) and sigma >= 0):
         raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
     check_draws(draws, seed)
     design.exposure.check_noise(noise)
     scanner = design.scanner(check_noise(noise), sigma)
-    confusions = _confusions(design, data, scanner, budgets, draws, seed, report)
+    with shown(report, f"{design.name}, {design.masks} masks") as bar:
+        confusions = _confusions(design, scenes, scanner, budgets, draws, seed, bar)
     return [
         _result(budget, noise, confusion, draws, design.shares.tolist())
         for budget, confusion in zip(budgets, confusions, strict=True)
@@ -162,7 +165,7 @@ def check_data(design: Design, data: Dataset) -> None:
     if data.pixels != design.pixels:
         raise InputError(
             f"{data.name} has {data.pixels} pixels and the design {design.pixels}: use the data "
-            "(and --size) that it was made for"
+            "(and `size`) that it was made for"
         )
     if data.classes != design.classes:
         raise InputError(

@@ -152,7 +152,7 @@ class ExposureKind:
         """
         raise InputError(
             "the dwells of this design are fixed: show all masks and use `classify`, or learn "
-            "a design with --looks"
+            "a design with `looks`"
         )
 
     def fewest_masks(self, masks: int) -> int:
@@ -169,8 +169,8 @@ class ExposureKind:
         Raises `InputError` if it may stop nowhere before its end, or that saves nothing.
         """
         raise InputError(
-            "this design needs all its masks for an answer: learn nested ones with --nested, or "
-            "several looks with --looks"
+            "this design needs all its masks for an answer: learn nested ones with `nested`, or "
+            "several looks with `looks`"
         )
 
     def check_fixed(self) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax, logsumexp
 
-from deepfsi.datasets import Dataset
+from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.errors import InputError
@@ -307,7 +307,7 @@ def _accuracy_of_surest(confidence: np.ndarray, right: np.ndarray, share: float)
 
 def stop(
     design: Design,
-    data: Dataset,
+    data: Source,
     photons: float,
     *,
     held_out: int | None = None,
@@ -322,7 +322,7 @@ def stop(
     design : Design
         Of several looks, or nested, one whose masks are shown in sequence; trained on
         ``data.hold_out(held_out)``.
-    data : Dataset
+    data : Dataset, str, path or tuple of arrays
     photons : float
         Budget Φ of the whole exposure.
     held_out : int, optional
@@ -343,19 +343,20 @@ def stop(
     """
     budget = check_budget(photons)
     check_draws(draws, seed)
-    check_data(design, data)
+    scenes = as_dataset(data)
+    check_data(design, scenes)
     after, used = design.exposure.stops(design.rails, design.light)
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
-    kept = _held_out(design, data, held_out)
+    kept = _held_out(design, scenes, held_out)
     logits = logits_at_stops(design, kept.x_test, budget, draws, seed ^ 2**31)
     halves, half = _temperatures(logits, kept.y_test, seed)
     choice = _Answers(logits, kept.y_test, [np.where(half, b, a)[:, None] for a, b in halves])
     if threshold is None:
         threshold = choice.least_threshold(used)
     rule = StoppingRule(after, tuple(np.sqrt(halves.prod(axis=1)).tolist()), float(threshold))
-    tested = logits_at_stops(design, data.x_test, budget, draws, seed)
-    return _stopped(rule, _Answers(tested, data.y_test, rule.temperatures), choice, used, budget)
+    tested = logits_at_stops(design, scenes.x_test, budget, draws, seed)
+    return _stopped(rule, _Answers(tested, scenes.y_test, rule.temperatures), choice, used, budget)
 
 
 def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
@@ -365,7 +366,7 @@ def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
         raise InputError(
             f"this design was not trained on {data.name} without its last {len(kept.y_test)} "
             "training scenes, which calibrate its confidence: learn it with "
-            f"--hold-out {len(kept.y_test)}"
+            f"`hold_out={len(kept.y_test)}`"
         )
     return kept
 

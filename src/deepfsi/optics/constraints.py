@@ -129,12 +129,14 @@ def check(rails: Tensor, light: Light) -> Tensor:
     if not bool(torch.isfinite(rails).all()):
         raise InputError("the matrix holds NaN or infinity: give finite numbers")
     if float(rails.min()) < 0:
-        raise InputError("the matrix has negative entries: use --rails dual, or give frames ≥ 0")
+        raise InputError(
+            'the matrix has negative entries: use `rails="dual"`, or give frames of 0 or more'
+        )
     over = excess(rails, light)
     if over > SLACK:
         raise InputError(
             f"the matrix breaks the {light} constraint by {over:.3g} of its limit: scale it down, "
-            "or choose another constraint with --light"
+            "or choose another constraint with `light`"
         )
     return rails
 

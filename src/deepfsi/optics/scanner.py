@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import Fixed
 from deepfsi.optics.noise import Noise, attach_gradient, check_noise, readout, root, variance
@@ -54,6 +55,7 @@ class Scanner(nn.Module):
             counts = subtract(self.read(rates.detach(), generator))
             return attach_gradient(counts, subtract(rates), rates.sum(dim=-2))
         difference, total = self.masks()
+        _check_light(photons, difference.shape[-1])
         if self.noise == "none":
             return project(photons, difference)
         mean, counts = project_pair(photons, difference, total, self.noise == "ml_gauss")
@@ -77,7 +79,24 @@ class Scanner(nn.Module):
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""
         difference, total = self.masks()
+        _check_light(photons, difference.shape[-1])
         return project(photons, constraints.separate(difference, total))
+
+
+def _check_light(photons: Any, pixels: int) -> None:
+    """Raise `InputError` unless photons (..., N) are those of scenes of so many pixels."""
+    if not isinstance(photons, Tensor):
+        raise InputError(
+            f"photons were given as {type(photons).__name__}: give a tensor, such as "
+            "torch.as_tensor(photons)"
+        )
+    if not photons.is_floating_point():
+        raise InputError(f"photons of type {photons.dtype} were given: give photons.float()")
+    if photons.ndim == 0 or photons.shape[-1] != pixels:
+        raise InputError(
+            f"photons of shape {tuple(photons.shape)} do not fit masks of {pixels} pixels: give "
+            f"(..., {pixels}), images flattened"
+        )
 
 
 def project(photons: Tensor, masks: Tensor) -> Tensor:

@@ -139,7 +139,7 @@ class SweepContext:
         except torch.OutOfMemoryError:
             if len(batch) == 1:
                 raise InputError(
-                    f"{self.title(batch)} do not fit the memory of this GPU: use --device cpu"
+                    f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
                 ) from None
             middle = len(batch) // 2
             return self.train(batch[:middle]) + self.train(batch[middle:])
@@ -174,5 +174,6 @@ def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]
             sigma=trial.job.sigma,
             draws=trial.draws,
             seed=trial.job.seed,
+            report=SILENT,
         )
     ]

@@ -12,7 +12,7 @@ import torch
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import Report
+from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
@@ -152,7 +152,14 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     step = float(second_epochs.sum()) / (len(few.y_train) // size)
     trial = batch[0]
     began = time.perf_counter()
-    evaluate(designs[0], few, trial.job.photons, noise=trial.test_noise[0], draws=trial.draws)
+    evaluate(
+        designs[0],
+        few,
+        trial.job.photons,
+        noise=trial.test_noise[0],
+        draws=trial.draws,
+        report=SILENT,
+    )
     tests = len(trial.test_photons) * len(trial.test_noise) * len(trial.test_levels)
     scale = (len(context.data.x_test) + context.held_out) / len(few.x_test)
     return step, (time.perf_counter() - began) * scale * tests

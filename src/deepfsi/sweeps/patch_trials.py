@@ -174,7 +174,9 @@ class PatchContext:
         validation, test = (
             [
                 result.as_dict()
-                for result in evaluate(design, data, job.photons, draws=trial.draws, seed=job.seed)
+                for result in evaluate(
+                    design, data, job.photons, draws=trial.draws, seed=job.seed, report=SILENT
+                )
             ]
             for data in (self.parts, self.data)
         )

@@ -113,7 +113,7 @@ def processes(
     except BrokenProcessPool:
         raise InputError(
             f"one of {workers} worker processes was killed, perhaps for want of memory: finished "
-            "work is kept; run again with fewer --workers"
+            "work is kept; run again with fewer `workers`"
         ) from None
     finally:
         if running:

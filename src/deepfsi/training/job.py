@@ -217,8 +217,8 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
         _check_looks(job)
     if job.training.conditioned and job.noise != "ml_gauss":
         raise InputError(
-            "a range of budgets and nested masks are trained under ml_gauss: leave --noise and "
-            "--train-noise out"
+            "a range of budgets and nested masks are trained under ml_gauss: leave `noise` and "
+            "`train_noise` out"
         )
     if job.training.nested > job.masks:
         raise InputError(
@@ -229,8 +229,8 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
         raise InputError(
-            "a matrix goes with the design `custom`, and only with it: compare and design take "
-            "--matrix"
+            'a matrix goes with the custom design, and only with it: give `design="custom"` and '
+            "`matrix`, or neither"
         )
     constraints.check_light(*job.optics)
     if matrix is None:
@@ -268,10 +268,10 @@ def _check_looks(job: Job) -> None:
         light, rails = job.optics
         raise InputError(
             f"several looks choose how long one device shows each frame, not {light} with {rails} "
-            "rails: use --light free-dwell --rails single"
+            'rails: use `light="free-dwell"` and `rails="single"`'
         )
     if job.training.conditioned or job.noise not in ("ml_gauss", "poisson"):
         raise InputError(
             "several looks are for one budget under photon noise: leave a range of budgets, "
-            "--nested and gaussian noise out"
+            "`nested` and gaussian noise out"
         )

@@ -10,20 +10,37 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
-from deepfsi.datasets import Dataset
+from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure import FixedDwells
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
-from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics, mean_over_exposures
+from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.features import (
+    CHUNK,
+    FeatureNoise,
+    Scale,
+    feature_statistics,
+    mean_over_exposures,
+)
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Fixed, Learned
-from deepfsi.progress import SILENT, Report
-from deepfsi.training.job import Job, TrainingSettings, check_jobs, training_for
+from deepfsi.progress import SILENT, Report, shown
+from deepfsi.training.job import (
+    Job,
+    Precision,
+    TrainingNoise,
+    TrainingSettings,
+    check_jobs,
+    training_for,
+)
 from deepfsi.training.loop import optimise
 from deepfsi.training.training_set import TrainingSet
+
+OWN_DEFAULT = ("lr", "scale", "start")
+"""Settings that are the design's own unless given, see `training_for`."""
 
 
 class Diverged(InputError):
@@ -31,32 +48,83 @@ class Diverged(InputError):
 
 
 def learn(
-    data: Dataset,
+    data: Source,
     *,
     photons: float,
     masks: int,
+    design: str = "deepfsi",
     matrix: np.ndarray | None = None,
+    noise: TrainingNoise = "ml_gauss",
+    sigma: float = 1.0,
+    light: Light = "column",
+    rails: Rails = "dual",
+    seed: int = 0,
+    span: float = 1.0,
+    nested: int = 0,
+    looks: int = 1,
+    levels: int = 0,
+    epochs: int = 40,
+    batch: int | None = None,
+    lr: float | None = None,
+    mask_lr: float = 1e-1,
+    hidden: Sequence[int] = (40, 128),
+    dropout: float = 0.0,
+    scale: Scale | None = None,
+    decay: float = 0.0,
+    start: str | None = None,
+    precision: Precision = "auto",
     device: str = "auto",
-    report: Report = SILENT,
-    **settings: Any,
+    report: Report | None = None,
 ) -> Design:
     """Train one design on all training scenes of a data set.
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset, str, path or tuple of arrays
+        Or whatever `load_dataset` makes one of: a name, a path, ``(x, y)``.
     photons : float
         Budget Φ: expected photons on the coding device, in the mean over training scenes.
     masks : int
         m.
+    design : str
+        A key of `codes.DESIGNS`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
+    noise : {"ml_gauss", "poisson", "gaussian", "none"}
+        Of the training.
+    sigma : float
+        Read noise in counts per readout, for gaussian noise.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+    rails : {"dual", "single"}
+    seed : int
+        Of the order of scenes, the initial weights and the noise.
+    span : float
+        Above 1 for a range of budgets, from `photons` to span times that.
+    nested : int
+        Fewest masks, first ones, that must do for a class; 0: all are needed.
+    looks : int
+        Looks of an exposure; from 2 on, counts choose the dwells of the next.
+    levels : int
+        Grey levels of the device, dark included; 0 for continuous masks.
+    epochs, batch : int
+        Batches are a hundredth of the scenes, 32 to 500, unless given.
+    lr, mask_lr : float
+        Peaks of the one-cycle schedule of the classifier, 1e-2 or what was tuned for the design
+        unless given, and of the masks, relative to their rms.
+    hidden : sequence of int
+        Widths of the classifier's hidden layers.
+    dropout, decay : float
+        Of the classifier: probability, and decoupled weight decay.
+    scale : {"each", "common"}, optional
+        Whether each feature has a standard deviation of its own; common, or what was tuned for the
+        design unless given.
+    start : str, optional
+        Design that learned masks start from; pca, or class-pairs for several looks unless given.
+    precision : {"auto", "float32", "bfloat16"}
+        Of the products of training.
     device : {"auto", "cpu", "cuda"}
-    report : Report
-    **settings
-        Further fields of `Job` (`design`, `noise`, `sigma`, `light`, `rails`, `seed`) and of
-        `TrainingSettings` (`epochs`, `batch`, `lr`, `mask_lr`, `hidden`, `dropout`, `scale`,
-        `decay`, `start`, `precision`, `levels`, `span`, `nested`, `looks`).
+    report : Report, optional
+        Where to say how far the training is; a bar where a terminal is attached unless given.
 
     Raises
     ------
@@ -70,13 +138,20 @@ def learn(
     >>> deepfsi.learn(digits, photons=1e4, masks=10, epochs=1).matrix.shape
     (10, 64)
     """
-    inner = {
-        key: settings.pop(key) for key in list(settings) if key in TrainingSettings.model_fields
+    given = {
+        name: value
+        for name, value in locals().items()
+        if value is not None or name not in OWN_DEFAULT
     }
     with as_input_error():
-        training = training_for(settings.get("design", "deepfsi"), **inner)
-        job = Job(photons=photons, masks=masks, training=training, **settings)
-    return train(TrainingSet(data, device), [job], matrix=matrix, report=report)[0]
+        training = training_for(
+            design, **{name: given[name] for name in TrainingSettings.model_fields if name in given}
+        )
+        named = {name: given[name] for name in Job.model_fields if name in given}
+        job = Job(**named, training=training)
+    training_set = TrainingSet(as_dataset(data), device)
+    with shown(report, f"{design}, {masks} masks") as bar:
+        return train(training_set, [job], matrix=matrix, report=bar)[0]
 
 
 def train(

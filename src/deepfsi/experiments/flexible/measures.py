@@ -13,7 +13,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import Stopped, stop
 from deepfsi.experiments.experiment import budgets, points
-from deepfsi.progress import Report
+from deepfsi.progress import SILENT, Report
 from deepfsi.statistics.differences import of_trials
 from deepfsi.sweeps.results import Point, Results
 
@@ -81,7 +81,7 @@ def _prefixes(results: Results, recipe: str, data: Dataset, folder: Path) -> Ite
         if not designs[0].fewest_masks <= masks <= designs[0].masks:
             continue
         tests = [
-            evaluate(design.first(masks), data, tested, draws=1, seed=seed)
+            evaluate(design.first(masks), data, tested, draws=1, seed=seed, report=SILENT)
             for seed, design in enumerate(designs)
         ]
         for photons, *trials in zip(tested, *tests, strict=True):

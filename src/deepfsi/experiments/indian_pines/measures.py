@@ -19,7 +19,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.experiments.experiment import best
 from deepfsi.optics.scanner import subtract
-from deepfsi.progress import Report
+from deepfsi.progress import SILENT, Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.masks import brightest
 from deepfsi.sweeps.results import Point, Results
@@ -266,7 +266,7 @@ def _recalls(results: Results, scene: SpectralImage, split: str, designs: Path) 
     for (design, photons), point in best(results, noise="poisson", split=split).items():
         if design == "deepfsi":
             trials = [
-                evaluate(_load(designs, point, seed), data, photons, seed=seed)
+                evaluate(_load(designs, point, seed), data, photons, seed=seed, report=SILENT)
                 for seed in range(len(point.keys))
             ]
             yield Recall(split, photons, [trial[0].rates for trial in trials])

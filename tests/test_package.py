@@ -1,0 +1,128 @@
+"""The package as a program of one's own sees it: names, keywords, errors and words."""
+
+import ast
+import inspect
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import deepfsi
+from conftest import RECIPE, quick, same
+from deepfsi.cli import as_options
+from deepfsi.progress import Report, shown
+from deepfsi.training.job import TUNED, Job, TrainingSettings
+from deepfsi.training.learning import OWN_DEFAULT
+
+BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
+SOURCE = Path(deepfsi.__file__).parent
+
+
+def test_every_setting_is_a_keyword_with_the_default_of_its_model():
+    keywords = inspect.signature(deepfsi.learn).parameters
+    fields = {**Job.model_fields, **TrainingSettings.model_fields}
+    del fields["training"]
+    assert set(fields) | {"data", "matrix", "device", "report"} == set(keywords)
+    for name, field in fields.items():
+        given = keywords[name].default
+        if name not in OWN_DEFAULT:
+            assert (
+                given is inspect.Parameter.empty if field.is_required() else given == field.default
+            )
+    assert {name for own in TUNED.values() for name in own} <= set(OWN_DEFAULT)
+
+
+@pytest.mark.parametrize("name", sorted({*deepfsi.__all__} - {"InputError"}))
+def test_no_public_callable_hides_its_keywords(name):
+    kinds = {each.kind for each in inspect.signature(getattr(deepfsi, name)).parameters.values()}
+    assert inspect.Parameter.VAR_KEYWORD not in kinds
+
+
+def test_the_package_says_that_it_is_typed():
+    assert files("deepfsi").joinpath("py.typed").is_file()
+
+
+def test_a_misspelt_keyword_is_pythons_own_error(digits):
+    with pytest.raises(TypeError, match="epoch"):
+        deepfsi.learn(digits, photons=1e4, masks=5, epoch=3)
+
+
+def test_settings_that_are_not_given_are_those_tuned_for_the_design(digits):
+    brief = {"photons": 1e4, "masks": 64, "epochs": 1, "device": "cpu"}
+    tuned = deepfsi.learn(digits, design="raster", **brief).info["job"]["training"]
+    assert (tuned["lr"], tuned["scale"]) == (TUNED["raster"]["lr"], "each")
+    own = deepfsi.learn(digits, design="raster", lr=1e-3, **brief).info["job"]["training"]
+    assert (own["lr"], own["scale"]) == (1e-3, "each")
+
+
+def test_data_may_be_a_name_or_arrays(digits):
+    design = deepfsi.learn("digits", **BRIEF)
+    assert same(design, quick(digits, masks=5))
+    assert deepfsi.evaluate(design, "digits", 1e4) == deepfsi.evaluate(design, digits, 1e4)
+    rng = np.random.default_rng(0)
+    x, y = rng.random((60, 4, 4)), np.arange(60) % 2
+    assert deepfsi.learn((x, y), **BRIEF).image_shape == (4, 4)
+    assert deepfsi.learn((torch.from_numpy(x), torch.from_numpy(y)), **BRIEF).masks == 5
+
+
+@pytest.mark.parametrize("data", [[1, 2], np.zeros((3, 4)), None, 7])
+def test_data_of_another_kind_says_what_to_give(data):
+    with pytest.raises(deepfsi.InputError, match="give a Dataset, a name") as error:
+        deepfsi.learn(data, **BRIEF)
+    assert "\n" not in str(error.value)
+
+
+def test_a_design_shows_itself_in_one_line(made):
+    design = made("deepfsi", "free-dwell", "dual")
+    assert repr(design) == (
+        "<Design deepfsi: 7 masks of 8x8, free-dwell, dual rails, Mlp, 10 classes, "
+        "learned at 10000 photons>"
+    )
+
+
+def test_a_bar_is_shown_where_a_terminal_is_attached(digits, capsys, monkeypatch):
+    deepfsi.evaluate(deepfsi.learn(digits, **BRIEF), digits, 1e4)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich's word for a terminal
+    design = deepfsi.learn(digits, **BRIEF)
+    assert "deepfsi, 5 masks" in capsys.readouterr().err
+    deepfsi.evaluate(design, digits, 1e4)
+    assert "deepfsi, 5 masks" in capsys.readouterr().err
+    seen = []
+    with shown(Report(lambda share, _: seen.append(share)), "work") as report:
+        report(0.5)
+    assert seen == [0.5]
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("folder", ["datasets", "design", "optics", "training"])
+def test_errors_of_the_library_name_no_option_of_the_command_line(folder):
+    found = []
+    for path in sorted((SOURCE / folder).rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        said = [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+        texts = [n.value for each in said for n in ast.walk(each) if isinstance(n, ast.Constant)]
+        found += [text for text in texts if isinstance(text, str) and "--" in text]
+    assert not found
+
+
+@pytest.mark.parametrize(
+    ("said", "shown_as"),
+    [
+        ("give `size`, or `hold_out=200`", "give --size, or --hold-out 200"),
+        (
+            'use `light="free-dwell"` and `rails="single"`',
+            "use --light free-dwell and --rails single",
+        ),
+        ("use `classify_live`, `deepfsi dmd` or `Design.load`", None),
+    ],
+)
+def test_the_command_line_says_settings_as_options(said, shown_as):
+    assert as_options(said) == (shown_as or said)
+
+
+def test_settings_are_options_in_an_error_of_a_command(made, refuse, tmp_path_factory):
+    file = made("deepfsi", "column", "dual").save(tmp_path_factory.mktemp("d") / "a.safetensors")
+    assert "--nested" in refuse("evaluate", file, "--photons", "1e3", "--first", "3")
