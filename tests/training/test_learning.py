@@ -1,6 +1,7 @@
 """Designs that training makes: masks, own matrices, grey levels, statistics, shapes of scenes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,16 @@ def test_the_control_group_has_the_masks_learned_under_gaussian_noise(digits, li
     source = quick(digits, "deepfsi", noise="gaussian", **settings)
     assert torch.allclose(control.rails, source.rails, rtol=1e-6, atol=1e-9)
     assert not same(control, source)
+
+
+@pytest.mark.parametrize("design", ["deepfsi", "control", "pca"])
+def test_training_reads_no_test_scene(digits, design):
+    """Not their light either: the budget is of the mean over training scenes."""
+    dark = replace(digits, x_test=0.1 * digits.x_test[::-1], y_test=digits.y_test[::-1])
+    found, wanted = quick(dark, design), quick(digits, design)
+    assert same(found, wanted)
+    summed = digits.x_train.sum(axis=1, dtype=np.float64).mean()
+    assert found.summed_reflectance == wanted.summed_reflectance == pytest.approx(summed)
 
 
 @pytest.mark.parametrize("start", ["pca", "truncated-hadamard", "random", "lda"])
