@@ -58,6 +58,7 @@ def test_lines_of_sweeps_and_experiments(tmp_path, monkeypatch, done):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     recipes = {each.name: tiny(each, 1) for each in EVERY}
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
+    monkeypatch.setattr("deepfsi.cli.recipes.SHIPPED", tmp_path / "recipes")
     (tmp_path / "recipes").mkdir()
     (tmp_path / "recipes/mnist.toml").write_text(
         'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[quick]\ntraining.epochs = 1\n'

@@ -13,7 +13,9 @@ from shared.trials import small, train_trials
 
 FILES = {
     path.stem: tomllib.loads(path.read_text())
-    for path in sorted((Path(__file__).parents[2] / "recipes").glob("*.toml"))
+    for path in sorted(
+        (Path(__file__).parents[2] / "src/deepfsi/experiments/recipes").glob("*.toml")
+    )
     if not path.stem.startswith("ovit")  # of another kind: test_ovit
 }
 

@@ -384,7 +384,7 @@ def _camera(text: str) -> "Camera":
     if not text.endswith(".toml"):
         raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return Camera.model_validate(common.read_toml(Path(text)))
+        return Camera.model_validate(common.read_toml(text, Path(text)))
 
 
 def _check_shown(file: Path, patterns: "Patterns") -> None:

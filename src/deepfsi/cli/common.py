@@ -12,6 +12,8 @@ from deepfsi.errors import InputError
 from deepfsi.progress import Report, terminal_bar
 
 if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
     import numpy as np
     from matplotlib.figure import Figure
 
@@ -79,16 +81,16 @@ def read_matrix(source: str | None) -> "np.ndarray | None":
     return None if source is None else mask_files.read_matrix(source)
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Settings of a recipe."""
+def read_toml(name: str, file: "Traversable") -> dict[str, Any]:
+    """Settings in a TOML file that the user calls by a name."""
     import tomllib
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"no recipe at {path}: give a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not TOML: {error}") from None
+        raise InputError(f"no file at {name}: give a TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{name} is not TOML: {error}") from None
 
 
 def check_writable(folder: Path) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepfsi.cli import common, options
+from deepfsi.cli.recipes import read_recipe
 from deepfsi.errors import as_input_error
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ def compare(
     epochs: options.Epochs = None,
     matrix: options.Matrix = None,
     recipe: Annotated[
-        Path | None, typer.Option(help="TOML file; options given here override it")
+        str | None,
+        typer.Option(help="name of a recipe, or TOML file; options given here override it"),
     ] = None,
     device: options.Device = "auto",
     workers: options.Workers = None,
@@ -58,7 +60,7 @@ def compare(
     asked = dict(context.params)
     base: dict[str, Any] = {}
     if recipe:
-        base = only(common.read_toml(recipe))
+        base = only(read_recipe(recipe))
         source = context.get_parameter_source("data")
         asked["data"] = data if source and source.name == "COMMANDLINE" else None
     elif data == "digits" and not (ratios or masks or trials):
@@ -71,7 +73,9 @@ def compare(
 
 
 def sweep(
-    recipe: Annotated[Path, typer.Argument(help="TOML file: every list in it is an axis")],
+    recipe: Annotated[
+        str, typer.Argument(help="name of a recipe, such as mnist, or TOML file; lists are axes")
+    ],
     part: Annotated[str | None, typer.Option(help="part of a recipe that has several")] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="the recipe's coarse version, where it has one")
@@ -93,7 +97,7 @@ def sweep(
     It may be stopped at any moment: run again with the same output folder it goes on where it was,
     also after a change of the recipe. Several may work on one folder.
 
-    Example: deepfsi sweep recipes/baseline.toml -o runs/baseline --table runs/baseline.csv
+    Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
     from deepfsi.sweeps.recipe import Recipe, only
     from deepfsi.sweeps.records import check_table, write_table
@@ -101,7 +105,7 @@ def sweep(
     if table is not None:
         check_table(table)
     with as_input_error():
-        chosen = Recipe.model_validate(only(common.read_toml(recipe), part, quick))
+        chosen = Recipe.model_validate(only(read_recipe(recipe), part, quick))
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return

@@ -1,0 +1,58 @@
+"""Recipes by name and by file, and what is wrong with them, told before any work."""
+
+import json
+
+import pytest
+
+from deepfsi.cli.recipes import SHIPPED, read_recipe
+from deepfsi.errors import InputError
+
+
+def test_a_recipe_of_the_package_goes_by_its_name():
+    assert read_recipe("mnist")["data"] == "mnist"
+
+
+def test_a_file_of_the_name_is_asked_for_by_its_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mnist").write_text("trials = 7")
+    assert read_recipe("mnist")["data"] == "mnist"
+    assert read_recipe("./mnist") == {"trials": 7}
+
+
+def test_a_sweep_by_name(done, tmp_path, monkeypatch):
+    """The recipe is found from any folder; what it says is shrunk to a moment."""
+    from deepfsi.cli import recipes
+
+    tiny = {
+        "data": "digits",
+        "designs": "pca",
+        "masks": 3,
+        "photons": 1e3,
+        "training": {"epochs": 1},
+    }
+    monkeypatch.setattr(recipes.common, "read_toml", lambda name, file: {**tiny, "draws": 1})
+    monkeypatch.chdir(tmp_path)
+    assert json.loads(done("sweep", "baseline", "--dry-run", "--json"))["trials"] == 1
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("mnst", "did you mean 'mnist'"),
+        ("recipes/mnist.toml", "no recipe at recipes/mnist.toml"),
+        ("ovit", "deepfsi reproduce ovit"),
+        ("nothing.toml", "nothing.toml is empty"),
+        ("words.toml", "words.toml is not TOML"),
+    ],
+)
+def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "nothing.toml").write_text("# nothing yet\n")
+    (tmp_path / "words.toml").write_text("designs: pca\n")
+    with pytest.raises(InputError, match=words):
+        read_recipe(source)
+
+
+def test_every_recipe_says_how_it_is_run():
+    """A recipe's own words name it as `sweep` knows it, not as a file beside the source."""
+    assert not [each.name for each in SHIPPED.iterdir() if "recipes/" in each.read_text()]

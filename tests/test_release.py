@@ -1,0 +1,65 @@
+"""The package as a user has it: sdist, wheel of that, installed in an environment of its own."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BUILD = [sys.executable, "-m", "hatchling", "build", "-d"]
+LIBRARIES = Path(importlib.util.find_spec("torch").origin).parents[1]
+
+QUICK = '[quick]\ndata = "digits"\ntrials = 1\ntraining.epochs = 1\n'
+QUICK_OF = {
+    "mnist": "ratios = [0.05, 0.1]\nphotons = [1e2, 1e4]\ngaussian_photons = [80, 800]\n",
+    "masks": "ratios = 0.1\nphotons = [1e3, 1e5]\n",
+    "starts": "ratios = 0.1\nphotons = [1e2, 1e4]\n",
+}
+"""Coarse versions of recipes that take a moment."""
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory) -> Path:
+    """Environment that holds the wheel of the sdist; libraries are those of the tests."""
+    folder = tmp_path_factory.mktemp("package")
+    subprocess.run([*BUILD, folder, "-t", "sdist"], cwd=ROOT, check=True, capture_output=True)
+    [sdist] = folder.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    [source] = folder.glob("deepfsi-*/")
+    subprocess.run([*BUILD, folder, "-t", "wheel"], cwd=source, check=True, capture_output=True)
+    [wheel] = folder.glob("*.whl")
+    venv.create(folder / "environment")
+    python = folder / "environment/bin/python"
+    words = ["--python", python, "install", "--no-deps", "--no-index", "--quiet", wheel]
+    subprocess.run([sys.executable, "-m", "pip", *words], check=True, capture_output=True)
+    [own] = python.parents[1].glob("lib/*/site-packages")
+    (own / "libraries.pth").write_text(f"{LIBRARIES}\n")
+    return python.parents[1]
+
+
+@pytest.mark.slow
+def test_a_wheel_of_the_sdist_compares_and_reproduces(installed, tmp_path):
+    def run(*words: str) -> str:
+        command = [installed / "bin/deepfsi", *words, "--workers", "1", "--json"]
+        clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        done = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    [package] = installed.glob("lib/*/site-packages/deepfsi")
+    for name, quick in QUICK_OF.items():
+        recipe = package / f"experiments/recipes/{name}.toml"
+        recipe.write_text(recipe.read_text().partition("[quick]")[0] + QUICK + quick)
+    run("compare", "--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
+    assert (tmp_path / "runs/compare/report.html").is_file()
+    claims = json.loads(run("reproduce", "mnist", "--quick", "-o", "runs/paper"))["claims"]
+    assert set(claims) == set(QUICK_OF)
+    results = json.loads(run("sweep", "starts", "--quick", "-o", "runs/paper"))
+    assert results["recipe"]["data"] == "digits"
