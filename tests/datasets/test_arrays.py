@@ -65,7 +65,68 @@ def test_bytes_are_divided_by_255():
     x[:, 0, 0], x[:, 0, 1] = 255, 51
     data = from_arrays(x, scenes()[1])
     assert data.x_train[0].tolist() == pytest.approx([1, 0.2, 0, 0])
-    assert data.preprocessing == "Divided by 255."
+    assert data.preprocessing == "Uint8 values from 0 to 255, divided by 255."
+
+
+@pytest.mark.parametrize(
+    ("dtype", "largest", "white"),
+    [
+        ("u2", 200, 255), ("u2", 255, 255), ("u2", 256, 1023), ("u2", 3971, 4095),
+        ("u2", 16383, 16383), ("u2", 65535, 65535), ("i2", 4096, 16383), ("i8", 255, 255),
+        ("i8", 1, 1), ("u4", 2**20, 2**24 - 1), ("i8", 2**32 - 1, 2**32 - 1), ("i1", 127, 255),
+    ],
+)  # fmt: skip
+def test_integers_are_divided_by_the_fewest_bits_that_hold_them(dtype, largest, white):
+    x = np.zeros((30, 2, 2), dtype)
+    x[:, 0, 0] = largest
+    x[0, 0, 1] = largest // 3
+    data = from_arrays(x, Y)
+    every = np.r_[data.x_train, data.x_test]
+    assert every[:, 0] == pytest.approx(largest / white)
+    assert every.max(axis=0)[1] == pytest.approx(largest // 3 / white)
+    assert data.white == white
+    assert f"from 0 to {largest:.4g}, " in data.preprocessing
+    assert white == 1 or f"divided by {white} ({white.bit_length()} bits)" in data.preprocessing
+
+
+def test_training_and_test_scenes_share_one_white():
+    x = np.full((30, 4), 200, np.uint16)
+    data = from_arrays(x, Y, 5 * x[:3], Y[:3])
+    assert data.x_train.max() == pytest.approx(200 / 1023)
+    assert data.x_test.max() == pytest.approx(1000 / 1023)
+
+
+def test_a_white_that_is_told_holds(tmp_path):
+    x = np.full((30, 4), 900, np.uint16)
+    np.savez(tmp_path / "dim.npz", x=x, y=Y)
+    for source in ((x, Y), tmp_path / "dim.npz"):
+        data = load_dataset(source, white=4095)
+        assert data.x_train.max() == pytest.approx(900 / 4095)
+        assert data.white == 4095
+        with refused("up to 900, above white, 899"):
+            load_dataset(source, white=899)
+    with refused("digits: a white was given"):
+        load_dataset("digits", white=16)
+
+
+def test_truth_values_are_black_and_white():
+    data = from_arrays(X > 0.5, Y)
+    assert set(np.unique(data.x_train)) == {0, 1}
+    assert data.white is None
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "i8", "f4", "f8", "?"])
+def test_colours_of_arrays_turn_grey_by_their_luma(dtype):
+    white = {"f4": 1, "f8": 1, "?": 1, "u1": 255}.get(dtype, 4095)
+    x = np.zeros((30, 2, 2, 3), dtype)
+    x[:, 0, 0], x[:, 0, 1, 0], x[:, 1, 0, 1], x[:, 1, 1, 2] = white, white, white, white
+    data = from_arrays(x, Y)
+    assert data.image_shape == (2, 2)
+    assert data.x_train[0] == pytest.approx([1, 0.299, 0.587, 0.114], abs=0.5 / min(white, 255))
+    assert "colours turned to grey" in data.preprocessing
+    seen = np.concatenate([x, np.full((30, 2, 2, 1), white, dtype)], axis=3)
+    assert from_arrays(seen, Y).hash == data.hash, "transparency is left out"
+    assert from_arrays(x[..., :1], Y).image_shape == (2, 2)
 
 
 def test_rescale_maps_the_ends_exactly_and_stays_in_range():
@@ -75,7 +136,9 @@ def test_rescale_maps_the_ends_exactly_and_stays_in_range():
     assert data.x_train[0, 4:7].tolist() == pytest.approx([0.3, 1, 0.65])
     assert data.x_train.max() == 1
     assert data.x_train.min() == np.float32(0.3)
-    assert data.preprocessing == "As given, then mapped from [0, 1] to [0.3, 1]."
+    assert data.preprocessing == (
+        "Float64 values from 0 to 1, as given, then mapped from [0, 1] to [0.3, 1]."
+    )
     assert x[0, 1, 0] == 0, "the caller's array is left alone"
 
 
@@ -123,9 +186,15 @@ BAD_ARRAYS: dict[str, tuple[tuple[Any, ...], tuple[str, ...]]] = {
     "infinite": ((spoil(np.inf), Y), ("arrays: x holds NaN or infinite",)),
     "negative": ((spoil(-0.25), Y), ("from -0.25", "[0, 1]")),
     "above one": ((spoil(1.5), Y), ("to 1.5", "[0, 1]")),
-    "other integers": ((np.ones((30, 4), np.int64), Y), ("int64", "uint8")),
-    "objects": ((np.full((30, 4), None), Y), ("object", "uint8")),
-    "colour": ((np.ones((30, 4, 4, 3)), Y), ("(30, 4, 4, 3)", "(n, H, W)")),
+    "negative integers": ((X.astype(int) - 3, Y), ("from -3", "subtract the offset")),
+    "huge integers": ((np.full((30, 4), 2**40), Y), ("2**32 - 1",)),
+    "objects": ((np.full((30, 4), None), Y), ("object", "integers")),
+    "complex": ((X * 1j, Y), ("complex128", "integers")),
+    "colours first": ((np.ones((30, 3, 8, 8)), Y), ("(30, 3, 8, 8)", "(n, H, W, 3)")),
+    "bytes and floats": (
+        ((255 * X).astype(np.uint8), Y, X, Y),
+        ("x uint8 and arrays: x_test float64", "one type"),
+    ),
     "no scenes": ((np.ones((0, 4)), Y[:0]), ("(0, 4)",)),
     "no pixels": ((np.ones((30, 0)), Y), ("(30, 0)",)),
     "dark": ((X * 0, Y), ("dark",)),

@@ -47,7 +47,9 @@ def test_image_folder(images):
     assert data.x_train.shape == (16, 48)
     assert data.x_test.shape == (4, 48)
     assert data.image_shape == (6, 8)
-    assert data.preprocessing == "Grey levels divided by 255."
+    assert data.preprocessing == (
+        "20 images of 6x8 pixels; 8-bit values from 0 to 255, divided by 255."
+    )
     for x, y in ((data.x_train, data.y_train), (data.x_test, data.y_test)):
         assert np.array_equal(x.mean(axis=1) > 0.5, y == 1)
     first = np.asarray(Image.open(images / "cat" / "000.png"), dtype=np.float32).ravel() / 255
@@ -80,7 +82,10 @@ def test_size_averages_over_areas(images):
         load_dataset(images)
     data = load_dataset(images, size=(3, 2))
     assert data.image_shape == (3, 2)
-    assert data.preprocessing == "Grey levels, averaged to 3x2 pixels, divided by 255."
+    assert data.preprocessing == (
+        "20 images of several sizes, averaged to 3x2 pixels; 8-bit values from 0 to 255, divided "
+        "by 255."
+    )
     full = np.asarray(Image.open(images / "cat" / "001.png"), dtype=float)
     blocks = full.reshape(3, 2, 2, 4).mean(axis=(1, 3)).ravel() / 255
     distance = np.abs(np.r_[data.x_train, data.x_test] - blocks).max(axis=1)
@@ -152,10 +157,101 @@ def test_damaged_images(images, suffix):
             load_dataset(images, size=8)
 
 
-@pytest.mark.parametrize(("dtype", "suffix"), [("u2", ".png"), ("u2", ".tif"), ("f4", ".tif")])
+def deep(images, dtype, suffix, scale=13):
+    """The same images in another type, `scale` times as bright."""
+    out = images.parent / "deep"
+    for folder in images.iterdir():
+        levels = [np.asarray(Image.open(path)) for path in sorted(folder.iterdir())]
+        save_images(
+            out / folder.name,
+            [(scale * each.astype(float)).astype(dtype) for each in levels],
+            suffix,
+        )
+    return out
+
+
+@pytest.mark.parametrize(
+    ("dtype", "suffix"), [("u2", ".png"), ("u2", ".tif"), ("i4", ".tif"), (">u2", ".tif")]
+)
 def test_images_of_more_than_8_bits(images, dtype, suffix):
-    save_images(images / "cat", np.full((1, 6, 8), 1, dtype), suffix)
-    with refused(f"000{suffix} has more than 8 bits"):
+    data = load_dataset(deep(images, dtype, suffix))
+    plain = load_dataset(images)
+    for x, bright in ((plain.x_train, data.x_train), (plain.x_test, data.x_test)):
+        assert bright == pytest.approx(x * 255 * 13 / 4095, abs=1e-6)
+    assert data.white == 4095
+    assert data.preprocessing == (
+        "20 images of 6x8 pixels; 16-bit values from 0 to 3315, divided by 4095 (12 bits)."
+    )
+    told = load_dataset(images.parent / "deep", white=65535)
+    assert told.x_train.max() == pytest.approx(3315 / 65535)
+    with refused("000", "above white, 1023"):
+        load_dataset(images.parent / "deep", white=1023)
+
+
+def test_deep_images_are_averaged_in_their_own_depth(images):
+    data = load_dataset(deep(images, "u2", ".png", 257), size=(3, 2))
+    full = np.asarray(Image.open(images / "cat" / "001.png"), dtype=float)
+    blocks = full.reshape(3, 2, 2, 4).mean(axis=(1, 3)).ravel() / 255
+    distance = np.abs(np.r_[data.x_train, data.x_test] - blocks).max(axis=1)
+    assert distance.min() < 1e-5, "of 8 bits it would be up to 1 / 510"
+
+
+def test_floating_images_are_reflectance(images):
+    data = load_dataset(deep(images, "f4", ".tif", 1 / 255))
+    assert data.x_train == pytest.approx(load_dataset(images).x_train, abs=1e-6)
+    save_images(images.parent / "deep" / "cat", np.full((1, 6, 8), 2.5, "f4"), ".tif")
+    with refused("to 2.5", "rescale"):
+        load_dataset(images.parent / "deep")
+
+
+def test_depths_that_differ_are_refused(images):
+    save_images(images / "cat", np.full((1, 6, 8), 900, "u2"), ".tif")
+    with refused("images differ in depth", "000.tif has more than 8 bits", "one depth"):
+        load_dataset(images)
+
+
+def test_a_tiff_whose_zero_is_white_is_refused(images):
+    path = images / "cat" / "000.tif"
+    save_images(images / "cat", np.full((1, 6, 8), 900, "u2"), ".tif")
+    with Image.open(path) as image:
+        image.load()
+        image.save(path, tiffinfo={262: 0})
+    with refused("000.tif has 0 for white"):
+        load_dataset(path.parent.parent)
+
+
+def deep_colours(levels):
+    """A PNG file of 16-bit colours, whose three values of a pixel are the same."""
+    height, width = levels.shape
+    rows = [b"\0" + np.repeat(row, 3).astype(">u2").tobytes() for row in levels]
+    head = b"".join(side.to_bytes(4, "big") for side in (width, height)) + bytes([16, 2, 0, 0, 0])
+    parts = (b"IHDR", head), (b"IDAT", zlib.compress(b"".join(rows))), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*part) for part in parts)
+
+
+def test_what_was_done_to_images_is_said(images):
+    green = np.zeros((2, 6, 8, 3), np.uint8)
+    green[..., 1] = 200
+    save_images(images / "cat", green[:1])
+    Image.fromarray(np.full((6, 8, 4), 90, np.uint8)).save(images / "cat" / "001.png")
+    (images / "dog" / "000.png").write_bytes(deep_colours(np.full((6, 8), 40_000)))
+    pages = [Image.fromarray(np.full((6, 8), 9, np.uint8)) for _ in range(3)]
+    pages[0].save(images / "dog" / "001.tif", save_all=True, append_images=pages[1:])
+    said = load_dataset(images).preprocessing
+    for part in (
+        "21 images of 6x8 pixels",
+        "3 in colour, turned to grey",
+        "1 in 16-bit colours, read by their upper 8 bits",
+        "1 with transparency, left out",
+        "1 the first of several in a file",
+    ):
+        assert part in said
+
+
+def test_dim_16_bit_colours_are_refused(images):
+    for path in images.rglob("*.png"):
+        path.write_bytes(deep_colours(np.full((6, 8), 4095)))
+    with refused("upper 8 bits, which reach 15 of 255"):
         load_dataset(images)
 
 
@@ -189,7 +285,7 @@ def test_some_training_images(split):
     assert np.bincount(data.y_train).tolist() == [3, 3]
     assert np.array_equal(data.x_test, whole.x_test)
     assert set(map(bytes, data.x_train)) <= set(map(bytes, whole.x_train))
-    assert data.preprocessing == ("6 training images drawn by class; grey levels divided by 255.")
+    assert data.preprocessing.startswith("6 training images drawn by class; 10 images of 6x8")
     assert data.hash == load_dataset(split, images=6).hash
     assert data.hash != load_dataset(split, images=6, seed=1).hash
     assert load_dataset(split, images=20).hash == whole.hash
@@ -313,19 +409,20 @@ def test_bombs_in_a_zip_file_cost_no_memory(images, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def png_chunk(kind, content):
+    length = len(content).to_bytes(4, "big")
+    return length + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
+
+
 def png_of(height, width):
     """The head of a PNG file that declares a size, and a little of its data."""
-
-    def chunk(kind, content):
-        length = len(content).to_bytes(4, "big")
-        return length + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
 
     sides = width.to_bytes(4, "big") + height.to_bytes(4, "big")
     return (
         b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", sides + bytes([8, 0, 0, 0, 0]))
-        + chunk(b"IDAT", zlib.compress(bytes(10_000)))
-        + chunk(b"IEND", b"")
+        + png_chunk(b"IHDR", sides + bytes([8, 0, 0, 0, 0]))
+        + png_chunk(b"IDAT", zlib.compress(bytes(10_000)))
+        + png_chunk(b"IEND", b"")
     )
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.artifact import Design
+    from deepfsi.sweeps.results import Data
 
 
 def load(
@@ -36,6 +37,11 @@ def load(
     from deepfsi.hardware.calibration.view import load_calibration, view_dataset
 
     return view_dataset(scenes, load_calibration(view))
+
+
+def print_data(data: "Dataset | Data") -> None:
+    """Say in one line what was done to the scenes of a data set."""
+    print(f"data: {data.name}. {data.preprocessing}")
 
 
 def open_design(path: Path) -> "Design":

@@ -61,6 +61,7 @@ def design(
         tests = [result.as_dict() for result in results]
         common.print_json({"design": str(out), "info": made.info, "test": tests[0], "tests": tests})
         return
+    common.print_data(scenes)
     for result in results:
         print(
             f"{made.name} with {made.masks} masks at {result.photons:g} photons: test accuracy "
@@ -109,6 +110,7 @@ def evaluate(
             {"design": str(file), "results": [result.as_dict() for result in results]}
         )
         return
+    common.print_data(scenes)
     rows = [
         (
             f"{r.photons:g}",
@@ -161,6 +163,7 @@ def stop(
     if as_json:
         common.print_json({"design": str(file), **found.as_dict()})
         return
+    common.print_data(scenes)
     _print_stopped(found, _size(made))
 
 

@@ -256,6 +256,7 @@ def _finish(results: "Results", out: Path, as_json: bool) -> None:
     if as_json:
         common.print_json(results.as_dict())
         return
+    common.print_data(results.data)
     _print_points(results)
     print(f"report: {page}")
 

@@ -3,6 +3,7 @@
 import zipfile
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -10,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance
+from deepfsi.datasets.values import Values, grey, measure, reflectance
 from deepfsi.errors import InputError
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
-"""Scenes (n, H, W) or (n, N), and their labels (n,)."""
+"""Scenes (n, H, W), (n, H, W, 3) or (n, N), and their labels (n,)."""
 
 
 class Options(NamedTuple):
@@ -25,13 +27,14 @@ class Options(NamedTuple):
     rescale: Range | None
     images: int | None
     split: str | None
+    white: float | None
 
 
 SPLIT_MINIMUM = 5
 """Scenes of a class at least where a test part is drawn: a fifth of fewer may be none."""
 
-ROUNDING = 1e-6
-"""Distance of a float from [0, 1] at most, after scaling done elsewhere."""
+COLOURS = (1, 3, 4)
+"""Values of a pixel in an array of colours: grey, RGB, RGB with transparency."""
 
 
 def from_arrays(
@@ -49,8 +52,10 @@ def from_arrays(
 
     Parameters
     ----------
-    x : array, shape (n, H, W) for images, (n, N) for spectra
-        Scenes. Floats are reflectance in [0, 1]; uint8 is divided by 255.
+    x : array, shape (n, H, W) or (n, H, W, 3) for images, (n, N) for spectra
+        Scenes. Floats are reflectance in [0, 1], truth values 0 and 1; uint8 is divided by 255,
+        other integers by the white of their depth, as `deepfsi.datasets.values` says. Colours
+        are turned to grey.
     y : array, shape (n,)
         Labels, integers or strings. Their sorted values become the classes 0 .. C-1.
     x_test, y_test : array, optional
@@ -81,13 +86,22 @@ def from_arrays(
     >>> data.classes, data.x_train.shape, data.x_test.shape
     (('bright', 'dark'), (16, 2), (4, 2))
     """
-    values = "Divided by 255" if np.asarray(x).dtype == np.uint8 else "As given"
-    test = None if x_test is None or y_test is None else (x_test, y_test)
-    if test is None and not (x_test is None and y_test is None):
+    test = both_or_neither(x_test, y_test, name)
+    return split_arrays((x, y), test, classes=classes, name=name, seed=seed, rescale=rescale)
+
+
+def both_or_neither(
+    x_test: npt.ArrayLike | None, y_test: npt.ArrayLike | None, name: str
+) -> Scenes | None:
+    """Test scenes and their labels, None for neither; `InputError` for one without the other.
+
+    Parameters as of `from_arrays`.
+    """
+    if x_test is not None and y_test is not None:
+        return x_test, y_test
+    if not (x_test is None and y_test is None):
         raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
-    return split_arrays(
-        (x, y), test, classes=classes, name=name, seed=seed, rescale=rescale, values=values
-    )
+    return None
 
 
 def split_arrays(
@@ -98,24 +112,22 @@ def split_arrays(
     name: str,
     seed: int,
     rescale: Range | None,
-    values: str,
+    values: str | None = None,
+    white: float | None = None,
 ) -> Dataset:
     """`from_arrays` with a description of the values, for `Dataset.preprocessing`.
 
-    Parameters as of `from_arrays`; without a test part, it is drawn from the training part.
+    Parameters as of `from_arrays` and `load_dataset`; without a test part, it is drawn from the
+    training part, and without a description the values are described as they are.
     """
     check_seed(seed)
-    x, y = _scenes_and_labels(train, name, "")
+    given = [train[0]] if test is None else [train[0], test[0]]
+    scenes, described, white = _scenes(given, name, white)
+    x, y = scenes[0], _labels(train[1], len(scenes[0]), f"{name}: y")
     names, numbers = _classes(y, classes, name)
     labels = _class_numbers(y, numbers, f"{name}: y")
-    fewest = np.bincount(labels, minlength=len(names)).argmin()
-    count = np.count_nonzero(labels == fewest)
+    _check_counts(labels, names, name, drawn=test is None)
     if test is None:
-        if count < SPLIT_MINIMUM:
-            raise InputError(
-                f"{name}: class '{names[fewest]}' has {count} scenes; to draw a test part give "
-                f"{SPLIT_MINIMUM} or more of each class, or a test part of your own"
-            )
         from sklearn.model_selection import train_test_split
 
         order, drawn = train_test_split(
@@ -123,18 +135,26 @@ def split_arrays(
         )
         tested = x[drawn], labels[drawn]
     else:
-        if count == 0:
-            raise InputError(f"{name}: class '{names[fewest]}' has no training scenes; give some")
         order = np.random.default_rng(seed).permutation(len(labels))
-        x_test, y_test = _scenes_and_labels(test, name, "_test")
-        tested = x_test, _class_numbers(y_test, numbers, f"{name}: y_test")
-        if x_test.shape[1:] != x.shape[1:]:
-            raise InputError(
-                f"{name}: a scene has shape {x.shape[1:]} in x but {x_test.shape[1:]} in x_test; "
-                "bring both to one shape"
-            )
+        y_test = _labels(test[1], len(scenes[1]), f"{name}: y_test")
+        tested = scenes[1], _class_numbers(y_test, numbers, f"{name}: y_test")
     trained = x[order], labels[order]
-    return assemble(name, trained, tested, classes=names, values=values, rescale=rescale)
+    said = values or described
+    data = assemble(name, trained, tested, classes=names, values=said, rescale=rescale)
+    return replace(data, white=white)
+
+
+def _check_counts(labels: Labels, names: tuple[str, ...], name: str, drawn: bool) -> None:
+    """Raise `InputError` for a class of too few scenes, to draw a test part or at all."""
+    sizes = np.bincount(labels, minlength=len(names))
+    fewest, count = names[sizes.argmin()], sizes.min()
+    if drawn and count < SPLIT_MINIMUM:
+        raise InputError(
+            f"{name}: class '{fewest}' has {count} scenes; to draw a test part give "
+            f"{SPLIT_MINIMUM} or more of each class, or a test part of your own"
+        )
+    if count == 0:
+        raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
 
 
 def check_seed(seed: int) -> None:
@@ -143,45 +163,47 @@ def check_seed(seed: int) -> None:
         raise InputError(f"seed {seed!r}: give an integer from 0 to 2**32 - 1")
 
 
-def _scenes_and_labels(
-    part: Scenes, name: str, suffix: str
-) -> tuple[Reflectance, npt.NDArray[Any]]:
-    """Reflectance but for rounding, (n, H, W) or (n, N); labels, (n,) integers or strings."""
-    scenes, labels = map(np.asarray, part)
-    x_name, y_name = f"{name}: x{suffix}", f"{name}: y{suffix}"
-    if scenes.ndim not in (2, 3) or scenes.size == 0:
-        raise InputError(
-            f"{x_name} has shape {scenes.shape}; give (n, H, W) for grey images, (n, N) for spectra"
-        )
-    if scenes.dtype == np.uint8:
-        scenes = unit(scenes)
-    elif scenes.dtype.kind == "f":
-        low, high = scenes.min(), scenes.max()
-        if not (np.isfinite(low) and np.isfinite(high)):
-            raise InputError(f"{x_name} holds NaN or infinite values; remove those scenes")
-        if low < -ROUNDING or high > 1 + ROUNDING:
+def _scenes(
+    parts: Sequence[npt.ArrayLike], name: str, white: float | None
+) -> tuple[list[Reflectance], str, float | None]:
+    """Reflectance but for rounding, (n, H, W) or (n, N); what was done; white, if it was chosen."""
+    given: dict[str, Values] = {}
+    said = ""
+    for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
+        scenes = np.asarray(part)
+        if scenes.ndim == 4 and scenes.shape[3] in COLOURS and scenes.size:
+            said = "; colours turned to grey" if scenes.shape[3] > 1 else ""
+            scenes = grey(scenes, what)
+        if scenes.ndim not in (2, 3) or scenes.size == 0:
             raise InputError(
-                f"{x_name} reaches from {low:.4g} to {high:.4g}; reflectance lies in [0, 1]: "
-                "rescale it"
+                f"{what} has shape {scenes.shape}; give (n, H, W) for grey images, (n, H, W, 3) "
+                "for RGB, (n, N) for spectra"
             )
-        scenes = scenes.astype(np.float32)
-    else:
-        raise InputError(f"{x_name} is {scenes.dtype}; give floats in [0, 1], or uint8 (0 to 255)")
+        given[what] = scenes
+    shapes = [part.shape[1:] for part in given.values()]
+    if shapes[0] != shapes[-1]:
+        raise InputError(
+            f"{name}: a scene has shape {shapes[0]} in x but {shapes[-1]} in x_test; bring both "
+            "to one shape"
+        )
+    levels = measure(given, white)
+    words = levels.words[0].upper() + levels.words[1:]
+    ready = [reflectance(part, levels) for part in given.values()]
+    return ready, words + said, levels.white if levels.chosen else None
 
+
+def _labels(given: npt.ArrayLike, scenes: int, what: str) -> npt.NDArray[Any]:
+    """Labels (n,), integers or strings, one for each of so many scenes."""
+    labels = np.asarray(given)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(str)
-    if labels.shape != scenes.shape[:1]:
+    if labels.shape != (scenes,):
         raise InputError(
-            f"{y_name} has shape {labels.shape} for {len(scenes)} scenes; give one label for each"
+            f"{what} has shape {labels.shape} for {scenes} scenes; give one label for each"
         )
     if labels.dtype.kind not in "iuU":
-        raise InputError(f"{y_name} is {labels.dtype}; give labels that are integers or strings")
-    return scenes, labels
-
-
-def unit(values: npt.NDArray[np.uint8]) -> Reflectance:
-    """Reflectance of bytes: a 255th of them."""
-    return np.divide(values, 255, dtype=np.float32)
+        raise InputError(f"{what} is {labels.dtype}; give labels that are integers or strings")
+    return labels
 
 
 def _classes(
@@ -292,4 +314,20 @@ def load_npz(path: Path, options: Options) -> Dataset:
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
             "give x and y, optionally x_test and y_test, and no other names"
         )
-    return from_arrays(**arrays, name=path.stem, seed=options.seed, rescale=options.rescale)
+    return load_arrays(
+        (arrays["x"], arrays["y"], arrays.get("x_test"), arrays.get("y_test")), path.stem, options
+    )
+
+
+def load_arrays(arrays: Sequence[Any], name: str, options: Options) -> Dataset:
+    """Data set of (x, y) or (x, y, x_test, y_test); parameters as of `load_dataset`."""
+    x, y, *test = arrays
+    x_test, y_test = test or (None, None)
+    return split_arrays(
+        (x, y),
+        both_or_neither(x_test, y_test, name),
+        name=name,
+        seed=options.seed,
+        rescale=options.rescale,
+        white=options.white,
+    )

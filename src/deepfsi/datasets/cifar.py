@@ -15,8 +15,9 @@ import numpy.typing as npt
 from deepfsi.datasets import pictures
 from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.decoding import Shape
 from deepfsi.datasets.pickles import read_batch
-from deepfsi.datasets.pictures import Picture, Shape
+from deepfsi.datasets.pictures import Picture
 from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, data_root, retrieve
 from deepfsi.errors import InputError
 

@@ -36,6 +36,8 @@ class Dataset:
     wavelengths : array, shape (N,), float64, or None
         For spectra whose bands are known: centre of each band in nm, NaN for the dark bands of a
         padding. It describes and is not part of the hash.
+    white : float or None
+        Value of the source that became reflectance 1, where its type alone does not say it.
 
     Examples
     --------
@@ -56,6 +58,7 @@ class Dataset:
     classes: tuple[str, ...]
     preprocessing: str
     wavelengths: npt.NDArray[np.float64] | None = None
+    white: float | None = None
 
     @property
     def pixels(self) -> int:

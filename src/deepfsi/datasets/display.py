@@ -12,6 +12,7 @@ import numpy as np
 
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.pictures import Picture, is_image, list_folder, opener, read_all
+from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
 
@@ -34,10 +35,11 @@ class Display(NamedTuple):
     x: Reflectance
 
 
-def read_display(path: str | os.PathLike[str]) -> Display:
+def read_display(path: str | os.PathLike[str], white: float | None = None) -> Display:
     """Read one picture, a folder of them, or a folder with one sub-folder for each class.
 
-    Pictures have 8 bits and one size, or raise `InputError`; colours are turned to grey.
+    Pictures have one size and one depth, or raise `InputError`; colours are turned to grey. Those
+    of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given.
     """
     source = Path(path)
     labels: tuple[str, ...] | None = None
@@ -52,7 +54,8 @@ def read_display(path: str | os.PathLike[str]) -> Display:
         labels = tuple(picture.label for picture in pictures)
     folder = source.parent if source.is_file() else source
     names = tuple(Path(picture.where).relative_to(folder).as_posix() for picture in pictures)
-    return Display(names, labels, (read_all(pictures, None, False) / 255).astype(np.float32))
+    pixels, tally = read_all(pictures, None, False)
+    return Display(names, labels, reflectance(pixels, tally.levels(white)))
 
 
 def write_display(

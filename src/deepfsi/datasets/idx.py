@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.arrays import Range, assemble, unit
+from deepfsi.datasets.arrays import Range, assemble
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, find_folder, retrieve
+from deepfsi.datasets.values import unit
 from deepfsi.errors import InputError
 
 IDX_FILES = (

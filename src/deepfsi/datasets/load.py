@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from deepfsi.datasets import cifar, idx, indian_pines
-from deepfsi.datasets.arrays import Options, Range, from_arrays, load_npz, split_arrays
+from deepfsi.datasets.arrays import Options, Range, load_arrays, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset
@@ -20,6 +20,7 @@ TAKERS = {
     "size": ("a size", "images of a folder, a zip file or CIFAR-10 take"),
     "images": ("a number of images", "a folder, a zip file or CIFAR-10 takes"),
     "split": ("a split", "a hyperspectral image takes"),
+    "white": ("a white", "a folder or zip file of images or arrays take"),
 }
 """For messages, each option that only some sources take, and the sources."""
 
@@ -32,6 +33,7 @@ def load_dataset(
     rescale: Range | None = None,
     images: int | None = None,
     split: str | None = None,
+    white: float | None = None,
 ) -> Dataset:
     """Load a data set by its name, from a path, or from arrays.
 
@@ -42,8 +44,8 @@ def load_dataset(
 
         - a name that `list_datasets` gives; their module, `deepfsi.datasets.catalog`, says what
           each is and where its files are found. ``./mnist`` is a folder of that name;
-        - a folder or ``.zip`` file with a sub-folder of images for each class, or with such
-          folders within its own ``train/`` and ``test/``. Images are turned to grey;
+        - a folder or ``.zip`` file with a sub-folder of images for each class, or with such folders
+          within its own ``train/`` and ``test/``. Images of one depth; colours turn grey;
         - a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map lies beside
           it under the same name with ``_gt`` added, as in `cubes.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or
@@ -62,10 +64,9 @@ def load_dataset(
         drawn with the seed, of each class its share; all by default.
     split : {"random", "blocks"}, optional
         Of hyperspectral images, as in `SpectralImage.parts`.
-
-    Returns
-    -------
-    Dataset
+    white : float, optional
+        Value that is reflectance 1, of images and arrays of integers wider than a byte; by default
+        that of the fewest bits that hold the largest value, as `deepfsi.datasets.values` says.
 
     Raises
     ------
@@ -78,7 +79,7 @@ def load_dataset(
     >>> deepfsi.load_dataset("digits").image_shape
     (8, 8)
     """
-    options = Options(size, seed, rescale, images, split)
+    options = Options(size, seed, rescale, images, split, white)
     if isinstance(source, tuple):
         return _load_arrays(source, options)
     name = os.fspath(source)
@@ -129,12 +130,12 @@ def _existing(name: str) -> Path:
 
 
 def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
-    _refuse(options, "arrays")
+    _refuse(options, "arrays", "white")
     if len(arrays) not in (2, 4):
         raise InputError(
             f"a tuple of {len(arrays)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
         )
-    return from_arrays(*arrays, seed=options.seed, rescale=options.rescale)
+    return load_arrays(arrays, "arrays", options)
 
 
 def _load_name(name: str, options: Options) -> Dataset:
@@ -164,13 +165,13 @@ def _load_name(name: str, options: Options) -> Dataset:
 
 def _load_path(path: Path, options: Options) -> Dataset:
     if path.is_dir() or path.suffix.lower() == ".zip":
-        _refuse(options, path.name, "size", "images")
+        _refuse(options, path.name, "size", "images", "white")
         return load_pictures(path, options)
     if path.suffix in SUFFIXES:
         _refuse(options, path.name, "split")
         split = options.split or "random"
         return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
-    _refuse(options, path.name)
+    _refuse(options, path.name, "white")
     return load_npz(path, options)
 
 

@@ -10,15 +10,18 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.decoding import Shape, Tally
+from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,8 +38,6 @@ MAX_FILE = 2**28
 
 MAX_PIXELS = 2**30
 """Pixels at most of all images together: 4.3 GB as float32."""
-
-Shape = tuple[int, int]
 
 
 class Picture(NamedTuple):
@@ -78,17 +79,20 @@ def from_listings(
         kept = draw_stratified([p.label for p in train], images, options.seed, name)
         train = [train[i] for i in kept]
     wanted = [*train, *(test[0] if test else [])]
-    pixels = read_all(wanted, shape, bilinear)
-    labels = np.array([picture.label for picture in wanted])
+    pixels, tally = read_all(wanted, shape, bilinear)
+    levels = tally.levels(options.white)
+    x, labels = reflectance(pixels, levels), np.array([picture.label for picture in wanted])
     n = len(train)
-    return split_arrays(
-        (pixels[:n], labels[:n]),
-        (pixels[n:], labels[n:]) if test else None,
+    drawn = "" if images is None else f"{images} training images drawn by class; "
+    data = split_arrays(
+        (x[:n], labels[:n]),
+        (x[n:], labels[n:]) if test else None,
         name=name,
         seed=options.seed,
         rescale=options.rescale,
-        values=describe(shape, bilinear, images),
+        values=f"{drawn}{tally.words}{_resizing(shape, bilinear)}; {levels.words}",
     )
+    return replace(data, white=levels.white if levels.chosen else None)
 
 
 def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
@@ -96,11 +100,15 @@ def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
 
     Parameters as of `read_all`; `images` is the number of training images that were drawn.
     """
-    how = "resized bilinearly" if bilinear else "averaged"
-    resized = "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels,"
     drawn = "" if images is None else f"{images} training images drawn by class; "
-    text = f"{drawn}grey levels{resized} divided by 255"
+    comma = "," if shape else ""
+    text = f"{drawn}grey levels{_resizing(shape, bilinear)}{comma} divided by 255"
     return text[0].upper() + text[1:]
+
+
+def _resizing(shape: Shape | None, bilinear: bool) -> str:
+    how = "resized bilinearly" if bilinear else "averaged"
+    return "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels"
 
 
 def as_shape(size: int | Shape | None) -> Shape | None:
@@ -247,8 +255,10 @@ def is_image(name: str) -> bool:
 # ---------------------------------------------------------------- reading
 
 
-def read_all(pictures: list[Picture], shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
-    """Grey images (n, H, W), all of one shape.
+def read_all(
+    pictures: list[Picture], shape: Shape | None, bilinear: bool
+) -> tuple[npt.NDArray[Any], Tally]:
+    """Grey images (n, H, W), all of one shape: uint8, or else float32 in their own values.
 
     Parameters
     ----------
@@ -262,14 +272,15 @@ def read_all(pictures: list[Picture], shape: Shape | None, bilinear: bool) -> np
 
     if shape is not None:
         check_total(len(pictures), shape)
+    tally = Tally()
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        first = _read_grey(pictures[0], shape, bilinear)
+        first = _read(pictures[0], tally, shape, bilinear)
         check_total(len(pictures), first.shape)
-        grey = np.empty((len(pictures), *first.shape), np.uint8)
+        grey = np.empty((len(pictures), *first.shape), first.dtype)
         grey[0] = first
         for i, picture in enumerate(pictures[1:], 1):
-            image = _read_grey(picture, shape, bilinear)
+            image = _read(picture, tally, shape, bilinear)
             if image.shape != first.shape:
                 raise InputError(
                     f"images differ in size: {pictures[0].where} is "
@@ -277,16 +288,15 @@ def read_all(pictures: list[Picture], shape: Shape | None, bilinear: bool) -> np
                     f"{image.shape[0]}x{image.shape[1]}; give a size to bring them to one"
                 )
             grey[i] = image
-    return grey
+    return grey, tally
 
 
-def _read_grey(picture: Picture, shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
+def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -> npt.NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     try:
         with picture.open() as stream, Image.open(stream, formats=FORMATS) as image:
-            mode = image.mode
-            grey = image.convert("L")
+            grey = tally.grey(image, picture.where)
     except InputError:
         raise
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
@@ -294,14 +304,10 @@ def _read_grey(picture: Picture, shape: Shape | None, bilinear: bool) -> npt.NDA
         raise InputError(
             f"cannot read the image {picture.where} ({reason}); replace or remove it"
         ) from error
-    if mode[0] in "IF":  # convert("L") would clip these to 255
-        raise InputError(
-            f"{picture.where} has more than 8 bits ({mode}); save it with 8, or give arrays"
-        )
     return resized(grey, shape, bilinear)
 
 
-def resized(grey: "PillowImage", shape: Shape | None, bilinear: bool) -> npt.NDArray[np.uint8]:
+def resized(grey: "PillowImage", shape: Shape | None, bilinear: bool) -> npt.NDArray[Any]:
     """Levels of one of Pillow's grey images, (H, W); parameters as of `read_all`."""
     from PIL import Image
 

@@ -1,0 +1,165 @@
+"""Values of pictures and arrays: their range, colours turned to grey, and reflectance in [0, 1].
+
+Reflectance 1, *white*, is 255 for bytes and true for truth values; floats are reflectance as given.
+Integers of any other type hold fewer bits than their type, as a camera of 12 bits writes uint16:
+white is then 2ᵇ − 1, with b the fewest of `BITS` that hold the largest value of training and test
+scenes together, unless it is given. A data set and a design remember it, so that other scenes are
+divided by the same.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.errors import InputError
+
+LUMA = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue in a grey level (ITU-R BT.601, those of Pillow)."""
+
+BITS = (1, 8, 10, 12, 14, 16, 24, 32)
+"""Depths of integers in files of cameras."""
+
+ROUNDING = 1e-6
+"""Distance of a float from [0, 1] at most, after scaling done elsewhere."""
+
+CHUNK = 4096
+"""Scenes whose colours are turned to grey at once."""
+
+Values = npt.NDArray[Any]
+
+Family = Literal["truth", "byte", "integer", "float"]
+"""Types that share a rule for white."""
+
+
+class Levels(NamedTuple):
+    """Range of the values of a source.
+
+    Attributes
+    ----------
+    kind : str
+        Type of the values: "uint16", "8-bit".
+    low, high : float
+        Smallest and largest.
+    white : float
+        Value that is reflectance 1.
+    chosen : bool
+        True if `white` is no property of the type: other scenes need to be told it.
+    """
+
+    kind: str
+    low: float
+    high: float
+    white: float
+    chosen: bool
+
+    @property
+    def words(self) -> str:
+        """Type, range and division, as a part of a sentence."""
+        bits = (int(self.white) + 1).bit_length() - 1
+        depth = f" ({bits} bits)" if self.chosen and self.white == 2**bits - 1 else ""
+        done = "as given" if self.white == 1 else f"divided by {self.white:.10g}{depth}"
+        return f"{self.kind} values from {self.low:.4g} to {self.high:.4g}, {done}"
+
+
+def measure(parts: Mapping[str, Values], white: float | None = None) -> Levels:
+    """Range of the values of scenes of one type, and their white.
+
+    Parameters as of `levels_of`; the parts are those to train on and, if there are any, to test on.
+    """
+    families = {_family(part.dtype, what) for what, part in parts.items()}
+    if len(families) > 1:
+        given = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
+        raise InputError(f"{given} have no white in common; give one type")
+    kind = str(next(iter(parts.values())).dtype)
+    reach = {what: (float(part.min()), float(part.max())) for what, part in parts.items()}
+    return levels_of(reach, families.pop(), kind, white)
+
+
+def levels_of(
+    reach: Mapping[str, tuple[float, float]], family: Family, kind: str, white: float | None
+) -> Levels:
+    """Levels of values that reach so far.
+
+    Parameters
+    ----------
+    reach : mapping of (float, float)
+        Smallest and largest value of each part, by its name in messages.
+    family : str
+        "truth", "byte", "integer" or "float".
+    kind : str
+        Type of the values for people.
+    white : float or None
+        Of integers wider than a byte; found by the rule of this module unless given.
+
+    Raises
+    ------
+    InputError
+        If they cannot be reflectances.
+    """
+    for what, (low, high) in reach.items():
+        _check_reach(what, low, high, family, white)
+    low, high = min(low for low, _ in reach.values()), max(high for _, high in reach.values())
+    if family != "integer":
+        white = 255.0 if family == "byte" else 1.0
+    elif white is None:
+        white = float(next(2**bits - 1 for bits in BITS if high < 2**bits))
+    return Levels(kind, low, high, white, family == "integer")
+
+
+def _family(dtype: np.dtype[Any], what: str) -> Family:
+    if dtype == np.uint8:
+        return "byte"
+    kinds: dict[str, Family] = {"b": "truth", "i": "integer", "u": "integer", "f": "float"}
+    if dtype.kind not in kinds:
+        raise InputError(f"{what} is {dtype}; give floats in [0, 1], integers or truth values")
+    return kinds[dtype.kind]
+
+
+def _check_reach(what: str, low: float, high: float, family: Family, white: float | None) -> None:
+    """Raise `InputError` for values that cannot be reflectances."""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise InputError(f"{what} holds NaN or infinite values; remove those scenes")
+    if family == "float" and (low < -ROUNDING or high > 1 + ROUNDING):
+        raise InputError(
+            f"{what} reaches from {low:.4g} to {high:.4g}; reflectance lies in [0, 1]: rescale it"
+        )
+    if family == "integer" and not 0 <= low <= high < 2 ** BITS[-1]:
+        raise InputError(
+            f"{what} reaches from {low:.10g} to {high:.10g}; integers are allowed from 0 to "
+            f"2**{BITS[-1]} - 1: subtract the offset, or rescale to [0, 1]"
+        )
+    if family == "integer" and white is not None and high > white:
+        raise InputError(
+            f"{what} reaches up to {high:.10g}, above white, {white:.10g}; give a white that no "
+            "value is above"
+        )
+
+
+def reflectance(values: Values, levels: Levels) -> npt.NDArray[np.float32]:
+    """Reflectance of values, a copy of them; of floats but for rounding."""
+    if levels.white == 1:
+        return values.astype(np.float32)
+    return np.divide(values, levels.white, dtype=np.float32)
+
+
+def unit(values: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Reflectance of bytes: a 255th of them."""
+    return np.divide(values, 255, dtype=np.float32)
+
+
+def grey(values: Values, what: str) -> Values:
+    """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out.
+
+    Integers keep their type, rounded. `what` is their name in messages.
+    """
+    family = _family(values.dtype, what)
+    if values.shape[3] == 1:
+        return values[..., 0]
+    out = np.empty(values.shape[:3], np.float32 if family == "truth" else values.dtype)
+    for first in range(0, len(values), CHUNK):
+        part = slice(first, first + CHUNK)
+        mixed = values[part, ..., :3] @ np.array(LUMA)
+        out[part] = np.rint(mixed) if family in ("byte", "integer") else mixed
+    return out
