@@ -149,11 +149,16 @@ def camera_count(
     exposure: ExposureOption = None,
     settle: SettleOption = None,
     repeats: RepeatsOption = None,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(help="by how much a marker may be off; 10us, or a tenth of a frame, if none"),
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Count the photons of each frame's gates; missing, doubled and late markers are named.
 
-    A shorter exposure than the recorded one is counted in shorter gates, and more of them.
+    A shorter exposure than the recorded one is counted in shorter gates, and more of them. Frames
+    that all last longer or shorter than planned are counted as they are, and the drift is said.
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
@@ -165,6 +170,7 @@ def camera_count(
             exposure_s=options.optional_seconds("exposure", exposure),
             settle_s=options.optional_seconds("settle", settle),
             repeats=repeats,
+            tolerance_s=options.optional_seconds("tolerance", tolerance),
             report=report,
         )
     summary: dict[str, Any] = {
@@ -175,6 +181,7 @@ def camera_count(
         "photons_counted": int(counts.counts.sum()),
         "photons": float(counts.photons),
         "dark_rate": counts.dark_rate.tolist(),
+        "drift": counts.drift,
     }
     if as_json:
         faults = [fault.model_dump() for fault in counts.faults]
@@ -189,6 +196,8 @@ def camera_count(
         f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
         f"{counts.photons:.4g} photons an exposure, dark "
         f"{', '.join(f'{rate:.4g}' for rate in sorted(set(summary['dark_rate'])))} counts/s\n"
+        f"clocks: frames last {abs(counts.drift) * 1e6:.3g} ppm "
+        f"{'shorter' if counts.drift < 0 else 'longer'} than planned\n"
         f"counts: {folder / 'counts.npz'}"
     )
 

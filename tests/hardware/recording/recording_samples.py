@@ -71,13 +71,19 @@ def train(
     offset: float = 0.02,
     pauses: float | list[float] = 0.0,
     seed: int = 0,
+    extra: float = 0.0,
+    jitter: float = JITTER,
 ) -> np.ndarray:
-    """True starts of frames on the counter's clock, (S, F), with jitter."""
+    """True starts of frames on the counter's clock, (S, F), with jitter.
+
+    Each frame lasts 1 + `drift` times as long as planned, and `extra` seconds.
+    """
     rng = np.random.default_rng(seed)
     gaps = np.broadcast_to(pauses, (scenes,))
-    begins = np.arange(scenes) * manifest.pass_s + np.cumsum(gaps) - gaps[0]
-    starts = offset + (1 + drift) * (begins[:, None] + manifest.starts_s)
-    return starts + rng.uniform(-JITTER, JITTER, starts.shape)
+    pictures = (1 + drift) * manifest.picture_s + extra
+    begins = np.arange(scenes) * pictures.sum() + (1 + drift) * (np.cumsum(gaps) - gaps[0])
+    starts = (1 + drift) * offset + begins[:, None] + np.cumsum(pictures) - pictures
+    return starts + rng.uniform(-jitter, jitter, starts.shape)
 
 
 @dataclass

@@ -15,6 +15,13 @@ LONGEST_SETTLE_S = 1e4
 """Longest time before the first gate of a frame, seconds."""
 
 
+USUAL_TOLERANCE_S = 1e-5
+"""By how much a frame's marker may be off, seconds."""
+
+USUAL_SHARE = 0.1
+"""The most of it, as a share of the shortest frame."""
+
+
 @dataclass(frozen=True)
 class Gates:
     """Gates of the masks' frames, in seconds after each frame's start.
@@ -37,6 +44,11 @@ class Gates:
     def starts_s(self) -> np.ndarray:
         """Starts of the gates, shape (f, R)."""
         return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
+
+
+def usual_tolerance(manifest: Manifest) -> float:
+    """By how much a frame's marker may be off unless another tolerance is given, seconds."""
+    return min(USUAL_SHARE * float(manifest.picture_s.min()), USUAL_TOLERANCE_S)
 
 
 def longest_exposure(manifest: Manifest, settle_s: float) -> float:

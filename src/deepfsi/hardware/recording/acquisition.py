@@ -21,7 +21,7 @@ from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.patterns.timing import Gates, find_gates
+from deepfsi.hardware.patterns.timing import Gates, find_gates, usual_tolerance
 from deepfsi.hardware.recording.alignment import MOST_FRAMES
 
 MOST_READOUTS = 2**21
@@ -207,7 +207,7 @@ def gates_of(
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
     settle = acquisition.settle_s if settle_s is None else settle_s
     gates = find_gates(manifest, exposure, settle, wanted)
-    shortest = min(manifest.picture_s[[0, 1, -2, -1]])
+    shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - usual_tolerance(manifest)
     if settle >= shortest:
         raise InputError(
             f"a settle time of {settle:g} s leaves nothing of the all-ON and all-OFF frames: give "

@@ -1,8 +1,8 @@
 """Markers of a recording brought to the frames that they start.
 
-A device gives one marker at the start of each frame; a counter records them on its own clock, which
-may run up to 200 ppm fast or slow. A pass over the frames follows the schedule of its manifest.
-Between passes there may be pauses of any length.
+A device gives one marker at the start of each frame; a counter records them on its own clock. A
+pass over the frames follows the schedule of its manifest, as that clock shows it (`clocks`), within
+200 ppm. Between passes there may be pauses of any length.
 
 A pass is followed from its first marker: the next markers are sought where the last ones and the
 schedule say. What is not there is *missing* or *late*, what is there and not sought is *extra*.
@@ -14,12 +14,13 @@ Where they cannot decide, the pass is given up.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.recording.clocks import measure_clock
 from deepfsi.hardware.recording.faults import Fault, name_faults
 from deepfsi.hardware.recording.passes import (
     MOST_DRIFT,
@@ -58,10 +59,16 @@ class Alignment:
     ----------
     starts_s : array, shape (S, F)
         Seconds on the counter's clock; NaN where it is not known.
+    pictures_s : array, shape (F,)
+        Picture times on that clock.
+    tolerance_s : float
+        By how much a marker may be off.
     """
 
     starts_s: np.ndarray
     faults: tuple[Fault, ...]
+    pictures_s: np.ndarray
+    tolerance_s: float
 
 
 def align(
@@ -71,6 +78,7 @@ def align(
     *,
     tolerance_s: float | None = None,
     counter: Counter | None = None,
+    cut: bool = False,
 ) -> Alignment:
     """Find the frame that each marker starts.
 
@@ -88,12 +96,14 @@ def align(
     counter : callable, optional
         Photons on the first input in some windows (starts, stops; they may overlap). Asked once,
         and only if times alone leave a doubt. Without it such passes are given up.
+    cut : bool
+        True if the file is known to end before the recording did.
 
     Raises
     ------
     InputError
         If markers do not follow the schedule, or are of more or fewer passes than there are scenes.
-        Fewer are allowed if the recording ends within a pass; they are of the first scenes.
+        Fewer are allowed if the file is cut or ends within a pass; they are of the first scenes.
     """
     schedule = Schedule.of(manifest, tolerance_s)
     times = np.sort(np.asarray(times_s, dtype=np.float64))
@@ -104,11 +114,21 @@ def align(
             f"{scenes} scenes of {schedule.frames} frames are more than {MOST_FRAMES} frames: "
             "split the acquisition"
         )
-    markers = Markers(times, schedule, scenes)
+    markers = Markers(times, schedule, scenes, cut)
     whole = take_whole(markers)
+    if whole is None:
+        markers = _measured(markers)
+        schedule = markers.schedule
+        whole = take_whole(markers)
     if whole is not None:
-        return Alignment(whole, ())
-    passes = follow_passes(markers)
+        return Alignment(whole, (), schedule.pictures, schedule.tolerance)
+    starts, faults = _follow(markers, counter)
+    return Alignment(starts, faults, schedule.pictures, schedule.tolerance)
+
+
+def _follow(markers: Markers, counter: Counter | None) -> tuple[np.ndarray, tuple[Fault, ...]]:
+    """Starts of frames (S, F) and faults, pass by pass; photons decide where times do not."""
+    schedule, passes = markers.schedule, follow_passes(markers)
     doubtful = _find_doubts(passes, markers)
     shifts = _find_shifts(passes, doubtful, schedule, counter)
     for place, shift in shifts.items():
@@ -117,7 +137,19 @@ def align(
             passes[place] = walk(markers, start)
     if shifts and overlapping(passes, schedule) >= {len(passes) - 1}:
         passes.pop()  # made of markers that a shifted pass has now
-    return Alignment(*name_faults(passes, doubtful - set(shifts), markers))
+    return name_faults(passes, doubtful - set(shifts), markers)
+
+
+def _measured(markers: Markers) -> Markers:
+    """Markers with their schedule as the clock shows it, where that differs from the planned."""
+    schedule = markers.schedule
+    clock = measure_clock(markers.times, schedule.pictures, schedule.tolerance)
+    if clock is None:
+        return markers
+    measured = schedule.stretched(clock)
+    if abs(measured.pictures.sum() / schedule.pictures.sum() - 1) <= MOST_DRIFT:
+        return markers
+    return replace(markers, schedule=measured)
 
 
 def find_steps(

@@ -1,6 +1,7 @@
 """Photons of a recording counted frame by frame, for the exposure it was made for or another."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,13 @@ from deepfsi.hardware.recording.acquisition import gates_of, read_acquisition
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.gates import Windows, find_frames, in_ticks
+from deepfsi.hardware.recording.gates import (
+    Windows,
+    check_gates,
+    find_frames,
+    find_lateness,
+    in_ticks,
+)
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
@@ -34,6 +41,7 @@ def count(
     exposure_s: float | None = None,
     settle_s: float | None = None,
     repeats: int | None = None,
+    tolerance_s: float | None = None,
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz.
@@ -48,6 +56,9 @@ def count(
     repeats : int, optional
         Exposures of each scene, from gates that follow each other in each frame. Unless given, as
         recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
+    tolerance_s : float, optional
+        By how much a frame's marker may be off the schedule. Unless given, a tenth of the shortest
+        frame, at most 10 µs. All frames may be longer or shorter besides: see `Counts.drift`.
 
     Raises
     ------
@@ -59,14 +70,12 @@ def count(
     manifest = patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
     header = read_header(Path(folder) / "photons.ptu")
-    if gates.length_s.min() < LEAST_GATE_TICKS * header.tick_s:
-        raise InputError(
-            f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
-            f"{gates.length_s.min():g} s: give a longer exposure"
-        )
-    starts, whole, faults = find_frames(header, acquisition, manifest, report.part(0.0, 0.4))
-    windows = Windows.of(manifest, gates)
-    opens = starts[whole][:, windows.frame] + windows.offset
+    _check_ticks(header, gates)
+    frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
+    check_gates(gates, manifest, frames)
+    windows = Windows.of(manifest, gates, frames)
+    whole, faults = frames.whole, frames.faults
+    opens = frames.starts_s[whole][:, windows.frame] + windows.offset
     found, seconds = _count_windows(
         header, opens, windows.length, acquisition.inputs, report.part(0.4, 1.0)
     )
@@ -75,13 +84,24 @@ def count(
     for scene in np.flatnonzero(whole)[~fits].tolist():
         detail = "its first and last frames are not the brightest and darkest: it may be shifted"
         faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
+    late = find_lateness(windows, found[fits, :, 0], seconds[fits])
     whole[whole] = fits
     spent = np.where(spent > 0, spent, np.nan)
     rates = photons[fits] / spent[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
-    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure, tuple(faults))
+    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure)
+    counts = replace(counts, drift=frames.drift, faults=(*faults, *late))
     counts.save(Path(folder), acquisition)
     return counts
+
+
+def _check_ticks(header: Header, gates: Gates) -> None:
+    """Raise `InputError` if the counter's times are too coarse for the gates."""
+    if gates.length_s.min() < LEAST_GATE_TICKS * header.tick_s:
+        raise InputError(
+            f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
+            f"{gates.length_s.min():g} s: give a longer exposure"
+        )
 
 
 def _count_windows(
@@ -133,7 +153,6 @@ def _assemble(
     found: np.ndarray,
     rates: np.ndarray,
     exposure_s: float,
-    faults: tuple[Fault, ...],
 ) -> Counts:
     """Counts of windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
     scenes, rails, masks = len(whole), manifest.rails, manifest.masks
@@ -160,5 +179,6 @@ def _assemble(
         exposure_s=exposure_s,
         settle_s=gates.settle_s,
         lengths_s=lengths,
-        faults=faults,
+        drift=0.0,
+        faults=(),
     )

@@ -71,6 +71,8 @@ class Counts:
         Time before the first gate of each frame, seconds.
     lengths_s : array, shape (rails, m)
         For how long each readout is counted, seconds; 0 for a rail that is dark.
+    drift : float
+        By how much passes lasted longer than planned on the counter's clock, as a share.
     faults : tuple of Fault
         What was wrong with the recording.
     """
@@ -84,6 +86,7 @@ class Counts:
     exposure_s: float
     settle_s: float
     lengths_s: np.ndarray
+    drift: float
     faults: tuple[Fault, ...]
 
     @property
@@ -116,6 +119,7 @@ class Counts:
             "repeats": self.counts.shape[1],
             "exposure_s": self.exposure_s,
             "settle_s": self.settle_s,
+            "drift": self.drift,
             "faults": [fault.model_dump() for fault in self.faults],
         }
         text = np.frombuffer(json.dumps(about).encode(), np.uint8)
@@ -175,7 +179,11 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
     if photons.is_file() and _hash_file(photons) != about.photons_sha256:
         raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
     return Counts(
-        **arrays, exposure_s=about.exposure_s, settle_s=about.settle_s, faults=about.faults
+        **arrays,
+        exposure_s=about.exposure_s,
+        settle_s=about.settle_s,
+        drift=about.drift,
+        faults=about.faults,
     )
 
 
@@ -204,6 +212,7 @@ class _About(BaseModel):
     repeats: int = Field(ge=1, le=MOST_READOUTS)
     exposure_s: Positive
     settle_s: float = Field(ge=0, allow_inf_nan=False)
+    drift: float
     faults: tuple[Fault, ...]
 
 

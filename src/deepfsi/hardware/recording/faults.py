@@ -91,8 +91,9 @@ def name_faults(
         for frames in _runs(np.flatnonzero(each.places < 0)):
             faults += _name(scene, frames, each, starts[scene], end, late)
     explained = {marker for marker, _ in late.values()}
+    until = passes[-1].expected[-1] if markers.cut else np.inf
     for place, time in enumerate(spare.tolist()):
-        if place not in explained:
+        if place not in explained and time < until:  # after it, of a pass that was cut
             faults.append(_name_extra(time, passes, unknown, schedule))
     if len(faults) > MOST_FAULTS:
         raise InputError(f"{len(faults)} markers are missing, late or extra: record again")
@@ -108,12 +109,13 @@ def _check_certain(passes: list[Pass], markers: Markers, spare: np.ndarray) -> N
             "that were shown, and one marker at the start of each frame"
         )
     lacking = np.count_nonzero(passes[-1].expected > times[-1] + schedule.tolerance)
-    if len(passes) < scenes and lacking <= MOST_RESTORED:  # of a cut, or just missing
+    if len(passes) < scenes and lacking <= MOST_RESTORED and not markers.cut:
         raise InputError(
             f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
             "that were recorded"
         )
-    if lacking > MOST_RESTORED and _has_strays(passes, times, schedule):
+    ends = lacking > MOST_RESTORED or (markers.cut and len(passes) < scenes)
+    if ends and _has_strays(passes, times, schedule):
         raise InputError(
             "the last pass is cut, and markers outside of all passes follow no schedule: which "
             "pass is of which scene is not certain; record again"
@@ -189,8 +191,8 @@ def _find_late(
 
 
 def _has_strays(passes: list[Pass], times: np.ndarray, schedule: Schedule) -> bool:
-    """True if markers came outside of all passes, perhaps of one that was not found."""
-    outside = np.ones(len(times), bool)
+    """True if markers came before and between all passes, perhaps of one that was not found."""
+    outside = times < passes[-1].expected[-1]
     for each in passes:
         until = each.expected[-1] + schedule.pictures[-1]
         outside &= (times < each.expected[0] - schedule.tolerance) | (times >= until)

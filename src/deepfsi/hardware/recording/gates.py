@@ -1,4 +1,10 @@
-"""Gates of a recording: frames found by their markers, and windows in which photons are counted."""
+"""Gates of a recording: frames found by their markers, and windows in which photons are counted.
+
+A marker may come late, and what is counted up to the next one then holds some light of the next
+frame: a microsecond of 1e7 photons/s looks like thousands of dark counts/s in an all-OFF frame. So
+windows other than gates end a *guard*, the tolerance of the markers, before the next frame. The
+guard of the all-OFF frames is counted by itself: light in it tells by how much markers are late.
+"""
 
 from dataclasses import dataclass
 
@@ -10,15 +16,48 @@ from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.recording.acquisition import Acquisition
-from deepfsi.hardware.recording.alignment import align
+from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS, align
 from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.passes import MOST_DRIFT
 from deepfsi.progress import Report
 
 
+@dataclass(frozen=True)
+class Frames:
+    """Frames of a recording.
+
+    Attributes
+    ----------
+    starts_s : array, shape (S, F)
+        Seconds on the counter's clock; NaN where it is not known.
+    whole : array, shape (S,)
+        bool; scenes whose masks' frames were all recorded.
+    pictures_s : array, shape (F,)
+        Picture times on the counter's clock.
+    tolerance_s : float
+        By how much a marker may be off.
+    drift : float
+        By how much passes last longer than planned, as a share: their median.
+    faults : list of Fault
+        Of the markers.
+    """
+
+    starts_s: np.ndarray
+    whole: np.ndarray
+    pictures_s: np.ndarray
+    tolerance_s: float
+    drift: float
+    faults: list[Fault]
+
+
 def find_frames(
-    header: Header, acquisition: Acquisition, manifest: Manifest, report: Report
-) -> tuple[np.ndarray, np.ndarray, list[Fault]]:
-    """Start of each frame (S, F) in seconds, scenes whose masks' frames are whole (S,), faults.
+    header: Header,
+    acquisition: Acquisition,
+    manifest: Manifest,
+    tolerance_s: float | None,
+    report: Report,
+) -> Frames:
+    """Frames of a recording by its markers, and by photons where markers leave a doubt.
 
     Parameters
     ----------
@@ -27,6 +66,8 @@ def find_frames(
     acquisition : Acquisition
     manifest : Manifest
         Of the patterns that were shown.
+    tolerance_s : float or None
+        By how much a marker may be off; as usual if None.
     report : Report
         Given the share of the file whose markers are read.
     """
@@ -43,7 +84,14 @@ def find_frames(
         return before[1] - before[0]
 
     try:
-        aligned = align(times * tick_s, manifest, len(acquisition.scenes), counter=counter)
+        aligned = align(
+            times * tick_s,
+            manifest,
+            len(acquisition.scenes),
+            tolerance_s=tolerance_s,
+            counter=counter,
+            cut=bool(header.problems),
+        )
     except InputError as error:
         raise InputError(f"{path} has {len(times)} frame markers: {error}") from None
     starts = aligned.starts_s.copy()
@@ -56,12 +104,25 @@ def find_frames(
     if not whole.any():
         why = aligned.faults[0] if aligned.faults else "it ends too early"
         raise InputError(f"{path} has no whole exposure ({why}): record again")
-    return starts, whole, list(aligned.faults)
+    drift = _find_drift(starts, manifest.starts_s)
+    return Frames(
+        starts, whole, aligned.pictures_s, aligned.tolerance_s, drift, list(aligned.faults)
+    )
+
+
+def _find_drift(starts: np.ndarray, planned: np.ndarray) -> float:
+    """By how much passes (S, F) last longer than planned, as a share: their median."""
+    drifts = []
+    for each in starts:
+        known = np.flatnonzero(np.isfinite(each))
+        if len(known) > 1:
+            drifts.append(np.ptp(each[known]) / np.ptp(planned[known]) - 1)
+    return float(np.median(drifts))
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of a pass in order: its gates, and what of each frame they leave after settling.
+    """Windows of a pass in order: its gates, and what they leave between settling and guard.
 
     Attributes
     ----------
@@ -71,35 +132,111 @@ class Windows:
         When a window opens after its frame's start, and for how long, seconds.
     gates : array, shape (f, R)
         Places of the gates among the windows.
+    guards : array, shape (2,)
+        Places of the guards of the all-OFF frames.
     frames : int
         Frames of a pass, F.
+    room : float
+        Least time from the last gate of a frame to the next frame, seconds.
     """
 
     frame: np.ndarray
     offset: np.ndarray
     length: np.ndarray
     gates: np.ndarray
+    guards: np.ndarray
     frames: int
+    room: float
 
     @classmethod
-    def of(cls, manifest: Manifest, gates: Gates) -> "Windows":
-        """Windows of a pass over the frames of a manifest."""
+    def of(cls, manifest: Manifest, gates: Gates, found: Frames) -> "Windows":
+        """Windows of a pass over the frames of a manifest as they were found in a recording.
+
+        Parameters as of `check_gates`.
+        """
         repeats, frames = gates.repeats, len(manifest.frames)
+        dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         each = np.ones(frames, np.int64)
         each[manifest.shown] += repeats
+        each[dark] += 1
         frame = np.repeat(np.arange(frames), each)
         first = np.cumsum(each) - each
         places = first[manifest.shown][:, None] + np.arange(repeats)
+        ends = found.pictures_s - found.tolerance_s
         offset = np.full(len(frame), gates.settle_s)
         offset[places] = gates.starts_s
         offset[places[:, -1] + 1] = gates.settle_s + repeats * gates.length_s
-        length = np.maximum(manifest.picture_s[frame] - offset, 0.0)
+        guards = first[dark] + 1
+        offset[guards] = ends[dark]
+        length = np.maximum(ends[frame] - offset, 0.0)
         length[places] = gates.length_s[:, None]
-        return cls(frame, offset, length, places, frames)
+        length[guards] = found.tolerance_s
+        gated = gates.settle_s + repeats * gates.length_s
+        room = float((found.pictures_s[manifest.shown] - gated).min())
+        return cls(frame, offset, length, places, guards, frames, room)
 
     def sum_frames(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the windows of each frame, along the second axis."""
-        return np.add.reduceat(values, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
+        """Sums over the windows of each frame but guards, along the second axis."""
+        kept = values.copy()
+        kept[:, self.guards] = 0
+        return np.add.reduceat(kept, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
+
+
+def check_gates(gates: Gates, manifest: Manifest, found: Frames) -> None:
+    """Raise `InputError` if frames were so much shorter than planned that gates do not fit.
+
+    Parameters
+    ----------
+    gates : Gates
+        Of the masks' frames.
+    manifest : Manifest
+        Of the patterns that were shown.
+    found : Frames
+        Frames as they were.
+    """
+    pictures = found.pictures_s[manifest.shown]
+    room = pictures - gates.settle_s
+    over = gates.repeats * gates.length_s - room - MOST_DRIFT * pictures
+    if over.max() > 0:
+        exposure = float((room / manifest.shares).min()) / gates.repeats
+        raise InputError(
+            f"frames were {-found.drift:.2%} shorter than planned, and {gates.repeats} exposures "
+            f"do not fit: give --exposure {exposure:.4g} or less, or fewer --repeats"
+        )
+
+
+def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) -> tuple[Fault, ...]:
+    """Name markers that all come late: light of the first mask is in the guard before it.
+
+    Parameters
+    ----------
+    windows : Windows
+        Of a pass.
+    photons, seconds : arrays, shape (S, g)
+        Photons of the first input in the windows of each scene, and how long they were open.
+    """
+    found, found_s = windows.sum_frames(photons), windows.sum_frames(seconds)
+    (dark, light), (dark_s, light_s) = found[:, 1:3].T, found_s[:, 1:3].T
+    guard, guard_s = photons[:, windows.guards[0]], seconds[:, windows.guards[0]]
+    known = (dark_s > 0) & (light_s > 0)
+    if np.count_nonzero(known) > 1:  # a burst of stray light in one of them is another fault
+        known[np.argmax(np.where(known, guard, -1))] = False
+    share = guard_s[known] / dark_s[known]
+    excess = float((guard[known] - dark[known] * share).sum())
+    noise = float(np.sqrt((dark[known] * share * (1 + share)).sum() + 1))
+    rate = float((light[known] / light_s[known] - dark[known] / dark_s[known]).sum())
+    if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
+        return ()
+    late = excess / rate
+    detail = (
+        f"all markers, by {late * 1e6:.1f} µs: the light of each frame begins before its marker"
+    )
+    if windows.room < late:
+        detail += (
+            f", and gates end {max(windows.room, 0) * 1e6:.1f} µs before the next marker: mend the "
+            "trigger, or count a shorter --exposure"
+        )
+    return (Fault(kind="late", scene=None, frame=None, detail=detail),)
 
 
 def in_ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:

@@ -4,7 +4,8 @@ A pass is followed from its first marker: the next markers are sought where the 
 schedule say.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,9 +13,11 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.timing import usual_tolerance
+from deepfsi.hardware.recording.clocks import Clock
 
 MOST_DRIFT = 2e-4
-"""Largest difference of the two clocks' rates."""
+"""Largest difference of two clocks' rates, of those planned or of those measured."""
 
 MOST_DRIFT_CHANGE = 1e-6
 """Change of the drift within a pass that is allowed for at most."""
@@ -45,9 +48,9 @@ class Schedule:
 
     @classmethod
     def of(cls, manifest: Manifest, tolerance_s: float | None) -> "Schedule":
-        """Schedule of a manifest; a marker may be off by 10 µs unless a tolerance is given."""
+        """Schedule of a manifest; a marker may be off as usual unless a tolerance is given."""
         shortest = float(manifest.picture_s.min())
-        given = min(0.1 * shortest, 1e-5) if tolerance_s is None else tolerance_s
+        given = usual_tolerance(manifest) if tolerance_s is None else tolerance_s
         if not 0 < given <= 0.2 * shortest:
             raise InputError(
                 f"a tolerance of {given!r} s is not allowed: give more than 0, up to a fifth of "
@@ -55,6 +58,11 @@ class Schedule:
             )
         settle = manifest.device.settle_us * 1e-6
         return cls(manifest.starts_s, manifest.picture_s, settle, given)
+
+    def stretched(self, clock: Clock) -> "Schedule":
+        """Schedule as a counter's clock shows it."""
+        pictures = clock.stretch(self.pictures)
+        return replace(self, starts=np.append(0.0, np.cumsum(pictures)[:-1]), pictures=pictures)
 
     @property
     def frames(self) -> int:
@@ -87,11 +95,20 @@ class Markers:
         When they came, seconds, rising.
     scenes : int
         S, passes that there should be.
+    cut : bool
+        True if the file is known to end before the recording did: passes that lack are the last.
     """
 
     times: np.ndarray
     schedule: Schedule
     scenes: int
+    cut: bool = False
+
+    @property
+    def pace(self) -> str:
+        """Usual time between markers, and the planned one, for messages."""
+        came = float(np.median(np.diff(self.times))) if len(self.times) > 1 else math.nan
+        return f"one each {1e3 * came:.4g} ms, planned {1e3 * self.schedule.step:.4g} ms"
 
 
 @dataclass(frozen=True)
@@ -153,7 +170,8 @@ def follow_passes(markers: Markers) -> list[Pass]:
             first, extra = first + 1, extra + 1
             if extra > 100 + scenes:
                 raise InputError(
-                    f"markers do not follow the schedule, first at {times[first - extra]:.6f} s: "
+                    f"markers do not follow the schedule, first at {times[first - extra]:.6f} s "
+                    f"({markers.pace}): "
                     "give the patterns that were shown, and one marker at the start of each frame"
                 )
             continue
@@ -161,7 +179,8 @@ def follow_passes(markers: Markers) -> list[Pass]:
         first, extra = found.last + 1, 0
     if not passes:
         raise InputError(
-            f"none of {len(times)} markers follow the schedule: give the patterns that were shown"
+            f"none of {len(times)} markers follow the schedule ({markers.pace}): give the patterns "
+            "that were shown, or a larger --tolerance"
         )
     left = len(times) - first
     if left > markers.schedule.frames / 2:
