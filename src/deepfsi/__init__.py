@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from deepfsi.design.classifiers import Mlp as Mlp
     from deepfsi.design.evaluation import Result as Result
     from deepfsi.design.evaluation import evaluate as evaluate
+    from deepfsi.design.own import OwnClassifier as OwnClassifier
     from deepfsi.errors import InputError as InputError
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
     from deepfsi.optics.scanner import Scanner as Scanner
+    from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
 
 __version__ = version("deepfsi")
@@ -28,8 +30,10 @@ _HOMES = {
     "Design": "design.artifact",
     "InputError": "errors",
     "Mlp": "design.classifiers",
+    "OwnClassifier": "design.own",
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
+    "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",
     "learn": "training.learning",
@@ -42,8 +46,10 @@ __all__ = [
     "Design",
     "InputError",
     "Mlp",
+    "OwnClassifier",
     "Result",
     "Scanner",
+    "design_of",
     "evaluate",
     "from_arrays",
     "learn",

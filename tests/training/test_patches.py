@@ -196,9 +196,9 @@ def test_a_damaged_file_is_one_clear_line(learned, tmp_path, change):
 def test_what_patches_cannot_do_is_refused(data, learned):
     refused = [
         (lambda: learned.as_shown(learned.rails.numpy(), learned.image_shape, 1.0), "patches"),
-        (lambda: learned.classify_live(lambda dwell: dwell, BUDGET), "--looks"),
-        (lambda: learned.first(3), "--nested"),
-        (lambda: stop(learned, data, BUDGET), "--nested"),
+        (lambda: learned.classify_live(lambda dwell: dwell, BUDGET), "`looks`"),
+        (lambda: learned.first(3), "`nested`"),
+        (lambda: stop(learned, data, BUDGET), "`nested`"),
         (lambda: to_onnx(learned), "Vit classifier"),
     ]
     for attempt, words in refused:

@@ -209,6 +209,7 @@ def camera_classify(
     photons: Annotated[
         float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
     ] = None,
+    trust: options.Trust = False,
     as_json: options.Json = False,
 ) -> None:
     """Say the class of each exposure of an acquisition that was counted.
@@ -222,7 +223,7 @@ def camera_classify(
     acquisition, patterns = read_acquisition(folder)
     counts = read_counts(folder)
     _check_shown(file, patterns)
-    made = Design.load(file).as_shown(*patterns.realised)
+    made = Design.load(file, trust=trust).as_shown(*patterns.realised)
     probabilities = made.classify(made.readouts(counts.signal()), photons or counts.photons)
     scenes: list[dict[str, Any]] = []
     for scene, chances, whole in zip(acquisition.scenes, probabilities, counts.valid, strict=True):

@@ -44,15 +44,16 @@ def print_data(data: "Dataset | Data") -> None:
     print(f"data: {data.name}. {data.preprocessing}")
 
 
-def open_design(path: Path) -> "Design":
+def open_design(path: Path, trust: bool = False) -> "Design":
     """A design file, or what a folder of patterns realises of the design in it."""
     from deepfsi.design.artifact import Design
 
     if not path.is_dir():
-        return Design.load(path)
+        return Design.load(path, trust=trust)
     from deepfsi.hardware.patterns.folder import check_patterns
 
-    return Design.load(path / "design.safetensors").as_shown(*check_patterns(path).realised)
+    made = Design.load(path / "design.safetensors", trust=trust)
+    return made.as_shown(*check_patterns(path).realised)
 
 
 def check_file(path: Path, ending: str) -> None:

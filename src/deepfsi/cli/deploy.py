@@ -17,6 +17,7 @@ def export(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="the design's name with .onnx unless given")
     ] = None,
+    trust: options.Trust = False,
 ) -> None:
     """Write the classifier of a design as an ONNX graph, which runs without this package.
 
@@ -30,7 +31,7 @@ def export(
 
     target = out or file.with_suffix(".onnx")
     common.check_file(target, ".onnx")
-    design = common.open_design(file)
+    design = common.open_design(file, trust)
     write_atomically(target, to_onnx(design))
     shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
     print(

@@ -30,6 +30,7 @@ def design(
     nested: options.Nested = 0,
     levels: options.Levels = 0,
     looks: options.Looks = 1,
+    classifier: options.Classifier = "mlp",
     epochs: options.Epochs = None,
     hold_out: Annotated[
         int, typer.Option(help="last training scenes to leave out, for `deepfsi stop`")
@@ -86,6 +87,7 @@ def evaluate(
     draws: options.Draws = 3,
     seed: options.NoiseSeed = 0,
     view: options.View = None,
+    trust: options.Trust = False,
     device: options.Device = "auto",
     as_json: options.Json = False,
 ) -> None:
@@ -97,7 +99,7 @@ def evaluate(
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
-    made = common.open_design(file).to(find_device(device))
+    made = common.open_design(file, trust).to(find_device(device))
     if first is not None:
         made = made.first(first)
     scenes = common.load(data, options.size_of(size), view)
@@ -142,6 +144,7 @@ def stop(
     ] = None,
     draws: options.Draws = 3,
     seed: options.NoiseSeed = 0,
+    trust: options.Trust = False,
     device: options.Device = "auto",
     as_json: options.Json = False,
 ) -> None:
@@ -154,7 +157,7 @@ def stop(
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
-    made = Design.load(file, find_device(device))
+    made = Design.load(file, find_device(device), trust=trust)
     scenes = common.load(data, options.size_of(size))
     with common.progress("stop", quiet=as_json):
         found = run(

@@ -76,6 +76,12 @@ Levels = Annotated[
 Looks = Annotated[
     int, typer.Option(help="looks of an exposure: counts of each choose the dwells of the next")
 ]
+Classifier = Annotated[
+    str, typer.Option(help="mlp, or module:factory of a torch module of your own")
+]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="run the code that the design names as its classifier's")
+]
 Draws = Annotated[int, typer.Option(help="noise draws of each scene")]
 NoiseSeed = Annotated[int, typer.Option(help="of the noise")]
 
@@ -177,7 +183,7 @@ def job_settings(
         usual = "poisson"  # a look shows many masks too shortly for MLGauss
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
     lowest, highest = budget_range(options["photons"])
-    same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs")
+    same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs", "classifier")
     settings = {name: options[name] for name in same if options[name] is not None}
     return settings | {
         "design": design,

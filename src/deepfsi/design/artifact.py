@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from deepfsi.design import artifact_file
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.exposure import Exposure, ExposureKind, FixedDwells
+from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.optics import constraints
@@ -82,9 +83,10 @@ class Design:
         trained = f", learned at {budget:g} photons" if budget else ""
         shape = "x".join(map(str, self.mask_shape))
         rails = {1: "single", 2: "dual"}[len(self.rails)]
+        network = getattr(self.classifier, "title", type(self.classifier).__name__)
         return (
             f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, {rails} rails, "
-            f"{type(self.classifier).__name__}, {len(self.classes)} classes{trained}>"
+            f"{network}, {len(self.classes)} classes{trained}>"
         )
 
     @property
@@ -330,31 +332,82 @@ class Design:
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:
-        """Content of the design file, or `InputError` if the classifier is a module of your own."""
-        if not isinstance(self.classifier, Mlp | Vit):
+        """Content of the design file, or `InputError` if the classifier cannot be described."""
+        if not isinstance(self.classifier, Mlp | Vit | OwnClassifier):
             raise InputError(
                 f"a design with a {type(self.classifier).__name__} classifier cannot be saved: "
-                "only Mlp can; save its state_dict() yourself"
+                "give it as deepfsi.OwnClassifier(module)"
             )
+        own, network = isinstance(self.classifier, OwnClassifier), self.exposure.network
+        weights: dict[str, dict[str, Tensor]] = {
+            "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
+            "exposure": network.state_dict() if network is not None else {},
+        }
         header = artifact_file.Header(
             exposure=self.exposure.header(),
             classifier=self.classifier.header,  # type: ignore[arg-type]
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
         tensors = {name: getattr(self, name) for name in artifact_file.TENSORS}
-        networks = {"classifier": self.classifier, "exposure": self.exposure.network}
-        return artifact_file.pack(header, tensors, networks)
+        return artifact_file.pack(header, tensors, weights)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], device: str | torch.device = "cpu") -> "Design":
-        """Read a design file.
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        device: str | torch.device = "cpu",
+        *,
+        trust: bool = False,
+        classifier: Given | None = None,
+    ) -> "Design":
+        """Read a design file. That runs no code of a classifier of its maker's unless told to.
+
+        Without `trust` and `classifier` such a design has its masks, and classifies nothing.
+
+        Parameters
+        ----------
+        path : str or path
+        device : str or torch.device
+        trust : bool
+            Import and run the factory that the file names, if its classifier has one.
+        classifier : nn.Module, callable or str, optional
+            The module, factory or import path that the classifier is made of instead.
 
         Raises
         ------
         InputError
-            If the file is missing, damaged, truncated, not a design, or of a newer schema.
+            If the file is missing, damaged, truncated, not a design, or of a newer schema; if its
+            classifier cannot be imported or is not the one given.
         """
-        return cls(**artifact_file.read_design(path)).to(device)
+        design = cls(**artifact_file.read_design(path))
+        if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
+            design = design.with_classifier(classifier or design.classifier.factory)
+        return design.to(device)
+
+    def with_classifier(self, classifier: Given) -> "Design":
+        """The design with its classifier made by the user's code, and the weights it has.
+
+        Parameters
+        ----------
+        classifier : nn.Module, callable or str
+            A module, a factory or its import path.
+
+        Raises
+        ------
+        InputError
+            If it cannot be imported, or is not the one that the weights are of.
+        """
+        made = self.classifier
+        if not isinstance(made, OwnClassifier):
+            raise InputError("this design has a classifier of the package's own: give none")
+        if not classifier:
+            raise InputError(
+                "this design does not say where its classifier is imported from: give `classifier`"
+            )
+        arguments = {} if isinstance(classifier, nn.Module) else made.arguments
+        inputs = self.exposure.input_count(self.masks)
+        own = make(classifier, arguments, inputs, len(self.classes))
+        return replace(self, classifier=restored(own, made.weights).to(self.rails.device))
 
 
 def _readouts(

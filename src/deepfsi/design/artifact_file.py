@@ -18,7 +18,9 @@ from deepfsi.design.adaptive import AdaptiveShape
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.conditioning import Conditioning
 from deepfsi.design.exposure import STRICT, FixedDwells, PatchExposure
+from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
+from deepfsi.imports import PATTERN
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
 
@@ -61,6 +63,17 @@ class VitSize(BaseModel):
     hidden: Count
 
 
+class OwnShape(BaseModel):
+    """Entry of the header for an `OwnClassifier`: its parameters of the same names."""
+
+    model_config = STRICT
+
+    kind: Literal["own"]
+    factory: str = Field(pattern=f"^({PATTERN})?$")
+    arguments: dict[str, Any]
+    patches: ClassVar = 1
+
+
 class Header(BaseModel):
     """Header of a design file: all of a design but its tensors.
 
@@ -88,7 +101,7 @@ class Header(BaseModel):
     exposure: Annotated[
         FixedDwells | Conditioning | AdaptiveShape | PatchExposure, Field(discriminator="kind")
     ]
-    classifier: Annotated[MlpSize | VitSize, Field(discriminator="kind")]
+    classifier: Annotated[MlpSize | VitSize | OwnShape, Field(discriminator="kind")]
     info: dict[str, Any]
 
     @model_validator(mode="after")
@@ -101,7 +114,7 @@ class Header(BaseModel):
 
 
 def pack(
-    header: Header, tensors: Mapping[str, Tensor], networks: Mapping[str, nn.Module | None]
+    header: Header, tensors: Mapping[str, Tensor], weights: Mapping[str, Mapping[str, Tensor]]
 ) -> bytes:
     """Content of a design file.
 
@@ -110,14 +123,14 @@ def pack(
     header : Header
     tensors : mapping of tensor
         Those named in `TENSORS`.
-    networks : mapping of nn.Module
-        By part of the design; None where that has none.
+    weights : mapping of mapping of tensor
+        State of each network, by part of the design.
     """
     every = dict(tensors)
-    for part, network in networks.items():
-        state = network.state_dict() if network is not None else {}
+    for part, state in weights.items():
         every |= {f"{part}.{key}": value for key, value in state.items()}
-    whole = {key: value.detach().cpu().contiguous() for key, value in every.items()}
+    # cloned: a user's module may share one tensor between layers
+    whole = {key: value.detach().cpu().contiguous().clone() for key, value in every.items()}
     words = header.model_dump(mode="json", by_alias=True)
     return to_bytes(whole, metadata={"deepfsi": json.dumps(words)})
 
@@ -145,7 +158,9 @@ def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     """Fields of `artifact.Design`, or an error where header and tensors do not fit together."""
-    if not all(bool(torch.isfinite(part).all()) for part in tensors.values()):
+    own = header.classifier.kind == "own"
+    ours = [key for key in tensors if not (own and key.startswith("classifier."))]
+    if not all(bool(torch.isfinite(tensors[key]).all()) for key in ours):
         raise ValueError("tensors are not finite")
     fields = {name: tensors[name] for name in TENSORS}
     rails, masks = fields["rails"], fields["rails"].shape[1]
@@ -157,13 +172,18 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     exposure.check(rails, header.light, header.image_shape)
     if math.prod(header.image_shape) != rails.shape[2] * header.classifier.patches:
         raise ValueError("images have other pixels than masks on all patches")
-    classifier = restored(
-        {"mlp": Mlp, "vit": Vit}[header.classifier.kind],
-        _weights(tensors, "classifier."),
-        inputs=exposure.input_count(masks),
-        classes=len(header.classes),
-        **header.classifier.model_dump(exclude={"kind"}),
-    )
+    weights, size = _weights(tensors, "classifier."), header.classifier
+    classifier: nn.Module
+    if isinstance(size, OwnShape):
+        classifier = OwnClassifier(None, size.factory, size.arguments, weights)
+    else:
+        classifier = restored(
+            {"mlp": Mlp, "vit": Vit}[size.kind],
+            weights,
+            inputs=exposure.input_count(masks),
+            classes=len(header.classes),
+            **size.model_dump(exclude={"kind"}),
+        )
     words = {name: getattr(header, name) for name in WORDS}
     return {**words, **fields, "exposure": exposure, "classifier": classifier}
 

@@ -59,6 +59,11 @@ class Mlp(nn.Module):
         """Entry of a design file's header: kind, and parameters but inputs and classes."""
         return {"kind": "mlp", "hidden": self.hidden, "dropout": self.dropout}
 
+    @property
+    def title(self) -> str:
+        """Name, and widths of the hidden layers."""
+        return "-".join(["mlp", *map(str, self.hidden)])
+
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., m)."""
         *inner, last = self.layers
@@ -149,6 +154,11 @@ class Vit(nn.Module):
             else:
                 nn.init.constant_(parameter, float("norm" in name and "weight" in name))
 
+    @property
+    def title(self) -> str:
+        """Name."""
+        return "vision transformer"
+
     def forward(self, features: Tensor) -> Tensor:
         """Logits (B, C) of standardised features (B, P, m)."""
         tokens = self.encoder(self.embedding(features) + self.position)
@@ -171,18 +181,19 @@ class Replicas(nn.Module):
 
     Parameters
     ----------
-    networks : sequence of Mlp
-        R of them. They are in training mode and keep their own generators.
+    networks : sequence of nn.Module
+        R of them, each an `Mlp` where they are stacked. They are in training mode and keep their
+        own generators.
     stacked : bool
         Whether their weights are stacked, so that one product serves all: a GPU needs that, while
         a processor is as fast with one after another (`benchmarks/sweep.py`). Call `hand_back`
         after training.
     """
 
-    def __init__(self, networks: Sequence[Mlp], stacked: bool) -> None:
+    def __init__(self, networks: Sequence[nn.Module], stacked: bool) -> None:
         super().__init__()
         self.stacked = stacked
-        self.networks = list(networks)
+        self.networks: list[Any] = list(networks)
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         if not stacked:
             self.registered = nn.ModuleList(networks)

@@ -1,14 +1,19 @@
 """A design as an ONNX graph: counts and budget in, class probabilities out, no torch needed."""
 
+import io
 import json
+import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 
 SCHEMA = 1
@@ -16,6 +21,12 @@ SCHEMA = 1
 
 OPSET, IR = 13, 7
 """Old enough for every runtime since 2020, and all that the graph needs."""
+
+TRACED_OPSET = 17
+"""Of a graph that torch traces."""
+
+TRACED_ERROR = 1e-3
+"""Largest difference of a probability between such a graph and torch."""
 
 Shape = tuple[int, ...]
 
@@ -26,7 +37,7 @@ def to_onnx(design: Design) -> bytes:
     Parameters
     ----------
     design : Design
-        With an `Mlp`.
+        With an `Mlp`, or a module of one's own, which torch traces.
 
     Returns
     -------
@@ -39,14 +50,28 @@ def to_onnx(design: Design) -> bytes:
     Raises
     ------
     InputError
-        If the package onnx is not there, the classifier is not an `Mlp`, or dwells are not fixed.
+        If the package onnx is not there, the classifier cannot be exported, or dwells are not
+        fixed.
     """
     graph = _Graph()
-    if not isinstance(design.classifier, Mlp):
+    if not isinstance(design.classifier, Mlp | OwnClassifier):
         raise InputError(
-            f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp can"
+            f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp and "
+            "OwnClassifier can"
         )
     design.exposure.check_fixed()
+    if isinstance(design.classifier, OwnClassifier):
+        return _traced(design, graph.onnx)
+    _write(design, design.classifier, graph)
+    return graph.finish(
+        {"counts": (2, design.masks)[2 - len(design.rails) :], "photons": ()},
+        {"probabilities": (len(design.classes),)},
+        _metadata(design),
+    )
+
+
+def _write(design: Design, classifier: Mlp, graph: "_Graph") -> None:
+    """Write the nodes of a design from its inputs to its output."""
     features = "counts"
     if len(design.rails) == 2:
         for place, rail in enumerate(("plus", "minus")):
@@ -58,7 +83,7 @@ def to_onnx(design: Design) -> bytes:
     hidden = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
     layers = [
         [parameter.detach().cpu().numpy() for parameter in layer.parameters()]
-        for layer in design.classifier.layers
+        for layer in classifier.layers
     ]
     *layers[0], level = design.exposure.fold(design.masks, *layers[0])
     if level is not None:
@@ -73,11 +98,6 @@ def to_onnx(design: Design) -> bytes:
         if place < len(layers) - 1:
             hidden = graph.add("Relu", hidden, to=f"hidden_{place}")
     graph.add("Softmax", hidden, to="probabilities", axis=1)
-    return graph.finish(
-        {"counts": (2, design.masks)[2 - len(design.rails) :], "photons": ()},
-        {"probabilities": (len(design.classes),)},
-        _metadata(design),
-    )
 
 
 class _Graph:
@@ -135,6 +155,73 @@ class _Graph:
         helper.set_model_props(model, {key: json.dumps(value) for key, value in about.items()})
         self.onnx.checker.check_model(model, full_check=True)
         return model.SerializeToString(deterministic=True)
+
+
+class _Whole(nn.Module):
+    """A design as a module, from counts and budgets to probabilities."""
+
+    def __init__(self, design: Design) -> None:
+        super().__init__()
+        self.classifier, self.design = design.classifier, design
+
+    def forward(self, counts: Tensor, photons: Tensor) -> Tensor:
+        features = counts[:, 0] - counts[:, 1] if len(self.design.rails) == 2 else counts
+        return self.design.logits(features, photons.unsqueeze(-1)).softmax(dim=-1)
+
+
+def _traced(design: Design, onnx: Any) -> bytes:
+    """Graph of a design with a module of one's own, compared with torch before it is given."""
+    whole = _Whole(design.to("cpu")).eval()
+    whole.classifier(torch.zeros(1, design.exposure.input_count(design.masks)))
+    shape = (2, design.masks)[2 - len(design.rails) :]
+    names = ["counts", "photons", "probabilities"]
+    written = io.BytesIO()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch's other exporter needs a package more
+            torch.onnx.export(
+                whole, (torch.ones(2, *shape), torch.ones(2)), written, dynamo=False,  # type: ignore[arg-type]
+                input_names=names[:2], output_names=names[2:], opset_version=TRACED_OPSET,
+                dynamic_axes={name: {0: "batch"} for name in names},
+            )  # fmt: skip
+    except Exception as error:
+        told = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"the classifier {design.classifier.title} cannot be exported, torch says: {told}"
+        ) from error
+    model = onnx.load_from_string(written.getvalue())
+    onnx.helper.set_model_props(
+        model, {key: json.dumps(value) for key, value in _metadata(design).items()}
+    )
+    model.producer_name, model.producer_version = "deepfsi", version("deepfsi")
+    onnx.checker.check_model(model, full_check=True)
+    content = model.SerializeToString(deterministic=True)
+    _compare(content, whole)
+    return content
+
+
+def _compare(content: bytes, whole: _Whole) -> None:
+    """Raise `InputError` unless a graph gives what torch does: a trace follows one path only."""
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    design, generator = whole.design, torch.Generator().manual_seed(0)
+    for batch in (*[1] * 8, 7):
+        photons = 10 ** (6 * torch.rand(batch, 1, generator=generator))
+        scaled = torch.randn(batch, design.masks, generator=generator)
+        features = (design.mean + design.std * scaled) * photons
+        dual = len(design.rails) == 2
+        counts = torch.stack([features.relu(), (-features).relu()], dim=1) if dual else features
+        photons = photons.squeeze(1)
+        given = {"counts": counts.numpy(), "photons": photons.numpy()}
+        with torch.no_grad():
+            wanted = whole(counts, photons).numpy()
+        [found] = session.run(None, given)
+        if found.shape != wanted.shape or np.abs(found - wanted).max() > TRACED_ERROR:
+            raise InputError(
+                "the classifier's ONNX graph does not give what the classifier does: write its "
+                "forward without conditions on values or on the size of the batch"
+            )
 
 
 def _metadata(design: Design) -> dict[str, Any]:

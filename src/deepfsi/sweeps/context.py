@@ -13,6 +13,7 @@ import torch
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
@@ -150,6 +151,8 @@ class SweepContext:
 
     def record(self, trial: Trial, design: Design) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""
+        if isinstance(design.classifier, OwnClassifier) and design.classifier.module is None:
+            design = design.with_classifier(trial.job.training.classifier)
         validation = _tested(trial, design, self.parts) if self.held_out else []
         return record_of(trial, design, validation, _tested(trial, design, self.data))
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
+from deepfsi.imports import source_hash
 from deepfsi.optics import codes
 from deepfsi.optics.noise import Noise
 from deepfsi.sweeps.recipe import Physical, Recipe
@@ -29,6 +30,7 @@ class Trial(BaseModel):
     data: str = Field(description="name")
     data_hash: str
     matrix_hash: str = ""
+    source_hash: str = Field("", description="of the files of classifiers of one's own")
     validation: int
     draws: int
     test_photons: tuple[float, ...]
@@ -89,6 +91,7 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
             data=data.name,
             data_hash=data.hash,
             matrix_hash=_matrix_hash(own),
+            source_hash=_source_hash(job),
             validation=recipe.held_out(data),
             draws=recipe.draws,
             test_photons=recipe.test_photons or (job.photons,),
@@ -145,6 +148,10 @@ def _possible(design: str, noise: str, light: str, rails: str) -> bool:
         or (light == "two-arm" and (one_rail or rails == "single"))
         or (design == "hadamard" and rails == "single")
     )
+
+
+def _source_hash(job: Job) -> str:
+    return source_hash(job.training.classifier) if job.training.own else ""
 
 
 def _matrix_hash(matrix: np.ndarray | None) -> str:

@@ -9,7 +9,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.conditioning import Conditioning
+from deepfsi.design.own import UNNAMED
 from deepfsi.errors import InputError
+from deepfsi.imports import PATTERN
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
@@ -52,6 +54,10 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 """Grey levels, dark included; 0 for continuous masks."""
 
 
+MLP = "mlp"
+"""Name of the paper's classifier in settings."""
+
+
 class TrainingSettings(BaseModel):
     """Settings of a training; all designs that train together share them."""
 
@@ -63,6 +69,14 @@ class TrainingSettings(BaseModel):
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
     hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
     dropout: float = Field(0.0, ge=0, lt=1)
+    classifier: str = Field(
+        MLP,
+        pattern=f"^({MLP}|{UNNAMED}|{PATTERN})$",
+        description="mlp, or module:factory of your own; own: given as an object",
+    )
+    classifier_arguments: dict[str, Any] = Field(
+        {}, description="keyword arguments of that factory, besides the numbers"
+    )
     scale: Scale = Field("common", description="standard deviation of features")
     decay: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
@@ -90,6 +104,11 @@ class TrainingSettings(BaseModel):
         description="looks of an exposure; from 2 on, counts choose the dwells of the next. Train "
         "with `noise` poisson: a look shows many masks too shortly for MLGauss",
     )
+
+    @property
+    def own(self) -> bool:
+        """True if the classifier is a user's own."""
+        return self.classifier != MLP
 
     @property
     def conditioned(self) -> bool:
@@ -169,7 +188,8 @@ class Job(BaseModel):
 
     def companions(self, device: torch.device) -> tuple[Any, ...]:
         """Key that jobs trained together share: all but budget, sigma and seed."""
-        apart = {"photons", "sigma", "seed"}
+        # a module of a user's own may draw from torch's global generator: one after another
+        apart = set() if self.training.own else {"photons", "sigma", "seed"}
         return (self.model_dump_json(exclude=apart), product_dtype(self.masks_from(), device))
 
     def masks_from(self) -> "Job":
@@ -225,6 +245,7 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
             f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
             f"{job.masks}"
         )
+    _check_classifier(job.training)
     if job.design == "hadamard" and job.rails == "single":
         raise InputError("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
@@ -256,6 +277,17 @@ def check_jobs(
     for job in jobs:
         check_job(job, data, matrix)
     return jobs[0]
+
+
+def _check_classifier(settings: TrainingSettings) -> None:
+    usual = TrainingSettings()
+    if settings.own and (settings.hidden, settings.dropout) != (usual.hidden, usual.dropout):
+        raise InputError(
+            "`hidden` and `dropout` are of the usual classifier: give them to a classifier of your "
+            "own as its arguments"
+        )
+    if settings.classifier_arguments and not settings.own:
+        raise InputError("arguments of a classifier go with one of your own: give `classifier`")
 
 
 def _check_looks(job: Job) -> None:

@@ -1,20 +1,20 @@
 """Learn masks and classifier together, one design or several that share a shape."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 import torch
 from pydantic import BaseModel
-from torch import Tensor
+from torch import Tensor, nn
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp
 from deepfsi.design.exposure import FixedDwells
+from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.constraints import Light, Rails
@@ -29,6 +29,7 @@ from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.job import (
+    MLP,
     Job,
     Precision,
     TrainingNoise,
@@ -36,7 +37,7 @@ from deepfsi.training.job import (
     check_jobs,
     training_for,
 )
-from deepfsi.training.loop import optimise
+from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.training_set import TrainingSet
 
 OWN_DEFAULT = ("lr", "scale", "start")
@@ -73,6 +74,8 @@ def learn(
     decay: float = 0.0,
     start: str | None = None,
     precision: Precision = "auto",
+    classifier: Given = MLP,
+    classifier_arguments: Mapping[str, Any] | None = None,
     device: str = "auto",
     report: Report | None = None,
 ) -> Design:
@@ -122,6 +125,12 @@ def learn(
         Design that learned masks start from; pca, or class-pairs for several looks unless given.
     precision : {"auto", "float32", "bfloat16"}
         Of the products of training.
+    classifier : nn.Module, callable or str
+        "mlp", or one of your own: a module from (batch, inputs) standardised features to (batch,
+        C) logits, of which a copy is trained; a factory of it, ``factory(inputs, classes)`` or
+        ``factory(inputs)``; or the import path of a factory, ``"module:name"``.
+    classifier_arguments : mapping, optional
+        Further keyword arguments of the factory.
     device : {"auto", "cpu", "cuda"}
     report : Report, optional
         Where to say how far the training is; a bar where a terminal is attached unless given.
@@ -143,6 +152,8 @@ def learn(
         for name, value in locals().items()
         if value is not None or name not in OWN_DEFAULT
     }
+    given["classifier"], given["classifier_arguments"] = describe(classifier, classifier_arguments)
+    own = None if isinstance(classifier, str) else classifier
     with as_input_error():
         training = training_for(
             design, **{name: given[name] for name in TrainingSettings.model_fields if name in given}
@@ -151,7 +162,7 @@ def learn(
         job = Job(**named, training=training)
     training_set = TrainingSet(as_dataset(data), device)
     with shown(report, f"{design}, {masks} masks") as bar:
-        return train(training_set, [job], matrix=matrix, report=bar)[0]
+        return train(training_set, [job], matrix, bar, own)[0]
 
 
 def train(
@@ -159,6 +170,7 @@ def train(
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
+    classifier: nn.Module | Factory | None = None,
 ) -> list[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
@@ -170,6 +182,8 @@ def train(
     matrix : array, shape (m, N), optional
         Sensing matrix of "custom" designs.
     report : Report
+    classifier : nn.Module or callable, optional
+        A user's own, where it is not imported by its name in the settings.
     """
     began = time.perf_counter()
     device = training_set.device
@@ -184,10 +198,12 @@ def train(
     learned = None
     if first.design == "control":
         sources = [job.masks_from() for job in jobs]
-        optimised = train(training_set, sources, report=report.part(0.0, 0.5))
+        optimised = train(
+            training_set, sources, report=report.part(0.0, 0.5), classifier=classifier
+        )
         learned, report = torch.stack([each.rails for each in optimised]), report.part(0.5, 1.0)
     masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
-    classifiers, schedules = optimise(training_set, jobs, masks, noise, report)
+    classifiers, schedules = optimise(training_set, jobs, masks, noise, report, classifier)
     if isinstance(masks, Learned):
         masks = _final_masks(masks, training_set, first)
     networks = [*classifiers, *(each.network for each in schedules)]
@@ -269,7 +285,7 @@ def _designs(
     jobs: Sequence[Job],
     masks: Fixed,
     noise: FeatureNoise,
-    classifiers: list[Mlp],
+    classifiers: list[Classifier],
     schedules: list[AdaptiveDwells],
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""

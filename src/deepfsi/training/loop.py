@@ -10,7 +10,7 @@ to rounding a design does not depend on which others it was trained with.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import torch
@@ -19,6 +19,8 @@ from torch.nn import functional
 
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.classifiers import Mlp, Replicas
+from deepfsi.design.own import Given, OwnClassifier, make, seeded
+from deepfsi.errors import InputError
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
@@ -26,6 +28,9 @@ from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.training_set import TrainingSet
+
+Classifier = Mlp | OwnClassifier
+"""What is trained to classify."""
 
 EARLY_LOOKS_WEIGHT = 0.2
 """Weight of the loss of the answers before the last look, in their mean; the last has 1."""
@@ -55,16 +60,20 @@ def optimise(
     masks: Fixed | Learned,
     noise: FeatureNoise,
     report: Report = SILENT,
-) -> tuple[list[Mlp], list[AdaptiveDwells]]:
+    classifier: Given | None = None,
+) -> tuple[list[Classifier], list[AdaptiveDwells]]:
     """Trained classifiers of jobs, and adaptive dwells of those of several looks.
 
     Masks are trained in place where they learn. Parameters as for `learning.train`; masks are of R
-    replicas or of one for all, noise of the jobs.
+    replicas or of one for all, noise of the jobs. A classifier of a user's own trains alone.
     """
     job, settings, labels = jobs[0], jobs[0].training, training_set.labels
-    classifiers, choosers = _networks(jobs, len(training_set.data.classes), labels.device)
+    classifiers, choosers = _networks(
+        jobs, len(training_set.data.classes), labels.device, classifier
+    )
     stacked = labels.device.type == "cuda"
-    classify, choose = Replicas(classifiers, stacked), Replicas(choosers, stacked)
+    classify = Replicas(classifiers, stacked and not settings.own)
+    choose = Replicas(choosers, stacked)
     batch = batch_of(settings, len(labels))
     streams = seed_streams(jobs, noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, choose)
@@ -82,19 +91,22 @@ def optimise(
         groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
     if isinstance(masks, Learned):
         groups.append(parameter_group(masks, settings.mask_lr))
-    with _threads(batch * len(jobs) * max(job.masks, *settings.hidden, 1)):
+    draws = seeded(job.seed) if settings.own else nullcontext()
+    with _threads(batch * len(jobs) * max(job.masks, *settings.hidden, 1)), draws:
         descend(groups, settings.epochs, len(labels) // batch, shuffle, loss, report)
     for trained in (classify, choose):
         trained.hand_back()
     for network in [*classifiers, *choosers]:
-        network.generator = None
+        if isinstance(network, Mlp):
+            network.generator = None
         network.eval()
     return classifiers, [AdaptiveDwells(chooser, settings.looks) for chooser in choosers]
 
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
     """Parameters of a module with their peak learning rate and weight decay, for `descend`."""
-    return {"params": list(module.parameters()), "lr": lr, "weight_decay": decay}
+    learning = [each for each in module.parameters() if each.requires_grad]
+    return {"params": learning, "lr": lr, "weight_decay": decay}
 
 
 def descend(
@@ -136,8 +148,8 @@ def descend(
 
 
 def _networks(
-    jobs: Sequence[Job], classes: int, device: torch.device
-) -> tuple[list[Mlp], list[Mlp]]:
+    jobs: Sequence[Job], classes: int, device: torch.device, own: Given | None
+) -> tuple[list[Classifier], list[Mlp]]:
     """Classifiers, and for several looks networks that choose dwells, untrained."""
     job, settings = jobs[0], jobs[0].training
 
@@ -145,10 +157,19 @@ def _networks(
         seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
         return [Mlp(inputs, outputs, settings.hidden, dropout, seed) for seed in seeds]
 
+    def classifiers(inputs: int) -> list[Classifier]:
+        if not settings.own:
+            return [*networks(inputs, classes, settings.dropout)]
+        arguments = {} if isinstance(own, nn.Module) else settings.classifier_arguments
+        made = make(own or settings.classifier, arguments, inputs, classes, job.seed)
+        if not any(each.requires_grad for each in made.parameters()):
+            raise InputError("the classifier has no parameter that learns: give another module")
+        return [made.to(device).train()]
+
     if settings.looks > 1:  # dwells besides features, and the share of the exposure that is left
         inputs = 2 * job.masks
-        return networks(inputs, classes, settings.dropout), networks(inputs + 1, job.masks, 0.0)
-    return networks(job.masks + 2 * settings.conditioned, classes, settings.dropout), []
+        return classifiers(inputs), networks(inputs + 1, job.masks, 0.0)
+    return classifiers(job.masks + 2 * settings.conditioned), []
 
 
 def _loss(logits: Tensor, labels: Tensor) -> Tensor:

@@ -1,0 +1,203 @@
+"""Classifiers of a user's own: any module from features (batch, inputs) to logits (batch, C).
+
+They are given as a module, as a factory that makes one of the number of its inputs and classes, or
+as the import path of a factory, ``"module:name"``. A design file holds their weights and that path,
+never code; `Design.load` imports it only where the user says so.
+"""
+
+import copy
+import functools
+import inspect
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi import imports
+from deepfsi.errors import InputError
+
+Factory = Callable[..., nn.Module]
+"""Makes a module of the number of features and, if it takes two numbers, that of classes."""
+
+Given = nn.Module | Factory | str
+"""A module, a factory or the import path of one."""
+
+UNNAMED = "own"
+"""Name in settings of a classifier without an import path."""
+
+
+class OwnClassifier(nn.Module):
+    """A user's module as the classifier of a design.
+
+    Parameters
+    ----------
+    module : nn.Module or None
+        From features (batch, inputs) to logits (batch, C). None where a file is loaded without
+        saying whose code to run: then it keeps the weights and answers nothing.
+    factory : str
+        Import path of what made it, or "".
+    arguments : mapping
+        Keyword arguments of the factory besides the numbers, JSON types only.
+    weights : mapping of tensor, optional
+        State of the module, where it is None.
+    """
+
+    def __init__(
+        self,
+        module: nn.Module | None,
+        factory: str = "",
+        arguments: Mapping[str, Any] | None = None,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> None:
+        super().__init__()
+        self.module, self.factory, self.arguments = module, factory, dict(arguments or {})
+        self._kept = dict(weights or {})
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """Entry of a design file's header."""
+        try:
+            arguments = json.loads(json.dumps(self.arguments))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"arguments of the classifier cannot be saved: give numbers, words and lists, not "
+                f"{self.arguments}"
+            ) from None
+        return {"kind": "own", "factory": self.factory, "arguments": arguments}
+
+    @property
+    def weights(self) -> dict[str, Tensor]:
+        """State of the module, tensors only."""
+        state = self._kept if self.module is None else self.module.state_dict()
+        if not all(isinstance(value, Tensor) for value in state.values()):
+            raise InputError("the classifier's state_dict() holds other things than tensors")
+        return dict(state)
+
+    @property
+    def title(self) -> str:
+        """Name of the module's class, or of the factory whose code was not run."""
+        return self.factory if self.module is None else type(self.module).__name__
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (..., C) of features (..., inputs)."""
+        if self.module is None:
+            raise InputError(
+                f"the classifier of this design is {self.factory or 'a module of its maker'}, "
+                "whose code was not run: load it with `trust` if you trust its file, or with "
+                "`classifier`"
+            )
+        if features.ndim == 2:
+            return self.module(features)
+        logits = self.module(features.reshape(-1, features.shape[-1]))
+        return logits.reshape(*features.shape[:-1], logits.shape[-1])
+
+
+def describe(given: Given, arguments: Mapping[str, Any] | None) -> tuple[str, dict[str, Any]]:
+    """Name of a classifier in settings and in design files, and its factory's arguments.
+
+    The name is an import path where there is one, else `UNNAMED`.
+    """
+    every = dict(arguments or {})
+    if isinstance(given, functools.partial):
+        if given.args:
+            raise InputError("a partial of positional arguments was given: give them as keywords")
+        return imports.path_of(given.func) or UNNAMED, {**given.keywords, **every}
+    if isinstance(given, str):
+        return given, every
+    if isinstance(given, nn.Module):
+        if every:
+            raise InputError("arguments go with a factory: a module has its own already")
+        return UNNAMED, {}
+    return imports.path_of(given) or UNNAMED, every
+
+
+def make(
+    given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
+) -> OwnClassifier:
+    """Classifier for so many inputs and classes, tried on zeros.
+
+    Parameters
+    ----------
+    given : nn.Module, callable or str
+        A module is copied.
+    arguments : mapping
+        Of the factory.
+    inputs, classes : int
+    seed : int
+        Of the initial weights that a factory draws.
+
+    Raises
+    ------
+    InputError
+        If it is none, cannot be made so, or its logits have another shape.
+    """
+    name, every = describe(given, arguments)
+    factory = given.func if isinstance(given, functools.partial) else given
+    factory = imports.named(factory) if isinstance(factory, str) else factory
+    with seeded(seed):
+        try:
+            if isinstance(factory, nn.Module):
+                module = copy.deepcopy(factory)
+            else:
+                module = _called(factory, every, inputs, classes)
+            if not isinstance(module, nn.Module):
+                raise TypeError(f"{type(module).__name__} is no torch.nn.Module")
+            _try(module, inputs, classes)
+        except InputError:
+            raise
+        except Exception as error:
+            told = " ".join(str(error).split())
+            raise InputError(
+                f"the classifier cannot be used: {told or type(error).__name__}; give a module "
+                f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
+            ) from error
+    return OwnClassifier(module, "" if name == UNNAMED else name, every)
+
+
+def _try(module: nn.Module, inputs: int, classes: int) -> None:
+    """Raise an error unless a module makes logits of zeros."""
+    first = next(iter(module.parameters()), torch.empty(0))
+    zeros = torch.zeros(3, inputs, device=first.device)
+    with torch.no_grad():
+        shape = tuple(module.eval()(zeros).shape)
+    if shape != (3, classes):
+        raise InputError(
+            f"the classifier makes logits of shape {shape} of features of shape (3, {inputs}): "
+            f"give one that makes (3, {classes})"
+        )
+
+
+def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes: int) -> nn.Module:
+    """Outcome of a factory that takes both numbers, or the first alone."""
+    try:
+        inspect.signature(factory).bind(inputs, classes, **arguments)
+    except TypeError:
+        return factory(inputs, **arguments)
+    except ValueError:  # no signature to be had
+        pass
+    return factory(inputs, classes, **arguments)
+
+
+def restored(classifier: OwnClassifier, weights: Mapping[str, Tensor]) -> OwnClassifier:
+    """The classifier with its weights from a design file, or `InputError` if they do not fit."""
+    assert classifier.module is not None
+    try:
+        classifier.module.load_state_dict(weights)
+    except (RuntimeError, TypeError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"the classifier is not the one of this design: {told}") from None
+    return classifier.eval()
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Draw from torch's global generators as of a seed; their state is put back at the end.
+
+    A module of a user's own draws its weights and its dropout there.
+    """
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        yield

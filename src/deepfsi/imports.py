@@ -1,0 +1,64 @@
+"""Parts of a user's own, such as a classifier or a noise, named by where they are imported from.
+
+A name is ``"module:name"``, as in ``"mylab.networks:Cnn"``. Importing runs the module's code, so
+that only a name is imported that the user has given in a program, an option or a recipe, or one in
+a design file that the user says to trust.
+"""
+
+import hashlib
+import importlib
+import inspect
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from deepfsi.errors import InputError
+
+PATTERN = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
+"""Form of an import path."""
+
+
+def named(path: str) -> Any:
+    """Import a part from an installed package, or from a file in the current folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such module, it cannot be imported, or has no such name.
+    """
+    module, _, name = path.partition(":")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.append(here)  # as for `python -m`; the command's own folder is there instead
+    try:
+        found = importlib.import_module(module)
+    except Exception as error:
+        raise InputError(
+            f"{path} cannot be imported, {type(error).__name__}: {error}; give module:name of an "
+            "installed package or of a file in the current folder"
+        ) from error
+    for part in name.split("."):
+        if not hasattr(found, part):
+            raise InputError(f"{path} cannot be imported: {module} has no {name}")
+        found = getattr(found, part)
+    return found
+
+
+def path_of(part: Any) -> str | None:
+    """Where a part can be imported from again, or None, as for what a script itself defines."""
+    module, name = getattr(part, "__module__", None), getattr(part, "__qualname__", None)
+    if not module or not name or module == "__main__" or "<" in name:
+        return None
+    found = sys.modules.get(module)
+    for step in name.split("."):
+        found = getattr(found, step, None)
+    return f"{module}:{name}" if found is part else None
+
+
+def source_hash(path: str) -> str:
+    """SHA-256 in hex of the file that defines a part, so that records of an older one expire."""
+    try:
+        file = inspect.getsourcefile(named(path))
+    except TypeError:
+        file = None
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""

@@ -1,0 +1,98 @@
+"""A design from masks and a classifier that a training loop of the user's own has made."""
+
+import torch
+from torch import Tensor, nn
+
+from deepfsi.datasets import Dataset, Source, as_dataset
+from deepfsi.design.artifact import Design
+from deepfsi.design.own import OwnClassifier, make
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.budget import check_budget, summed_reflectance
+from deepfsi.optics.constraints import Light
+from deepfsi.optics.masks import Learned
+from deepfsi.optics.scanner import Scanner
+from deepfsi.training.job import Job
+from deepfsi.training.learning import provenance
+
+
+def design_of(
+    scanner: Scanner,
+    classifier: nn.Module,
+    data: Source,
+    photons: float,
+    *,
+    light: Light = "column",
+) -> Design:
+    """Design of a scanner and a network that were trained together, elsewhere.
+
+    The classifier goes on to see what it was trained on: counts of a budget Φ. Those of another
+    budget are brought to it by their ratio.
+
+    Parameters
+    ----------
+    scanner : Scanner
+        Its masks, without replicas.
+    classifier : nn.Module
+        From (batch, m) counts y⁺ − y⁻, as the scanner gives them, to (batch, C) logits. A copy is
+        taken. One of `OwnClassifier` keeps its import path in the design's file.
+    data : Dataset, str, path or tuple of arrays
+        That the training was on: its training scenes give the mean light, its classes their names.
+    photons : float
+        Budget Φ of the training: photons were ``photons_per_pixel(x, photons, s)``, s the mean of
+        the training scenes' sums.
+    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+        Constraint that masks obey; that of `Learned` masks is their own.
+
+    Raises
+    ------
+    InputError
+        If scanner, classifier and data do not fit together, or the masks break their constraint.
+    """
+    budget, scenes = check_budget(photons), as_dataset(data)
+    rails = _rails(scanner, scenes)
+    masks, device = rails.shape[1], rails.device
+    light = scanner.masks.light if isinstance(scanner.masks, Learned) else light
+    constraints.check_light(light, kind := {1: "single", 2: "dual"}[len(rails)])
+    s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
+    told = {"noise": scanner.noise, "sigma": scanner.sigma, "light": light, "rails": kind}
+    info = provenance(
+        Job(design="custom", masks=masks, photons=budget, **told), scenes, device, 0.0
+    )
+    del info["job"]["training"], info["seconds"]  # they are not known
+    return Design(
+        name="custom",
+        rails=constraints.check(rails, light),
+        classifier=_copy(classifier, masks, len(scenes.classes)).to(device),
+        mean=torch.zeros(masks, device=device),
+        std=torch.full((masks,), 1 / budget, device=device),
+        shares=(rails.sum(dim=0) @ mean.to(rails)) / s,
+        summed_reflectance=s,
+        light=light,
+        image_shape=scenes.image_shape,
+        classes=scenes.classes,
+        info=info,
+    )
+
+
+def _rails(scanner: Scanner, data: Dataset) -> Tensor:
+    """Rails (2 or 1, m, N) of a scanner, or `InputError` if they do not fit the scenes."""
+    with torch.no_grad():
+        rails = constraints.separate(*scanner.masks()).clone()
+    if rails.ndim != 3 or rails.shape[-1] != data.pixels:
+        raise InputError(
+            f"masks of shape {tuple(rails.shape[1:])} do not fit {data.name}: give "
+            f"(masks, {data.pixels})"
+        )
+    return rails
+
+
+def _copy(classifier: nn.Module, masks: int, classes: int) -> OwnClassifier:
+    """Copy of a user's module, with the import path that it has."""
+    if not isinstance(classifier, OwnClassifier):
+        return make(classifier, {}, masks, classes)
+    if classifier.module is None:
+        raise InputError("the classifier's code was not run: give its module")
+    own = make(classifier.module, {}, masks, classes)
+    own.factory, own.arguments = classifier.factory, classifier.arguments
+    return own

@@ -1,0 +1,66 @@
+"""Sweeps over classifiers of one's own, named in a recipe."""
+
+import pytest
+
+from conftest import same
+from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.records import rows
+from deepfsi.sweeps.trial import plan
+from deepfsi.training.learning import learn
+from shared.trials import small, train_trials
+
+CNN = "shared.networks:Cnn"
+
+
+def recipe(**changes) -> Recipe:
+    training = {"epochs": 1, "classifier": ["mlp", CNN], **changes.pop("training", {})}
+    return small(designs="pca", photons=[1e3, 1e4], masks=4, training=training, **changes)
+
+
+def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
+    trials = plan(recipe(), digits)
+    assert {trial.variant for trial in trials} == {"classifier mlp", f"classifier {CNN}"}
+    records = train_trials(trials, digits, tmp_path)
+    for trial, record in zip(trials, records, strict=True):
+        if trial.job.training.own:
+            design = Design.load(tmp_path / f"designs/{record['design']}.safetensors", trust=True)
+            alone = learn(
+                digits.hold_out(trial.validation), photons=trial.job.photons, masks=4,
+                design="pca", epochs=1, classifier=CNN,
+            )  # fmt: skip
+            assert same(design, alone)
+    assert {row["classifier"] for row in rows(records)} == {"mlp", CNN}
+    # tested again, otherwise, without being trained again
+    again = train_trials(plan(recipe(draws=2), digits), digits, tmp_path)
+    assert [record["design"] for record in again] == [record["design"] for record in records]
+    assert all(record["test"][0]["draws"] == 2 for record in again)
+
+
+def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "edited_nets.py"
+    keys = []
+    for bias in (True, False):
+        file.write_text(
+            f"from torch import nn\ndef make(i, c): return nn.Linear(i, c, bias={bias})\n"
+        )
+        trials = plan(recipe(training={"classifier": "edited_nets:make"}), digits)
+        keys.append({trial.design_key for trial in trials})
+    assert not keys[0] & keys[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [("no_such_nets:Cnn", "cannot be imported"), ("own", "cannot be imported"),
+     ("shared.networks:Rnn", "has no Rnn")],
+)  # fmt: skip
+def test_an_unknown_classifier_is_refused_before_any_work(digits, name, match):
+    with pytest.raises(InputError, match=match):
+        plan(recipe(training={"classifier": ["mlp", name]}), digits)
+
+
+def test_a_name_that_is_no_import_path_is_a_mistake_of_the_recipe():
+    with pytest.raises(ValueError, match="classifier"):
+        recipe(training={"classifier": "Cnn"})

@@ -1,0 +1,30 @@
+"""The page on parts of one's own is run, block by block, in one folder."""
+
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+from deepfsi.sweeps.recipe import Recipe
+
+PAGE = (Path(__file__).parent.parent / "docs/own-parts.md").read_text()
+MODULE, *BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+LINES = re.findall(r"^deepfsi .*$", PAGE, flags=re.MULTILINE)
+TABLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+def test_the_page_on_parts_of_ones_own(tmp_path, monkeypatch, done):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mynets.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    names: dict[str, object] = {}
+    for block in BLOCKS:
+        exec(block, names)
+    assert names["accuracy"] > 0.8
+    assert names["mine"] > 0.7
+    for line in LINES:
+        done(*shlex.split(line)[1:], *(["--epochs", "1"] if " design " in line else []))
+    for table in TABLES:
+        assert Recipe(**tomllib.loads(table))
+    sys.modules.pop("mynets")
