@@ -244,3 +244,13 @@ def test_the_bound_rises_with_the_budget(capsys):
     dim, bright = (float(row[2]) for row in rows)
     assert 0.1 < dim < bright - 0.1
     assert bright > 0.85
+
+
+@pytest.mark.slow
+def test_a_training_is_timed_beside_busy_processes(capsys):
+    load = benchmark("load")
+    few = ["--data", "digits", "--scenes", "200", "--masks", "3", "--epochs", "1"]
+    load.main([*few, "--busy", "1", "--rounds", "1"])
+    printed = capsys.readouterr().out
+    for way in load.WAYS:
+        assert f"| 1 | {way} |" in printed

@@ -2,9 +2,13 @@
 
 Implements and extends Y. Lu and A. Velten, *Deep Feature-specific Imaging*. Names are loaded when
 they are first used, so that importing the package costs little.
+
+Torch's threads wait asleep for one another (`OMP_WAIT_POLICY`), unless the environment says
+otherwise: spinning they would take the processor from other programs, and from each other.
 """
 
 import importlib
+import os
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +28,9 @@ if TYPE_CHECKING:
     from deepfsi.training.learning import learn as learn
 
 __version__ = version("deepfsi")
+
+if "GOMP_SPINCOUNT" not in os.environ:
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
 
 _HOMES = {
     "Dataset": "datasets",

@@ -1,14 +1,25 @@
-"""Writing files so that a stopped program leaves none half written."""
+"""Writing files so that a stopped program leaves none half written.
+
+What is being written is a draft beside its target, `.NAME.OWNER.draft`, which takes the target's
+place when it is whole. A killed process leaves its draft behind; the next one that writes to the
+folder removes it.
+"""
 
 import os
+import re
 import shutil
-import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
 from deepfsi.errors import InputError
+from deepfsi.owners import PATTERN, owner_of, this_process
+
+DRAFT_SECONDS = 86400.0
+"""Age from which a draft of another host is left over: its process cannot be asked for."""
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
@@ -22,17 +33,15 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
 def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Open a file to write that appears, whole, when the block ends; none if the block fails."""
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, draft = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    draft = _draft(target)
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(draft, "xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(draft, 0o666 & ~_umask())
         os.replace(draft, target)
     except BaseException:
-        Path(draft).unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
         raise
 
 
@@ -48,18 +57,47 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
+    draft = _draft(target)
     try:
+        draft.mkdir()
         yield draft
-        draft.chmod(0o777 & ~_umask())
         os.replace(draft, target)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
 
 
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
+def remove_drafts(folder: Path) -> None:
+    """Remove the drafts in a folder that processes left which are gone."""
+    if not folder.is_dir():
+        return
+    with os.scandir(folder) as entries:
+        drafts = [entry for entry in entries if entry.name.endswith(".draft")]
+    for entry in drafts:
+        found = re.fullmatch(rf"\..*\.({PATTERN})\.draft", entry.name)
+        owner = owner_of(found[1]) if found else None
+        if owner and (owner.gone if owner.here else _age(entry) > DRAFT_SECONDS):
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            else:
+                Path(entry.path).unlink(missing_ok=True)
+
+
+def _draft(target: Path) -> Path:
+    """Place for what is to become `target`; its folder is made, and cleared of old drafts."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _clear_once(target.parent.resolve())
+    return target.parent / f".{target.name}.{this_process()}.draft"
+
+
+@cache
+def _clear_once(folder: Path) -> None:
+    remove_drafts(folder)
+
+
+def _age(entry: os.DirEntry[str]) -> float:
+    """Seconds since a file was changed; 0 if it has just gone."""
+    try:
+        return time.time() - entry.stat(follow_symlinks=False).st_mtime
+    except FileNotFoundError:
+        return 0.0

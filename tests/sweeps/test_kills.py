@@ -15,8 +15,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-PATIENCE = 120
-"""Seconds after which something that must happen, at any load, has not."""
+from shared.waiting import PATIENCE, until
 
 KILLS = int(os.environ.get("DEEPFSI_KILLS", "3"))
 RECIPE = """
@@ -33,6 +32,11 @@ def written(folder: Path) -> dict[Path, tuple[int, int]]:
     """Records with the moment and the inode of their writing."""
     states = {path: path.stat() for path in folder.glob("trials/*.json")}
     return {path: (state.st_mtime_ns, state.st_ino) for path, state in states.items()}
+
+
+def left_over(folder: Path) -> list[Path]:
+    """Drafts of files, and claims."""
+    return [*folder.rglob(".*"), *folder.rglob("claims*")]
 
 
 def sweep(tmp_path: Path, trials: int, workers: int) -> list[str]:
@@ -75,15 +79,33 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
     assert {path: now.get(path) for path in kept} == kept
     assert len(now) == 2 * 2 * 4 * trials
     assert sum(point["trials"] for point in json.loads(text)["points"]) == len(now)
+    assert not left_over(tmp_path / "out")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("writes", [1, 2, 3, 4])
+def test_a_kill_while_a_file_is_written_leaves_nothing(done, tmp_path, writes):
+    """It comes when so many files are whole but one, which is a draft still."""
+    kill = (
+        "import os, sys; from deepfsi import files; from deepfsi.cli import main\n"
+        f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{sweep(tmp_path, 1, 1)!r}]\n"
+        "def replace(*paths):\n"
+        f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {writes} else None\n"
+        "    real(*paths)\n"
+        "os.replace = replace; main()"
+    )
+    killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list((tmp_path / "out").rglob(".*.draft"))) == 1
+    done(*sweep(tmp_path, 1, 1))
+    assert not left_over(tmp_path / "out")
+    assert len(written(tmp_path / "out")) == 2 * 2 * 4
 
 
 def working(process: subprocess.Popen, folder: Path) -> list[psutil.Process]:
     """Worker processes, once a first record is there."""
-    deadline = time.monotonic() + PATIENCE
-    while not written(folder):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: written(folder) or process.poll() is not None)
+    assert process.poll() is None
     return psutil.Process(process.pid).children(recursive=True)
 
 

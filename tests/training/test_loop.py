@@ -1,5 +1,10 @@
 """Training repeats, and treats replicas as if alone."""
 
+import os
+import re
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -153,3 +158,19 @@ def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatc
     quick(digits, masks=4, batch=32, hidden=(40, 128))
     quick(digits, masks=4, batch=1000, hidden=(40, 128))
     assert seen == [1, 7, 7, 7]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks GNU OpenMP, which torch has on Linux")
+@pytest.mark.parametrize(("given", "spins"), [({}, 0), ({"GOMP_SPINCOUNT": "7"}, 7)])
+def test_threads_wait_asleep_unless_the_user_says_otherwise(given, spins):
+    """Threads that spin beside busy programs cost several times the work itself."""
+    asked = {**os.environ, "OMP_DISPLAY_ENV": "verbose"}
+    bare = {name: asked[name] for name in asked.keys() - {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"}}
+    said = subprocess.run(
+        [sys.executable, "-c", "import deepfsi, torch"],
+        env={**bare, **given},
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stderr
+    assert re.search(r"GOMP_SPINCOUNT = '(\d+)'", said).group(1) == str(spins)

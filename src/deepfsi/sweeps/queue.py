@@ -76,6 +76,28 @@ def run_trials(
         The records, in the order of `trials`.
     """
     records = Records(folder)
+    try:
+        lost = _work_off(trials, context, records, workers, report)
+    finally:
+        records.release_all()
+    if lost:
+        names = sorted({context.title([trial]) for trial in lost})
+        raise InputError(
+            f"training diverged and the others are done: {', '.join(names)}; lower lr and mask_lr"
+        )
+    found = [(trial, records.read(trial)) for trial in trials]
+    # a record is found by what it depends on; its words are those of who asks
+    return [{**record, "trial": trial.model_dump(mode="json")} for trial, record in found if record]
+
+
+def _work_off(
+    trials: Sequence[AnyTrial],
+    context: Context[AnyTrial],
+    records: Records,
+    workers: Workers,
+    report: Report,
+) -> list[AnyTrial]:
+    """Train and test until all trials have records; return those that diverged."""
     failed: set[str] = set()
     before = 0
     while missing := [t for t in trials if t.design_key not in failed and not records.read(t)]:
@@ -94,14 +116,7 @@ def run_trials(
         lost = _train_all(todo, context, records, here, report)
         failed |= {trial.design_key for trial in lost}
         report(1.0, "done")
-    if failed:
-        names = sorted({context.title([trial]) for trial in trials if trial.design_key in failed})
-        raise InputError(
-            f"training diverged and the others are done: {', '.join(names)}; lower lr and mask_lr"
-        )
-    found = [(trial, records.read(trial)) for trial in trials]
-    # a record is found by what it depends on; its words are those of who asks
-    return [{**record, "trial": trial.model_dump(mode="json")} for trial, record in found if record]
+    return [trial for trial in trials if trial.design_key in failed]
 
 
 def _test_trained(
@@ -135,22 +150,20 @@ def _train_all(
         titled = Report(lambda share, _: report(share, title))
         return titled.part(done / total, (done + context.effort(batch)) / total)
 
-    try:
-        while todo:
-            postponed: list[list[AnyTrial]] = []
-            report(done / total, f"{len(todo)} batches")
-            claimed = _claimed(todo, records, postponed)
-            with closing(_trained(claimed, context, workers, part)) as arriving:
-                for finished in arriving:
-                    lost += _recorded(finished, records)
-                    batch = [trial for trial, _, _ in finished]
-                    done += context.effort(batch)
-                    report(min(done / total, 1.0), context.title(batch))
-            todo = postponed
-            if todo:
-                time.sleep(1)  # another process has them
-    finally:
-        records.release_all()
+    while todo:
+        postponed: list[list[AnyTrial]] = []
+        report(done / total, f"{len(todo)} batches")
+        claimed = _claimed(todo, records, postponed)
+        with closing(_trained(claimed, context, workers, part)) as arriving:
+            for finished in arriving:
+                lost += _recorded(finished, records)
+                batch = [trial for trial, _, _ in finished]
+                done += context.effort(batch)
+                report(min(done / total, 1.0), context.title(batch))
+        todo = postponed
+        if todo:
+            report(done / total, f"another process works on {len(todo)} batches")
+            time.sleep(1)
     return lost
 
 

@@ -4,6 +4,7 @@ A folder holds
 
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
+    claims/KEY/OWNER          while a process trains the design
 
 KEY is a hash of everything that the result depends on, the data included, so a record is valid for
 whoever finds it. Files are written whole or not at all, the record after its design.
@@ -15,11 +16,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from filelock import FileLock, Timeout
-
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
+from deepfsi.files import remove_drafts, write_atomically
+from deepfsi.sweeps.claims import Claims
 from deepfsi.sweeps.results import SCHEMA
 
 
@@ -72,7 +72,9 @@ class Records:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._claims: dict[str, FileLock] = {}
+        self._claims = Claims(folder)
+        for part in ("trials", "designs"):
+            remove_drafts(folder / part)
 
     def read(self, trial: RecordedTrial) -> dict[str, Any] | None:
         """Record of a trial, or None if it or its design is missing or damaged."""
@@ -112,30 +114,20 @@ class Records:
         """Claim trials for this process, all or none; False where another one has any of them."""
         taken: list[RecordedTrial] = []
         for trial in trials:
-            path = self._design_path(trial).with_suffix(".lock")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(path, thread_local=False)
-            try:
-                lock.acquire(blocking=False)
-            except Timeout:
+            if not self._claims.take(trial.design_key):
                 self.release(taken)
                 return False
-            self._claims[trial.key] = lock
             taken.append(trial)
         return True
 
     def release(self, trials: Iterable[RecordedTrial]) -> None:
         """Give up claims. A process that dies gives up its own."""
         for trial in trials:
-            lock = self._claims.pop(trial.key)
-            Path(lock.lock_file).unlink(missing_ok=True)
-            lock.release()
+            self._claims.give_up(trial.design_key)
 
     def release_all(self) -> None:
         """Give up every claim of this process."""
-        for lock in self._claims.values():
-            lock.release()
-        self._claims.clear()
+        self._claims.give_up_all()
 
     def _record_path(self, trial: RecordedTrial) -> Path:
         return self.folder / "trials" / f"{trial.key}.json"

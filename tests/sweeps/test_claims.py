@@ -1,0 +1,126 @@
+"""One process at a time has a claim, wherever the folder is, and none outlives its process."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from deepfsi.owners import this_process
+from deepfsi.sweeps import claims
+from deepfsi.sweeps.claims import Claims
+from shared.waiting import until
+
+ELSEWHERE = "0123456789ab-1-1-00000000"
+"""Name of a process of another host."""
+
+
+def left(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*"))
+
+
+def test_one_has_it_until_it_is_given_up(tmp_path):
+    first, second = Claims(tmp_path), Claims(tmp_path)
+    assert first.take("a")
+    assert not second.take("a")
+    assert second.take("b")
+    first.give_up("a")
+    assert second.take("a")
+    second.give_up_all()
+    assert not left(tmp_path)
+
+
+def test_many_at_once_never_share_a_claim(tmp_path):
+    """Each of four takes it twenty times; whoever has it is alone."""
+    alone = threading.Lock()
+
+    def take_turns(seed: int) -> int:
+        mine, chance, turns, wrong = Claims(tmp_path), random.Random(seed), 0, 0
+        while turns < 20:
+            if mine.take("a"):
+                free = alone.acquire(blocking=False)
+                turns, wrong = turns + 1, wrong + (not free)
+                time.sleep(0)
+                if free:
+                    alone.release()
+                mine.give_up("a")
+            time.sleep(chance.uniform(0, 0.002))
+        return wrong
+
+    with ThreadPoolExecutor() as pool:
+        assert list(pool.map(take_turns, range(4))) == [0] * 4
+    assert not list(tmp_path.glob("claims/*/*"))
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Yield a process that has the claim `a`."""
+    code = (
+        "import sys, time, pathlib; from deepfsi.sweeps.claims import Claims\n"
+        "print(Claims(pathlib.Path(sys.argv[1])).take('a'), flush=True); time.sleep(600)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "True\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_a_claim_ends_with_its_process(tmp_path, other):
+    mine = Claims(tmp_path)
+    assert not mine.take("a")
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    assert mine.take("a")
+    assert len(list(tmp_path.glob("claims/a/*"))) == 1
+
+
+def test_claims_of_killed_processes_are_not_left_over(tmp_path, other):
+    Claims(tmp_path)
+    assert list(tmp_path.glob("claims/a/*"))
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    Claims(tmp_path)
+    assert not left(tmp_path)
+
+
+def test_a_new_process_of_an_old_number_is_another_one(tmp_path):
+    """Numbers of processes come again; their moments of start do not."""
+    own = this_process()
+    old = own._replace(started=own.started - 3600)
+    path = tmp_path / "claims/a" / str(old)
+    path.parent.mkdir(parents=True)
+    path.touch()
+    assert Claims(tmp_path).take("a")
+
+
+def test_another_host_keeps_its_claim_while_its_file_changes(tmp_path, monkeypatch):
+    path = tmp_path / "claims/a" / ELSEWHERE
+    path.parent.mkdir(parents=True)
+    path.touch()
+    mine = Claims(tmp_path)
+    assert not mine.take("a")
+    monkeypatch.setattr(claims, "SILENT_SECONDS", 0.0)
+    os.utime(path, (1, 1))
+    assert not mine.take("a")
+    time.sleep(0.001)
+    assert mine.take("a")
+    assert not path.exists()
+
+
+def test_a_claim_shows_that_its_process_lives(tmp_path, monkeypatch):
+    monkeypatch.setattr(claims, "BEAT_SECONDS", 0.001)
+    mine = Claims(tmp_path)
+    assert mine.take("a")
+    (path,) = tmp_path.glob("claims/a/*")
+    os.utime(path, (1, 1))
+    until(lambda: path.stat().st_mtime > 1)
+    mine.give_up_all()
