@@ -103,7 +103,7 @@ def test_from_photons_to_classes(done, lab, patterns, tmp_path):
         assert picture.width > 200
     out = done("camera", "inspect", run / "photons.ptu", "--json")
     contents = json.loads(out)
-    assert contents["markers"]["1"] == 3 * len(read_patterns(patterns).manifest.frames)
+    assert contents["markers"]["0"] == 3 * len(read_patterns(patterns).manifest.frames)
 
 
 @pytest.mark.parametrize("words", [[], ["--json"]])

@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from deepfsi.cli import camera, data
+from deepfsi.cli import acquisitions, camera, data
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
@@ -24,6 +24,7 @@ app = typer.Typer(
 )
 for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
     app.command()(_command)
+camera.camera.command("prepare")(acquisitions.camera_prepare)
 app.add_typer(camera.dmd, name="dmd")
 app.add_typer(camera.camera, name="camera")
 app.add_typer(data.app, name="data")

@@ -11,6 +11,7 @@ from deepfsi.errors import InputError, as_input_error
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.sequence import Patterns
     from deepfsi.hardware.ptu.reader import Contents
+    from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.virtual.camera import Camera
 
 dmd = typer.Typer(
@@ -25,15 +26,6 @@ camera = typer.Typer(
 )
 
 RunArgument = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
-ExposureOption = Annotated[
-    str | None, typer.Option(help="total exposure, such as 0.01 or 10ms; the recorded one if none")
-]
-SettleOption = Annotated[
-    str | None, typer.Option(help="time for mirrors to settle in each frame; the device's if none")
-]
-RepeatsOption = Annotated[
-    int | None, typer.Option(min=1, help="exposures in one pass; as many as fit if none")
-]
 
 
 @dmd.command("export")
@@ -110,8 +102,8 @@ def camera_simulate(
     settings: Annotated[
         str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
     ] = "pmt",
-    settle: SettleOption = None,
-    repeats: RepeatsOption = None,
+    settle: options.Settle = None,
+    repeats: options.Repeats = None,
     seed: Annotated[int, typer.Option(help="repeats exactly")] = 0,
     as_json: options.Json = False,
 ) -> None:
@@ -146,19 +138,22 @@ def camera_simulate(
 @camera.command("count")
 def camera_count(
     folder: RunArgument,
-    exposure: ExposureOption = None,
-    settle: SettleOption = None,
-    repeats: RepeatsOption = None,
+    exposure: options.Exposure = None,
+    settle: options.Settle = None,
+    repeats: options.Repeats = None,
     tolerance: Annotated[
         str | None,
         typer.Option(help="by how much a marker may be off; 10us, or a tenth of a frame, if none"),
     ] = None,
+    inputs: options.Inputs = None,
+    marker: options.Marker = None,
     as_json: options.Json = False,
 ) -> None:
     """Count the photons of each frame's gates; missing, doubled and late markers are named.
 
     A shorter exposure than the recorded one is counted in shorter gates, and more of them. Frames
     that all last longer or shorter than planned are counted as they are, and the drift is said.
+    Inputs and marker are the acquisition's unless given.
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
@@ -171,8 +166,13 @@ def camera_count(
             settle_s=options.optional_seconds("settle", settle),
             repeats=repeats,
             tolerance_s=options.optional_seconds("tolerance", tolerance),
+            **options.wiring(inputs, marker),
             report=report,
         )
+    _print_counts(counts, folder, as_json)
+
+
+def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
     summary: dict[str, Any] = {
         "scenes": len(counts.counts),
         "exposures": int(counts.valid.size),
@@ -182,6 +182,7 @@ def camera_count(
         "photons": float(counts.photons),
         "dark_rate": counts.dark_rate.tolist(),
         "drift": counts.drift,
+        "inputs": [each + 1 for each in counts.inputs],
     }
     if as_json:
         faults = [fault.model_dump() for fault in counts.faults]
@@ -297,7 +298,11 @@ def camera_inspect(
     with common.progress("records", quiet=as_json) as report:
         contents = inspect(file, report)
     if as_json:
-        common.print_json(contents.model_dump())
+        common.print_json(
+            contents.model_dump()
+            | {"photons": {each + 1: n for each, n in contents.photons.items()}}
+            | {"markers": {bit.bit_length() - 1: n for bit, n in contents.markers.items()}}
+        )
     else:
         _print_contents(file, contents)
     if contents.problems:
@@ -310,7 +315,7 @@ def _print_contents(file: Path, contents: "Contents") -> None:
         ("time unit", f"{contents.tick_s:g} s"),
         ("records", str(contents.records)),
         *((f"photons on input {k + 1}", str(n)) for k, n in contents.photons.items()),
-        *((f"markers with bit {k}", str(n)) for k, n in contents.markers.items()),
+        *((f"markers on {k.bit_length() - 1}", str(n)) for k, n in contents.markers.items()),
         ("overflow records", str(contents.overflows)),
         ("sync records", str(contents.syncs)),
         ("span", f"{contents.span_s:.6f} s"),

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.sweeps.recipe import Recipe
 
+MOST_INPUTS = 64
+"""Inputs of a photon counter at most."""
+
 Data = Annotated[
     str,
     typer.Option(
@@ -96,6 +99,33 @@ RailsAxis = Annotated[str | None, typer.Option(help="dual, single")]
 Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
 
 
+# acquisitions
+
+Exposure = Annotated[
+    str | None, typer.Option(help="total exposure, such as 0.01 or 10ms; the recorded one if none")
+]
+Settle = Annotated[
+    str | None, typer.Option(help="time for mirrors to settle in each frame; the device's if none")
+]
+Repeats = Annotated[
+    int | None, typer.Option(min=1, help="exposures in one pass; as many as fit if none")
+]
+Inputs = Annotated[
+    list[int] | None,
+    typer.Option(
+        "--input",
+        help="input of the counter, 1 for the first, as `inspect` numbers them; on two arms give "
+        "two, first the one that sees mirrors ON",
+    ),
+]
+Marker = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=3, help="marker input of the trigger, 0 for the first, as `inspect` numbers them"
+    ),
+]
+
+
 def words(text: str | None) -> list[str] | None:
     """Parts of a text separated by commas."""
     return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
@@ -144,6 +174,18 @@ def seconds(option: str, text: str) -> float:
 def optional_seconds(option: str, text: str | None) -> float | None:
     """Seconds of a time, or None where none is given."""
     return None if text is None else seconds(option, text)
+
+
+def wiring(inputs: list[int] | None, marker: int | None) -> dict[str, Any]:
+    """Settings of an acquisition that say which inputs of the counter are used, as far as given."""
+    for each in inputs or ():
+        if not 1 <= each <= MOST_INPUTS:
+            raise InputError(f"--input {each} is not allowed: give 1 to {MOST_INPUTS}")
+    given = {
+        "inputs": tuple(each - 1 for each in inputs) if inputs else None,
+        "marker_bit": None if marker is None else 1 << marker,
+    }
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def size_of(text: str | None) -> tuple[int, int] | None:

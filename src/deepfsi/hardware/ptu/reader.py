@@ -164,7 +164,10 @@ def count_gates(
     kind = header.kind
     for each in inputs:
         if not 0 <= each < kind.inputs:
-            raise InputError(f"input {each} is not one of {kind.name}: give 0 to {kind.inputs - 1}")
+            raise InputError(
+                f"input {each}, counted from 0, is not one of {kind.name}: give 0 to "
+                f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
+            )
     edges = _edges(starts, stops)
     before = np.zeros((len(edges), len(inputs)), np.int64)
     so_far = np.zeros(len(inputs), np.int64)

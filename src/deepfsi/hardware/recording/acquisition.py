@@ -21,7 +21,12 @@ from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.patterns.timing import Gates, find_gates, usual_tolerance
+from deepfsi.hardware.patterns.timing import (
+    Gates,
+    find_gates,
+    longest_exposure,
+    usual_tolerance,
+)
 from deepfsi.hardware.recording.alignment import MOST_FRAMES
 
 MOST_READOUTS = 2**21
@@ -91,10 +96,69 @@ class Acquisition(BaseModel):
             raise ValueError("two arms need two inputs")
         return self
 
+    def rewired(self, inputs: tuple[int, ...] | None, marker_bit: int | None) -> Self:
+        """Settings with other inputs of the counter, as far as given, or `InputError`."""
+        arms = len(self.inputs)
+        if inputs is not None and len(inputs) != arms:
+            raise InputError(f"{len(inputs)} inputs are given, and {arms} are needed: one an arm")
+        given = {"inputs": inputs, "marker_bit": marker_bit}
+        changes = {name: value for name, value in given.items() if value is not None}
+        with as_input_error():
+            return type(self).model_validate(self.model_dump() | changes)
+
     @property
     def digest(self) -> str:
         """Hash of the settings."""
         return sha256(self.model_dump_json().encode()).hexdigest()
+
+
+def plan_acquisition(
+    manifest: Manifest,
+    scenes: tuple[Scene, ...],
+    *,
+    exposure_s: float | None = None,
+    settle_s: float | None = None,
+    repeats: int | None = None,
+    **others: Any,
+) -> Acquisition:
+    """Settings for a recording of patterns.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Of the patterns to be shown.
+    scenes : tuple of Scene
+        In the order of their passes.
+    exposure_s : float, optional
+        Unless given, the longest that ends in every frame before the next marker may come.
+    settle_s : float, optional
+        The device's unless given.
+    repeats : int, optional
+        As many as fit, and can be counted at once, unless given.
+    **others
+        Further fields of `Acquisition`.
+
+    Raises
+    ------
+    InputError
+        If the gates do not fit the frames, or a field is not allowed.
+    """
+    settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
+    exposure = exposure_s
+    if exposure is None:
+        longest = longest_exposure(manifest, settle + usual_tolerance(manifest))
+        exposure = max(longest, 0) / (repeats or 1)
+    gates = find_gates(manifest, exposure, settle, repeats)
+    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
+    countable = max(MOST_READOUTS // max(readouts, 1), 1)
+    with as_input_error():
+        return Acquisition(
+            scenes=scenes,
+            exposure_s=exposure,
+            settle_s=settle,
+            repeats=repeats or min(gates.repeats, countable),
+            **others,
+        )
 
 
 def prepare(

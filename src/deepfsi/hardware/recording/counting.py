@@ -42,6 +42,8 @@ def count(
     settle_s: float | None = None,
     repeats: int | None = None,
     tolerance_s: float | None = None,
+    inputs: tuple[int, ...] | None = None,
+    marker_bit: int | None = None,
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz.
@@ -49,25 +51,24 @@ def count(
     Parameters
     ----------
     exposure_s : float, optional
-        Total exposure in seconds; as recorded unless given. Frames need not have been shown for it:
-        a shorter one is a gate within them.
+        Total exposure, seconds; as recorded unless given. A shorter one is a gate within frames.
     settle_s : float, optional
         As recorded unless given.
     repeats : int, optional
         Exposures of each scene, from gates that follow each other in each frame. Unless given, as
         recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
     tolerance_s : float, optional
-        By how much a frame's marker may be off the schedule. Unless given, a tenth of the shortest
-        frame, at most 10 µs. All frames may be longer or shorter besides: see `Counts.drift`.
+        By how much a marker may be off; a tenth of the shortest frame, at most 10 µs, unless given.
+    inputs, marker_bit
+        In place of the acquisition's, where it was recorded otherwise.
 
     Raises
     ------
     InputError
-        If files are missing, damaged or do not fit each other, gates do not fit the frames, or no
-        exposure is whole.
+        If files are missing, damaged or do not fit, gates do not fit, or no exposure is whole.
     """
-    acquisition, patterns = read_acquisition(folder)
-    manifest = patterns.manifest
+    recorded, patterns = read_acquisition(folder)
+    acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
     header = read_header(Path(folder) / "photons.ptu")
     _check_ticks(header, gates)
@@ -81,18 +82,22 @@ def count(
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
     fits = _show_ends(header, photons[..., 0], spent)
-    for scene in np.flatnonzero(whole)[~fits].tolist():
-        detail = "its first and last frames are not the brightest and darkest: it may be shifted"
-        faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
-    late = find_lateness(windows, found[fits, :, 0], seconds[fits])
+    faults += [_shifted(scene) for scene in np.flatnonzero(whole)[~fits].tolist()]
+    faults += find_lateness(windows, found[fits, :, 0], seconds[fits])
     whole[whole] = fits
     spent = np.where(spent > 0, spent, np.nan)
     rates = photons[fits] / spent[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
     counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure)
-    counts = replace(counts, drift=frames.drift, faults=(*faults, *late))
-    counts.save(Path(folder), acquisition)
+    counts = replace(counts, drift=frames.drift, inputs=acquisition.inputs, faults=tuple(faults))
+    counts.save(Path(folder), recorded)
     return counts
+
+
+def _shifted(scene: int) -> Fault:
+    """A scene that is given up since its sentinels are not where they should be."""
+    detail = "its first and last frames are not the brightest and darkest: it may be shifted"
+    return Fault(kind="lost", scene=scene, frame=None, detail=detail)
 
 
 def _check_ticks(header: Header, gates: Gates) -> None:
@@ -180,5 +185,6 @@ def _assemble(
         settle_s=gates.settle_s,
         lengths_s=lengths,
         drift=0.0,
+        inputs=(),
         faults=(),
     )

@@ -73,6 +73,8 @@ class Counts:
         For how long each readout is counted, seconds; 0 for a rail that is dark.
     drift : float
         By how much passes lasted longer than planned on the counter's clock, as a share.
+    inputs : tuple of int
+        Of the counter, 0 for input 1: those whose photons were counted.
     faults : tuple of Fault
         What was wrong with the recording.
     """
@@ -87,6 +89,7 @@ class Counts:
     settle_s: float
     lengths_s: np.ndarray
     drift: float
+    inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
 
     @property
@@ -120,6 +123,7 @@ class Counts:
             "exposure_s": self.exposure_s,
             "settle_s": self.settle_s,
             "drift": self.drift,
+            "inputs": self.inputs,
             "faults": [fault.model_dump() for fault in self.faults],
         }
         text = np.frombuffer(json.dumps(about).encode(), np.uint8)
@@ -183,6 +187,7 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         exposure_s=about.exposure_s,
         settle_s=about.settle_s,
         drift=about.drift,
+        inputs=about.inputs,
         faults=about.faults,
     )
 
@@ -213,6 +218,7 @@ class _About(BaseModel):
     exposure_s: Positive
     settle_s: float = Field(ge=0, allow_inf_nan=False)
     drift: float
+    inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
 
 

@@ -27,9 +27,9 @@ from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest
-from deepfsi.hardware.patterns.timing import Gates, find_gates
+from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Acquisition, Scene, prepare
+from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
 from deepfsi.progress import SILENT, Report
 
@@ -349,14 +349,12 @@ def _describe(
     scenes: tuple[Scene, ...], manifest: Manifest, settings: RecordingSettings
 ) -> Acquisition:
     """Acquisition of a recording, with as many repeats as fit and can be counted."""
-    gates = find_gates(manifest, settings.exposure_s, settings.settle_s, settings.repeats)
-    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
-    countable = max(MOST_READOUTS // readouts, 1)
-    return Acquisition(
-        scenes=scenes,
+    return plan_acquisition(
+        manifest,
+        scenes,
         exposure_s=settings.exposure_s,
-        settle_s=gates.settle_s,
-        repeats=settings.repeats or min(gates.repeats, countable),
+        settle_s=settings.settle_s,
+        repeats=settings.repeats,
         marker_bit=MARKER,
         inputs=(0, 1) if manifest.two_arm else (0,),
         flux=settings.flux or None,

@@ -1,0 +1,80 @@
+"""Acquisitions of a laboratory, prepared for the photon file that its counter will write."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepfsi.cli import common, options
+
+if TYPE_CHECKING:
+    from deepfsi.hardware.recording.acquisition import Scene
+
+
+def camera_prepare(
+    patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
+    scenes: Annotated[
+        Path,
+        typer.Option(
+            help="text file with NAME or NAME,LABEL on each line, or the pictures themselves: a "
+            "folder, or one with a folder for each class"
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
+    inputs: options.Inputs = None,
+    marker: options.Marker = None,
+    exposure: Annotated[
+        str | None,
+        typer.Option(help="total exposure, such as 0.01 or 10ms; the longest that fits if none"),
+    ] = None,
+    settle: options.Settle = None,
+    repeats: options.Repeats = None,
+    flux: Annotated[
+        float | None,
+        typer.Option(help="photons/s on the device for the mean training scene, where known"),
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Make the folder of an acquisition in your laboratory; photons.ptu is then put into it.
+
+    Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
+    """
+    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.recording.acquisition import plan_acquisition, prepare
+
+    manifest = read_patterns(patterns).manifest
+    wired = {"inputs": (0, 1) if manifest.two_arm else (0,), **options.wiring(inputs, marker)}
+    planned = plan_acquisition(
+        manifest,
+        _scenes(scenes),
+        exposure_s=options.optional_seconds("exposure", exposure),
+        settle_s=options.optional_seconds("settle", settle),
+        repeats=repeats,
+        flux=flux,
+        **wired,
+    )
+    made = prepare(out, patterns, planned)
+    if as_json:
+        common.print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
+        return
+    seen = " and ".join(str(each + 1) for each in made.inputs)
+    print(
+        f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:.4g} s each, "
+        f"{manifest.pass_s:.4g} s a pass\n"
+        f"photons on input {seen}, a trigger on marker input {made.marker_bit.bit_length() - 1}\n"
+        f"acquisition: {out}; show the patterns once for each scene, put the recording there as "
+        f"photons.ptu, then: deepfsi camera count {out}"
+    )
+
+
+def _scenes(source: Path) -> "tuple[Scene, ...]":
+    """Scenes of a list, of one picture or of a folder of pictures."""
+    from deepfsi.datasets import read_display
+    from deepfsi.hardware.recording.acquisition import Scene
+    from deepfsi.hardware.recording.scene_list import read_scenes
+
+    if source.is_file() and source.suffix.lower() in ("", ".txt", ".csv"):
+        return read_scenes(source)
+    shown = read_display(source)
+    labels = shown.labels or [None] * len(shown.names)
+    return tuple(Scene(name=n, label=x) for n, x in zip(shown.names, labels, strict=True))

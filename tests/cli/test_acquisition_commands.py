@@ -1,0 +1,134 @@
+"""An acquisition of one's own laboratory: prepared, wired, recorded, counted."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.recording.acquisition import Acquisition
+from hardware.recording.recording_samples import DWELL, Run, patterns_of, shining, train
+
+LIST = "name,label\nfirst,cat\nsecond,dog\nthird,\n"
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Patterns, and a list of three scenes."""
+    patterns_of(tmp_path / "patterns")
+    patterns_of(tmp_path / "arms", "two-arm")
+    (tmp_path / "scenes.csv").write_text(LIST)
+    return tmp_path
+
+
+def prepared(done, lab, *words, patterns="patterns"):
+    run = lab / "run"
+    given = ["--scenes", lab / "scenes.csv", "-o", run, *words]
+    out = json.loads(done("camera", "prepare", lab / patterns, *given, "--json"))
+    content = json.loads((run / "acquisition.json").read_text())
+    assert out == {"folder": str(run), "acquisition": content}
+    return run, content
+
+
+def test_a_folder_is_prepared_for_a_real_lab(done, lab):
+    run, content = prepared(done, lab, "--input", 2, "--marker", 3, "--exposure", "2ms")
+    assert content["scenes"] == [
+        {"name": "first", "label": "cat"},
+        {"name": "second", "label": "dog"},
+        {"name": "third", "label": None},
+    ]
+    assert (content["inputs"], content["marker_bit"]) == ([1], 8)
+    assert (content["flux"], content["camera"], content["seed"]) == (None, None, None)
+    assert (content["exposure_s"], content["repeats"]) == (2e-3, 5)
+    assert content["settle_s"] == pytest.approx(1e-5)
+    assert sorted(path.name for path in (run / "patterns").iterdir()) == [
+        "design.safetensors",
+        "manifest.json",
+        "mirrors.npy",
+    ]
+
+
+def test_the_longest_exposure_ends_before_the_next_marker_may_come(done, lab):
+    run, content = prepared(done, lab)
+    assert content["exposure_s"] == pytest.approx(11 * (DWELL - 1e-5 - 1e-5))
+    assert (content["inputs"], content["marker_bit"], content["repeats"]) == ([0], 1, 1)
+    shutil.rmtree(run)
+    _, content = prepared(done, lab, "--repeats", 4)
+    assert content["exposure_s"] == pytest.approx(11 * (DWELL - 2e-5) / 4)
+    assert content["repeats"] == 4
+
+
+def test_two_arms_have_two_inputs(done, refuse, lab):
+    _, content = prepared(done, lab, "--input", 2, "--input", 1, patterns="arms")
+    assert content["inputs"] == [1, 0]
+    words = ["--scenes", lab / "scenes.csv", "-o", lab / "other"]
+    assert "need 2" in refuse("camera", "prepare", lab / "arms", *words, "--input", 1)
+    assert "two inputs" in refuse(
+        "camera", "prepare", lab / "arms", *words, "--input", 1, "--input", 1
+    )
+
+
+def test_pictures_are_a_list_of_scenes_too(done, lab):
+    done("data", "export", "digits", "--per-class", 1, "-o", lab / "images")
+    (lab / "scenes.csv").unlink()
+    shutil.move(lab / "images", lab / "scenes.csv")  # a folder of that name
+    _, content = prepared(done, lab)
+    assert [scene["label"] for scene in content["scenes"]] == [str(k) for k in range(10)]
+
+
+def record(run) -> Run:
+    """Photons on input 3, markers with bit 4: marker input 2."""
+    patterns = read_patterns(run / "patterns")
+    starts = train(patterns.manifest, 3)
+    light = shining(patterns, 3)
+    recorded = Run(run, patterns, starts, light)
+    recorded.record(starts, starts.ravel(), light)
+    return recorded
+
+
+def test_a_lab_counts_what_it_prepared(done, lab):
+    run, _ = prepared(done, lab, "--input", 3, "--marker", 2)
+    recorded = record(run)
+    said = json.loads(done("camera", "inspect", run / "photons.ptu", "--json"))
+    assert list(said["markers"]) == ["2"]
+    assert "3" in said["photons"]
+    counted = json.loads(done("camera", "count", run, "--json"))
+    assert counted["whole"] == 3
+    assert counted["photons_counted"] == recorded.photons[:, 2:-2].sum()
+
+
+def test_wrong_wiring_is_put_right_when_counting(done, refuse, lab):
+    run, _ = prepared(done, lab)
+    recorded = record(run)
+    assert "0 frame markers" in refuse("camera", "count", run)
+    words = ["--input", 3, "--marker", 2]
+    counted = json.loads(done("camera", "count", run, *words, "--json"))
+    assert counted["photons_counted"] == recorded.photons[:, 2:-2].sum()
+    assert counted["inputs"] == [3]
+    assert "--input 0 is not allowed: give 1 to 64" in refuse("camera", "count", run, "--input", 0)
+    assert "2 inputs are given" in refuse("camera", "count", run, "--input", 1, "--input", 2)
+    assert "--input 65" in refuse("camera", "count", run, "--input", 65)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--scenes", "none.txt"], "none.txt"),
+        (["--input", "0"], "give 1 to 64"),
+        (["--marker", "4"], "--marker"),
+        (["--exposure", "1"], "does not fit"),
+        (["--settle", "2ms"], "exposure"),
+        (["--flux", "-1"], "flux"),
+    ],
+)
+def test_what_cannot_be_prepared_leaves_nothing(refuse, lab, words, said):
+    usual = ["--scenes", lab / "scenes.csv", "-o", lab / "run"]
+    assert said in refuse("camera", "prepare", lab / "patterns", *usual, *words)
+
+
+def test_the_schema_is_documented():
+    """Each field of acquisition.json has a row in docs/camera.md."""
+    text = (Path(__file__).parents[2] / "docs" / "camera.md").read_text()
+    for name in Acquisition.model_fields:
+        assert f"| `{name}` |" in text
