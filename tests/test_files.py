@@ -6,12 +6,13 @@ import sys
 
 import pytest
 
+from deepfsi.errors import InputError
 from deepfsi.files import remove_drafts, write_atomically
 
 
 def test_a_write_onto_a_folder_leaves_nothing(tmp_path):
     (tmp_path / "folder").mkdir()
-    with pytest.raises(OSError, match="folder"):
+    with pytest.raises(InputError, match=r"cannot write .*folder: Is a directory"):
         write_atomically(tmp_path / "folder", b"content")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 

@@ -3,8 +3,13 @@
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
 
-__all__ = ["InputError", "as_input_error", "check_known", "closest"]
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
+
+__all__ = ["InputError", "as_input_error", "check_known", "closest", "faults"]
 
 
 class InputError(ValueError):
@@ -87,16 +92,24 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        places = [".".join(map(str, fault["loc"])) for fault in error.errors()]
-        words = [
-            f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
-            for fault in error.errors()
-        ]
-        if file:
-            at, end = places[0] and f" at {places[0]}", advice and f"; {advice}"
-            raise InputError(f"{file} cannot be used{at}: {words[0]}{end}") from None
-        given = [
-            f"{place} = {fault['input']!r}: " if place else ""
-            for place, fault in zip(places, error.errors(), strict=True)
-        ]
-        raise InputError("; ".join(map("".join, zip(given, words, strict=True)))) from None
+        if not file:
+            raise InputError("; ".join(faults(error))) from None
+        fault = error.errors()[0]
+        at, end = fault["loc"] and f" at {_place(fault)}", advice and f"; {advice}"
+        raise InputError(f"{file} cannot be used{at or ''}: {_words(fault)}{end}") from None
+
+
+def faults(error: "ValidationError") -> list[str]:
+    """Every bad field of pydantic's error, with what was given."""
+    return [
+        (f"{_place(fault)} = {fault['input']!r}: " if fault["loc"] else "") + _words(fault)
+        for fault in error.errors()
+    ]
+
+
+def _place(fault: "ErrorDetails") -> str:
+    return ".".join(map(str, fault["loc"]))
+
+
+def _words(fault: "ErrorDetails") -> str:
+    return f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")

@@ -33,16 +33,17 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
 def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Open a file to write that appears, whole, when the block ends; none if the block fails."""
     target = Path(path)
-    draft = _draft(target)
-    try:
-        with open(draft, "xb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, target)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
+    with _named(target):
+        draft = _draft(target)
+        try:
+            with open(draft, "xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(draft, target)
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise
 
 
 @contextmanager
@@ -57,14 +58,32 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = Path(path)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
-    draft = _draft(target)
+    with _named(target):
+        draft = _draft(target)
+        try:
+            draft.mkdir()
+            yield draft
+            os.replace(draft, target)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise
+
+
+@contextmanager
+def _named(target: Path) -> Iterator[None]:
+    """Name what the user asked for, and no draft of it, where it cannot be written."""
     try:
-        draft.mkdir()
-        yield draft
-        os.replace(draft, target)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
+        yield
+    except OSError as error:
+        if error.filename is not None and not _beside(Path(error.filename), target):
+            raise  # of something that was read
+        reason = error.strerror or error
+        raise InputError(f"cannot write {target}: {reason}; nothing of it was kept") from error
+
+
+def _beside(path: Path, target: Path) -> bool:
+    """True for a draft of the target, what is in it, and the folders above."""
+    return target.parent in path.parents or path in target.parents
 
 
 def remove_drafts(folder: Path) -> None:

@@ -99,7 +99,7 @@ def test_a_flexible_design(done, tmp_path):
     [
         (["design", "--photons", "1e6:1e3", "--masks", 3], "LOW:HIGH"),
         (["design", "--photons", "1e2:1e3:1e4", "--masks", 3], "LOW:HIGH"),
-        (["design", "--photons", "1e3:inf", "--masks", 3], "span"),
+        (["design", "--photons", "1e3:inf", "--masks", 3], "finite"),
         (["design", "--photons", "1e3", "--masks", 3, "--nested", 4], "at most 3"),
         (["design", "--photons", "1e3", "--masks", 3, "--levels", 1], "dark alone"),
         (["design", "--photons", "1e3", "--masks", 3, "--hold-out", 5000], "hold out at least 1"),
@@ -227,7 +227,15 @@ def test_bad_design_files(refuse, tmp_path, design_file, damage):
 )
 def test_a_matrix_that_cannot_be(refuse, tmp_path, matrix, words, hint):
     np.save(tmp_path / "m.npy", matrix, allow_pickle=True)
-    words = ["--photons", "1e3", "--matrix", tmp_path / "m.npy", "-o", tmp_path / "d", *words]
+    words = [
+        "--photons",
+        "1e3",
+        "--matrix",
+        tmp_path / "m.npy",
+        "-o",
+        tmp_path / "d.safetensors",
+        *words,
+    ]
     assert hint in refuse("design", *words)
 
 
@@ -259,8 +267,9 @@ def test_full_disk_is_one_line(refuse, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    words = ["design", "--photons", "1e3", "--masks", 2, "--epochs", 1, "-o", tmp_path / "d"]
-    assert "No space left" in refuse(*words)
+    words = ["design", "--photons", "1e3", "--masks", 2, "--epochs", 1]
+    file = tmp_path / "d.safetensors"
+    assert f"cannot write {file}: No space left" in refuse(*words, "-o", file)
 
 
 def test_ctrl_c_says_that_work_is_kept(call, tmp_path, monkeypatch):
@@ -294,7 +303,7 @@ def test_a_dry_run_says_what_it_would_cost_and_does_nothing(done, recipe, tmp_pa
 
 
 def test_a_sweep_writes_its_table(done, recipe, tmp_path):
-    table = tmp_path / "tables" / "all.parquet"
+    table = tmp_path / "all.parquet"
     text = done("sweep", recipe, "-o", tmp_path / "out", "--workers", 1, "--table", table)
     assert table.is_file()
     assert str(table) in text.replace("\n", "")

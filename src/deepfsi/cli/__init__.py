@@ -2,11 +2,12 @@
 
 import re
 import sys
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
-from deepfsi.cli import acquisitions, camera, data
+import deepfsi
+from deepfsi.cli import acquisitions, camera, common, data
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
@@ -14,14 +15,27 @@ from deepfsi.errors import InputError
 
 app = typer.Typer(
     name="deepfsi",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
+    invoke_without_command=True,
     help="Design the masks of a photon-limited single-pixel camera with the network that reads "
     "them.\n\nStart with: deepfsi compare",
 )
+
+
+@app.callback()
+def _start(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="print the version and stop")] = False,
+) -> None:
+    if version:
+        print(f"deepfsi {deepfsi.__version__}")
+        raise typer.Exit
+    common.help_if_bare(context)
+
+
 for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
     app.command()(_command)
 camera.camera.command("prepare")(acquisitions.camera_prepare)

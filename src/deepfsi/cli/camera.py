@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options
+from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
@@ -15,12 +15,14 @@ if TYPE_CHECKING:
     from deepfsi.hardware.virtual.camera import Camera
 
 dmd = typer.Typer(
-    no_args_is_help=True,
+    invoke_without_command=True,
+    callback=common.help_if_bare,
     help="Patterns for a micromirror device.\n\n"
     "Example: deepfsi dmd export digits.safetensors --device dlp7000 --dwell 1ms -o patterns",
 )
 camera = typer.Typer(
-    no_args_is_help=True,
+    invoke_without_command=True,
+    callback=common.help_if_bare,
     help="Acquisitions, virtual or real: photon files to counts, classes and pictures.\n\n"
     "Example: deepfsi camera count run_0001",
 )
@@ -49,6 +51,8 @@ def dmd_export(
 
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
     """
+    paths.check_design(file)
+    paths.check_new_folder(out)
     from deepfsi.design.artifact import Design
     from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
@@ -64,7 +68,6 @@ def dmd_export(
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     made.exposure.check_fixed()
-    common.check_writable(out.parent)
     content, reflectance = file.read_bytes(), made.summed_reflectance
     rails = DesignRails(made.rails.numpy(), made.light, made.image_shape, reflectance, content)
     with common.progress("patterns", quiet=as_json) as report:
@@ -111,6 +114,7 @@ def camera_simulate(
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
+    paths.check_new_folder(out)
     from deepfsi.datasets import read_display
     from deepfsi.hardware.virtual.camera import RecordingSettings, record
 
@@ -123,7 +127,6 @@ def camera_simulate(
         seed,
     )
     images = read_display(scene)
-    common.check_writable(out.parent)
     with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
@@ -217,6 +220,8 @@ def camera_classify(
 
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
+    paths.check_design(file)
+    paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.design.artifact import Design
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.counts import read_counts
@@ -272,12 +277,14 @@ def camera_image(
 
     Example: deepfsi camera image run_0001 -o picture.png
     """
+    target = out or folder / "picture.png"
+    if out is not None:
+        paths.check_file(out, paths.PICTURES)
+    paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.picture import reconstruct
     from deepfsi.report.pictures import pictures_figure
 
-    target = out or folder / "picture.png"
-    common.check_picture(target)
     acquisition, _ = read_acquisition(folder)
     figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])
     common.draw(figure, target)
@@ -337,6 +344,7 @@ def camera_spots(
 
     Example: deepfsi camera spots --size 32x32 -o spots
     """
+    paths.check_new_folder(out)
     import numpy as np
 
     from deepfsi.datasets import write_pictures
@@ -361,6 +369,7 @@ def camera_calibrate(
 
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
+    paths.check_folder(out)
     from deepfsi.datasets import read_display
     from deepfsi.hardware.calibration.fit import calibrate_run
     from deepfsi.hardware.calibration.view import save_calibration
@@ -377,7 +386,6 @@ def camera_calibrate(
         read_counts(folder),
         patterns.manifest.grid,
     )
-    common.check_writable(out)
     path = save_calibration(found, out)
     if as_json:
         common.print_json(

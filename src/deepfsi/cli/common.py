@@ -8,6 +8,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
+from deepfsi.cli import paths
 from deepfsi.errors import InputError
 from deepfsi.progress import Report, terminal_bar
 
@@ -20,6 +23,12 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.design.artifact import Design
     from deepfsi.sweeps.results import Data
+
+
+def help_if_bare(context: typer.Context) -> None:
+    """Print the help of a group of commands that is given without one."""
+    if context.invoked_subcommand is None:
+        print(context.get_help())
 
 
 def load(
@@ -39,6 +48,15 @@ def load(
     return view_dataset(scenes, load_calibration(view))
 
 
+def check_data(source: str, view: Path | None = None) -> None:
+    """Raise `InputError` unless there is such data, and a folder of the camera's view of it."""
+    from deepfsi.datasets import check_source
+
+    check_source(source)
+    if view is not None:
+        paths.check_there(view, "the folder of a camera's calibration")
+
+
 def print_data(data: "Dataset | Data") -> None:
     """Say in one line what was done to the scenes of a data set."""
     print(f"data: {data.name}. {data.preprocessing}")
@@ -54,19 +72,6 @@ def open_design(path: Path, trust: bool = False) -> "Design":
 
     made = Design.load(path / "design.safetensors", trust=trust)
     return made.as_shown(*check_patterns(path).realised)
-
-
-def check_file(path: Path, ending: str) -> None:
-    """Raise `InputError` unless a file can be written to that name."""
-    if path.is_dir():
-        raise InputError(f"{path} is a folder: give a file name ending in {ending}")
-    check_writable(path.parent)
-
-
-def check_picture(path: Path) -> None:
-    """Raise `InputError` unless a picture can be drawn to that name."""
-    if path.suffix.lower() not in (".png", ".svg", ".pdf") or path.is_dir():
-        raise InputError(f"cannot draw to {path}: end the name in .png, .svg or .pdf")
 
 
 def draw(figure: "Figure", path: Path) -> None:
@@ -98,20 +103,6 @@ def read_toml(name: str, file: "Traversable") -> dict[str, Any]:
         raise InputError(f"no file at {name}: give a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{name} is not TOML: {error}") from None
-
-
-def check_writable(folder: Path) -> None:
-    """Fail before the work rather than after it, and leave nothing behind."""
-    import tempfile
-
-    there = next(each for each in (folder, *folder.parents) if each.exists())
-    try:
-        with tempfile.TemporaryFile(dir=there):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"cannot write to {folder}: {error.strerror}; choose another place with -o"
-        ) from None
 
 
 def command_line() -> str:

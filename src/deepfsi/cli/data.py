@@ -5,10 +5,11 @@ from typing import Annotated
 
 import typer
 
-from deepfsi.cli import common, options
+from deepfsi.cli import common, options, paths
 
 app = typer.Typer(
-    no_args_is_help=True,
+    invoke_without_command=True,
+    callback=common.help_if_bare,
     help="Data sets by name: what there is, fetch it, check it.\n\nExample: deepfsi data list",
 )
 
@@ -73,6 +74,7 @@ def data_export(
 
     Example: deepfsi data export mnist --per-class 2 -o images
     """
+    paths.check_new_folder(out)
     from deepfsi.datasets import write_display
 
     written = write_display(common.load(name, options.size_of(size)), out, per_class, seed)

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options
+from deepfsi.cli import common, options, paths
+from deepfsi.cli.recipes import check_recipe
 
 
 def export(
@@ -26,11 +27,12 @@ def export(
 
     Example: deepfsi export digits.safetensors -o digits.onnx
     """
+    paths.check_design(file)
+    target = out or file.with_suffix(".onnx")
+    paths.check_file(target, (".onnx",))
     from deepfsi.design.onnx_graph import to_onnx
     from deepfsi.files import write_atomically
 
-    target = out or file.with_suffix(".onnx")
-    common.check_file(target, ".onnx")
     design = common.open_design(file, trust)
     write_atomically(target, to_onnx(design))
     shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
@@ -72,16 +74,17 @@ def plan(
 
     Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
     """
+    paths.check_folder(out)
+    common.check_data(data)
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.results import write_results
     from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
-    recipe = options.recipe_from(context.params, {"ratios": (0.01, 0.04, 0.16)})
-    scenes = common.load(data, options.size_of(size))
+    asked = options.recipe_settings(context.params, {"ratios": (0.01, 0.04, 0.16)})
+    recipe, scenes = check_recipe(asked)
     check_plan(recipe, scenes, accuracy)
-    common.check_writable(out)
     with common.progress("plan", quiet=as_json) as report:
         found, results = photons_needed(
             recipe,

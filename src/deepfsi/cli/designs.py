@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepfsi.cli import common, options
+from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ def design(
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
+    paths.check_file(out, paths.DESIGNS)
+    common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.training.learning import learn
 
@@ -52,7 +54,6 @@ def design(
     budgets = dict.fromkeys(options.budget_range(photons))
     scenes = common.load(data, options.size_of(size), view)
     settings = options.job_settings(context.params, scenes, own)
-    common.check_file(out, ".safetensors")
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     with common.progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
         made = learn(shown, matrix=own, device=device, report=report, **settings)
@@ -95,6 +96,8 @@ def evaluate(
 
     Example: deepfsi evaluate digits.safetensors --data mnist --photons 1e2,1e3,1e4
     """
+    paths.check_design(file)
+    common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.training.training_set import find_device
 
@@ -152,6 +155,8 @@ def stop(
 
     Example: deepfsi stop nested.safetensors --data mnist --photons 1e5 --hold-out 10000
     """
+    paths.check_design(file)
+    common.check_data(data)
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import stop as run
     from deepfsi.training.training_set import find_device
@@ -206,14 +211,14 @@ def show(
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
+    paths.check_design(file)
+    paths.check_file(out, paths.PICTURES)
     from deepfsi.design.artifact import Design
     from deepfsi.report.masks import masks_figure
 
-    common.check_picture(out)
     if count < 1:
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = Design.load(file)
-    common.check_writable(out.parent)
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
     figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)

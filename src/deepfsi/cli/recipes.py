@@ -1,11 +1,18 @@
 """Recipes: by the name of one that comes with the package, or a TOML file of one's own."""
 
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from deepfsi.cli import common
 from deepfsi.errors import InputError, closest
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from deepfsi.datasets import Dataset
+    from deepfsi.sweeps.recipe import Recipe
 
 SHIPPED = files("deepfsi") / "experiments" / "recipes"
 """Folder of the recipes that come with the package."""
@@ -23,3 +30,15 @@ def read_recipe(source: str) -> dict[str, Any]:
     if "patch" in file:
         raise InputError(f"{source} is a recipe of patches: run it by `deepfsi reproduce ovit`")
     return file
+
+
+def check_recipe(
+    settings: Mapping[str, Any], matrix: "np.ndarray | None" = None
+) -> "tuple[Recipe, Dataset]":
+    """Recipe of settings and its data, or `InputError` that names every mistake."""
+    from deepfsi.sweeps import recipe_check
+
+    def load(recipe: "Recipe") -> "Dataset":
+        return common.load(recipe.data, recipe.size, split=recipe.split)
+
+    return recipe_check.check_recipe(settings, load, matrix)

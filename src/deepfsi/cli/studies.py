@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options
-from deepfsi.cli.recipes import read_recipe
-from deepfsi.errors import as_input_error
+from deepfsi.cli import common, options, paths
+from deepfsi.cli.recipes import check_recipe, read_recipe
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from deepfsi.datasets import Dataset
     from deepfsi.report.section import Section
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.results import Results
@@ -54,20 +54,22 @@ def compare(
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
+    paths.check_folder(out)
+    common.check_data(data)
+    base: dict[str, Any] = {}
+    if recipe:
+        base = read_recipe(recipe)
     from deepfsi.sweeps.recipe import only
 
     own = common.read_matrix(matrix)
     asked = dict(context.params)
-    base: dict[str, Any] = {}
     if recipe:
-        base = only(read_recipe(recipe))
+        base = only(base)
         source = context.get_parameter_source("data")
         asked["data"] = data if source and source.name == "COMMANDLINE" else None
     elif data == "digits" and not (ratios or masks or trials):
         base = QUICK
-    chosen = options.recipe_from(asked, base)
-    if own is not None and "custom" not in chosen.designs:
-        chosen = chosen.model_copy(update={"designs": (*chosen.designs, "custom")})
+    chosen = check_recipe(options.recipe_settings(asked, base), own)
     results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
     _finish(results, out, as_json)
 
@@ -99,18 +101,18 @@ def sweep(
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
-    from deepfsi.sweeps.recipe import Recipe, only
-    from deepfsi.sweeps.records import check_table, write_table
-
+    if not dry_run:
+        paths.check_folder(out)
     if table is not None:
-        check_table(table)
-    with as_input_error():
-        chosen = Recipe.model_validate(only(read_recipe(recipe), part, quick))
+        paths.check_file(table, paths.TABLES, made=out)
+    file = read_recipe(recipe)
+    from deepfsi.sweeps.recipe import only
+    from deepfsi.sweeps.records import write_table
+
+    chosen = check_recipe(only(file, part, quick))
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return
-    if table is not None:
-        common.check_writable(table.parent)
     results, records = _run(chosen, out, "sweep", as_json, device=device, workers=workers, ray=ray)
     _finish(results, out, as_json)
     if table is not None:
@@ -154,7 +156,7 @@ def reproduce(
         _list_experiments(as_json)
         return
     chosen = experiments.find(name)
-    common.check_writable(out)
+    paths.check_folder(out)
     for each in chosen:
         with common.progress(each.name, quiet=as_json) as report:
             each.run(
@@ -185,6 +187,7 @@ def report(
 
     Example: deepfsi report runs/paper
     """
+    paths.check_there(folder, "the output of compare, sweep or reproduce")
     from deepfsi import experiments
     from deepfsi.report.comparison_page import build
 
@@ -219,7 +222,7 @@ def _print_claims(section: "Section") -> None:
 
 
 def _run(
-    recipe: "Recipe",
+    chosen: "tuple[Recipe, Dataset]",
     out: Path,
     what: str,
     quiet: bool,
@@ -232,12 +235,9 @@ def _run(
     from deepfsi.sweeps.run import compare as run
     from deepfsi.sweeps.workers import Workers
 
-    scenes = common.load(recipe.data, recipe.size, split=recipe.split)
-    common.check_writable(out)
     with common.progress(what, quiet=quiet) as report:
         return run(
-            recipe,
-            scenes,
+            *chosen,
             out,
             command=common.command_line(),
             matrix=matrix,
@@ -261,14 +261,19 @@ def _finish(results: "Results", out: Path, as_json: bool) -> None:
     print(f"report: {page}")
 
 
-def _forecast(recipe: "Recipe", out: Path, device: str, workers: int | None, as_json: bool) -> None:
+def _forecast(
+    chosen: "tuple[Recipe, Dataset]",
+    out: Path,
+    device: str,
+    workers: int | None,
+    as_json: bool,
+) -> None:
     from dataclasses import asdict
 
     from deepfsi.sweeps.forecast import forecast_cost
 
-    scenes = common.load(recipe.data, recipe.size, split=recipe.split)
     with common.progress("timing a few steps of each kind", quiet=as_json):
-        expected = forecast_cost(recipe, scenes, out, device, workers)
+        expected = forecast_cost(*chosen, out, device, workers)
     if as_json:
         common.print_json(asdict(expected))
         return

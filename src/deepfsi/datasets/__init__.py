@@ -11,7 +11,7 @@ from deepfsi.datasets.catalog import check, download, list_datasets
 from deepfsi.datasets.conditions import ambient, jitter
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.display import read_display, write_display, write_pictures
-from deepfsi.datasets.load import Source, as_dataset, load_dataset, load_spectra
+from deepfsi.datasets.load import Source, as_dataset, check_source, load_dataset, load_spectra
 from deepfsi.datasets.spectra import SpectralImage
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "ambient",
     "as_dataset",
     "check",
+    "check_source",
     "download",
     "from_arrays",
     "jitter",

@@ -3,6 +3,7 @@
 A picture is what the display shows: grey levels 0 to 255 are reflectance 0 to 1.
 """
 
+import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -104,5 +105,7 @@ def write_pictures(
         for name, picture in pictures.items():
             path = draft / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(np.rint(picture * 255).astype(np.uint8)).save(path, format="PNG")
+            drawn = io.BytesIO()  # a full disk is then an error of the file, not of its format
+            Image.fromarray(np.rint(picture * 255).astype(np.uint8)).save(drawn, format="PNG")
+            path.write_bytes(drawn.getvalue())
     return [Path(folder) / name for name in pictures]

@@ -114,6 +114,12 @@ def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:
     return read_cube(_existing(name))
 
 
+def check_source(source: str) -> None:
+    """Raise `InputError` unless a name is known or there is something at a path."""
+    if source not in NAMES:
+        _existing(source)
+
+
 def _existing(name: str) -> Path:
     path = Path(name).expanduser()
     if name and path.exists():

@@ -144,7 +144,7 @@ def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
             text = (file.metadata() or {})["deepfsi"]
             tensors = {k: torch.from_numpy(file.get_tensor(k)) for k in file.keys()}  # noqa: SIM118
         schema = int(json.loads(text)["schema"])
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise _damaged(path) from error
     if schema > SCHEMA:
         raise InputError(

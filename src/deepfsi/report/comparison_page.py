@@ -80,7 +80,7 @@ def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
         with safe_open(path, framework="numpy") as file:
             header = json.loads(file.metadata()["deepfsi"])
             return file.get_tensor("rails"), tuple(header["image_shape"])
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
 
 

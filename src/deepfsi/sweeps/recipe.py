@@ -36,14 +36,21 @@ TRAINING_NOISE: dict[Physical, TrainingNoise] = {
     "none": "none",
 }
 
+RATIOS_OR_MASKS = "give ratios or masks, not both"
+"""Said where a recipe has both."""
+
 MASK_SETTINGS = ("start", "mask_lr", "precision")
 """Settings of the training that only learned masks have."""
 
 
-def _axis(value: Any) -> Any:
+def axis(value: Any) -> Any:
+    """Values of an axis, each once; a single value is an axis of one."""
     if not isinstance(value, (list, tuple)):
         return (value,)
-    return tuple(each for place, each in enumerate(value) if each not in value[:place])
+    try:
+        return tuple(dict.fromkeys(value))
+    except TypeError:  # of tables or lists: they are refused one by one
+        return tuple(value)
 
 
 def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
@@ -69,8 +76,22 @@ def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
     return axes
 
 
-def _tuned(given: dict[str, dict[str, Any]]) -> dict[str, dict[str, tuple[Any, ...]]]:
-    return {codes.check_design(design): _settings(own) for design, own in given.items()}
+def _tuned(given: dict[str, Any]) -> dict[str, dict[str, tuple[Any, ...]]]:
+    axes, faults = {}, []
+    for design, own in given.items():
+        try:
+            codes.check_design(design)
+        except InputError as error:
+            faults.append(str(error))
+        try:
+            if not isinstance(own, dict):
+                raise ValueError(f"{own!r} is no table of training settings")
+            axes[design] = _settings(own)
+        except ValueError as error:
+            faults.append(f"{design}: {error}")
+    if faults:
+        raise ValueError("; ".join(faults))
+    return axes
 
 
 Name = Annotated[str, AfterValidator(codes.check_design)]
@@ -79,7 +100,7 @@ Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
 Value = TypeVar("Value")
-Axis = Annotated[tuple[Value, ...], BeforeValidator(_axis)]
+Axis = Annotated[tuple[Value, ...], BeforeValidator(axis)]
 Filled = Annotated[Axis[Value], Field(min_length=1)]
 
 
@@ -131,7 +152,7 @@ class Recipe(BaseModel):
         description="grey levels, dark included, of the masks shown in the tests; 0: continuous",
     )
     training: Axes = Field({}, description="fields of TrainingSettings, for every design")
-    tuned: Annotated[dict[str, dict[str, Any]], AfterValidator(_tuned)] = Field(
+    tuned: Annotated[dict[str, Any], AfterValidator(_tuned)] = Field(
         {}, description="the same for single designs"
     )
     resources: Resources = Resources()
@@ -139,14 +160,19 @@ class Recipe(BaseModel):
     @model_validator(mode="after")
     def _one_or_the_other(self) -> "Recipe":
         if self.ratios and self.masks:
-            raise ValueError("give ratios or masks, not both")
+            raise ValueError(RATIOS_OR_MASKS)
         return self
 
-    def trainings(self, design: str) -> Iterator[tuple[str, TrainingSettings]]:
-        """Every setting of the training of a design, with a name where there are several."""
+    def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
+        """Values of each setting of the training of a design."""
         axes = {**self.training, **self.tuned.get(design, {})}
         if not (codes.DESIGNS[design].learned or design == "control"):
             axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
+        return axes
+
+    def trainings(self, design: str) -> Iterator[tuple[str, TrainingSettings]]:
+        """Every setting of the training of a design, with a name where there are several."""
+        axes = self.training_axes(design)
         several = [name for name, values in axes.items() if len(values) > 1]
         for values in product(*axes.values()):
             chosen = dict(zip(axes, values, strict=True))

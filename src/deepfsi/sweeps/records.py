@@ -175,16 +175,11 @@ def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
 
     import polars
 
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise InputError(f"no table can be written to {path}: end the name in .csv or .parquet")
     table, whole = polars.DataFrame(rows(records), infer_schema_length=None), io.BytesIO()
-    if check_table(path) == ".csv":
+    if path.suffix.lower() == ".csv":
         table.write_csv(whole)
     else:
         table.write_parquet(whole)
     return write_atomically(path, whole.getvalue())
-
-
-def check_table(path: Path) -> str:
-    """End of a table's name, or `InputError` if it is not one that can be written."""
-    if path.suffix not in (".csv", ".parquet"):
-        raise InputError(f"no table can be written to {path}: end the name in .csv or .parquet")
-    return path.suffix

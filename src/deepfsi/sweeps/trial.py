@@ -1,7 +1,8 @@
 """A trial, one training and its tests, and the trials of a recipe."""
 
 import hashlib
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
@@ -11,10 +12,14 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.imports import source_hash
 from deepfsi.optics import codes
+from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.noise import Noise
 from deepfsi.sweeps.recipe import Physical, Recipe
 from deepfsi.sweeps.records import content_hash
-from deepfsi.training.job import REVISION, Job, check_job
+from deepfsi.training.job import REVISION, Job, job_faults
+
+MOST_TRIALS = 100_000
+"""Trials of one recipe: months of training, and records that still fit the memory."""
 
 SCHEMA = 2
 """Version of what the keys of trials are hashes of."""
@@ -69,58 +74,104 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
     Raises
     ------
     InputError
-        If a trial asks for what its data or constraint does not allow.
+        That names all that its data or a constraint does not allow.
     """
-    for count in recipe.masks:
-        if count > data.pixels:
-            raise InputError(
-                f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
-            )
+    if faults := [*mask_faults(recipe, data), *trial_faults(recipe, data, matrix)]:
+        raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
     for noise, variant, job in _jobs(recipe, data, matrix):
-        own = matrix if job.design == "custom" else None
-        check_job(job, data, own)
-        test_noise = recipe.test_noise or (noise,)
-        if job.training.looks > 1 and "gaussian" in test_noise:
-            raise InputError(
-                "several looks are tested under photon noise: leave gaussian out of test_noise"
-            )
         trial = Trial(
             job=job,
             variant=variant,
             data=data.name,
             data_hash=data.hash,
-            matrix_hash=_matrix_hash(own),
+            matrix_hash=_matrix_hash(matrix if job.design == "custom" else None),
             source_hash=_source_hash(job),
             validation=recipe.held_out(data),
             draws=recipe.draws,
             test_photons=recipe.test_photons or (job.photons,),
-            test_noise=test_noise,
+            test_noise=recipe.test_noise or (noise,),
             test_levels=recipe.test_levels,
         )
         trials[trial.key] = trial
-    if not trials:
-        raise InputError(
+    return list(trials.values())
+
+
+def mask_faults(recipe: Recipe, data: Dataset) -> list[str]:
+    """Numbers of masks, and of scenes to choose on, that the data does not have."""
+    faults = [
+        f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
+        for count in recipe.masks
+        if count > data.pixels
+    ]
+    if recipe.held_out(data):
+        try:
+            data.hold_out(recipe.held_out(data))
+        except InputError as error:
+            faults.append(str(error))
+    return faults
+
+
+def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
+    """Everything that trials of a recipe ask and that cannot be had, each once.
+
+    Parameters as of `plan`.
+    """
+    count = count_trials(recipe, data, matrix)
+    if count > MOST_TRIALS:
+        return [f"{count} trials are not allowed: a recipe has at most {MOST_TRIALS}; take less"]
+    if not count:
+        return [
             f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
             f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
             f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
-        )
-    return list(trials.values())
+        ]
+    found: dict[str, None] = {}
+    for noise, _, job in _jobs(recipe, data, matrix):
+        own = matrix if job.design == "custom" else None
+        found |= dict.fromkeys(job_faults(job, data, own))
+        if job.training.looks > 1 and "gaussian" in (recipe.test_noise or (noise,)):
+            found[
+                "several looks are tested under photon noise: leave gaussian out of test_noise"
+            ] = None
+    return list(found)
+
+
+def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> int:
+    """Number of trials of a recipe, by the lengths of its axes.
+
+    Parameters as of `plan`.
+    """
+    return sum(
+        len(_counts(recipe, design, data, matrix))
+        * len(recipe.train_noises(noise))
+        * math.prod(map(len, recipe.training_axes(design).values()))
+        * recipe.trials
+        * len(recipe.budgets(noise))
+        for design, noise, _, _ in _kinds(recipe)
+    )
+
+
+def _kinds(recipe: Recipe) -> Iterator[tuple[str, Physical, Light, Rails]]:
+    """Yield design, noise of the tests, light and rails of all that can be."""
+    for kind in product(recipe.designs, recipe.noise, recipe.light, recipe.rails):
+        if _possible(*kind):
+            yield kind
+
+
+def _counts(recipe: Recipe, design: str, data: Dataset, matrix: np.ndarray | None) -> Sequence[int]:
+    if design == "custom" and matrix is not None:
+        return [len(matrix)]
+    return recipe.mask_counts(design, data)
 
 
 def _jobs(
     recipe: Recipe, data: Dataset, matrix: np.ndarray | None
 ) -> Iterator[tuple[Physical, str, Job]]:
     """Yield noise of the tests, variant of the training and job of every trial that can be."""
-    for design, noise, light, rails in product(
-        recipe.designs, recipe.noise, recipe.light, recipe.rails
-    ):
-        if not _possible(design, noise, light, rails):
-            continue
-        own = matrix if design == "custom" else None
-        counts = recipe.mask_counts(design, data) if own is None else [len(own)]
+    for design, noise, light, rails in _kinds(recipe):
         for masks, train_noise, (variant, training), seed, photons in product(
-            counts,
+            _counts(recipe, design, data, matrix),
             recipe.train_noises(noise),
             recipe.trainings(design),
             range(recipe.trials),

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.conditioning import Conditioning
@@ -233,31 +234,54 @@ def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None
     matrix : array, shape (m, N), optional
         Of a "custom" design.
     """
+    if faults := job_faults(job, data, matrix):
+        raise InputError("; ".join(faults))
+
+
+def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
+    """Everything that a job asks and that cannot be had on this data.
+
+    Parameters as for `check_job`.
+    """
+    faults = _classifier_faults(job.training)
     if job.training.looks > 1:
-        _check_looks(job)
+        faults += _look_faults(job)
     if job.training.conditioned and job.noise != "ml_gauss":
-        raise InputError(
+        faults.append(
             "a range of budgets and nested masks are trained under ml_gauss: leave `noise` and "
             "`train_noise` out"
         )
     if job.training.nested > job.masks:
-        raise InputError(
+        faults.append(
             f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
             f"{job.masks}"
         )
-    _check_classifier(job.training)
     if job.design == "hadamard" and job.rails == "single":
-        raise InputError("hadamard is signed: use dual rails, or the s-matrix")
+        faults.append("hadamard is signed: use dual rails, or the s-matrix")
     if (matrix is not None) != (job.design == "custom"):
-        raise InputError(
+        faults.append(
             'a matrix goes with the custom design, and only with it: give `design="custom"` and '
             "`matrix`, or neither"
         )
-    constraints.check_light(*job.optics)
-    if matrix is None:
-        codes.check_count(job.design, job.masks, data)
-    else:
-        codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
+    try:
+        constraints.check_light(*job.optics)
+        if matrix is None:
+            codes.check_count(job.design, job.masks, data)
+        else:
+            codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
+            own_rails(matrix, *job.optics)
+    except InputError as error:
+        faults.append(str(error))
+    return faults
+
+
+def own_rails(matrix: np.ndarray, light: Light, rails: Rails) -> Tensor:
+    """Rails (2 or 1, m, N) of a user's matrix (m, N), or `InputError` if it breaks its constraint.
+
+    Parameters as for `constraints.expand`.
+    """
+    signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
+    return constraints.check(constraints.expand(signed, light, rails), light)
 
 
 def check_jobs(
@@ -279,31 +303,34 @@ def check_jobs(
     return jobs[0]
 
 
-def _check_classifier(settings: TrainingSettings) -> None:
-    usual = TrainingSettings()
+def _classifier_faults(settings: TrainingSettings) -> list[str]:
+    usual, faults = TrainingSettings(), []
     if settings.own and (settings.hidden, settings.dropout) != (usual.hidden, usual.dropout):
-        raise InputError(
+        faults.append(
             "`hidden` and `dropout` are of the usual classifier: give them to a classifier of your "
             "own as its arguments"
         )
     if settings.classifier_arguments and not settings.own:
-        raise InputError("arguments of a classifier go with one of your own: give `classifier`")
+        faults.append("arguments of a classifier go with one of your own: give `classifier`")
+    return faults
 
 
-def _check_looks(job: Job) -> None:
+def _look_faults(job: Job) -> list[str]:
+    faults = []
     if job.design in ("impulse", "control", "custom"):
-        raise InputError(
+        faults.append(
             f"{job.design} has one look only: several looks are for deepfsi and for named designs "
             "that one device shows"
         )
     if job.optics != ("free-dwell", "single"):
         light, rails = job.optics
-        raise InputError(
+        faults.append(
             f"several looks choose how long one device shows each frame, not {light} with {rails} "
             'rails: use `light="free-dwell"` and `rails="single"`'
         )
     if job.training.conditioned or job.noise not in ("ml_gauss", "poisson"):
-        raise InputError(
+        faults.append(
             "several looks are for one budget under photon noise: leave a range of budgets, "
             "`nested` and gaussian noise out"
         )
+    return faults

@@ -35,6 +35,7 @@ from deepfsi.training.job import (
     TrainingNoise,
     TrainingSettings,
     check_jobs,
+    own_rails,
     training_for,
 )
 from deepfsi.training.loop import Classifier, optimise
@@ -230,16 +231,14 @@ def _initial_masks(
     light, rails = job.optics
     levels, several = job.training.levels, job.training.looks > 1
     if matrix is not None:
-        signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32)).unsqueeze(0)
-    else:
-        seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
-        signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
+        own = own_rails(matrix, light, rails).unsqueeze(0)
+        return Fixed(quantise(own, light, levels) if levels else own)
+    seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
+    signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
     if job.code.learned:
         start = signed[..., training_set.pixels(light).cpu()].expand(len(jobs), -1, -1).clone()
         return Learned(start, "equal-dwell" if several else light, rails, levels)
-    if matrix is not None:
-        fitted = constraints.check(constraints.expand(signed[0], light, rails), light).unsqueeze(0)
-    elif job.design == "raster":  # its scale is what defines it
+    if job.design == "raster":  # its scale is what defines it
         fitted = signed.unsqueeze(1)
     else:
         fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])

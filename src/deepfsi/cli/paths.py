@@ -1,0 +1,72 @@
+"""Paths that a command reads or writes, checked before its work and before heavy imports."""
+
+import tempfile
+from pathlib import Path
+
+from deepfsi.errors import InputError
+
+DESIGNS = (".safetensors",)
+PICTURES = (".png", ".svg", ".pdf")
+TABLES = (".csv", ".parquet")
+"""Ends of the names of files."""
+
+
+def check_design(path: Path) -> None:
+    """Raise `InputError` unless there is a file, or a folder of patterns, at the path."""
+    if path.exists():
+        return
+    longer = path.with_name(f"{path.name}.safetensors")
+    advice = f"did you mean {longer}?" if longer.is_file() else "make one with `deepfsi design`"
+    raise InputError(f"no design file at {path}: {advice}")
+
+
+def check_there(path: Path, what: str) -> None:
+    """Raise `InputError` unless there is something at the path, which should be `what`."""
+    if not path.exists():
+        raise InputError(f"there is nothing at {path}: give {what}")
+
+
+def check_file(path: Path, ends: tuple[str, ...], made: Path | None = None) -> None:
+    """Raise `InputError` unless a file can be written to a path.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder is there, or is `made` or above that.
+    ends : tuple of str
+        Of its name.
+    made : Path, optional
+        Folder that the command makes.
+    """
+    allowed = " or ".join(ends)
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: give a file name ending in {allowed}")
+    if path.suffix.lower() not in ends:
+        raise InputError(f"cannot write to {path}: end the name in {allowed}")
+    if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    _check_writable(path, path.parent)
+
+
+def check_folder(path: Path) -> None:
+    """Raise `InputError` unless a command can write into a folder, which it makes if need be."""
+    _check_writable(path, path)
+
+
+def check_new_folder(path: Path) -> None:
+    """Raise `InputError` unless a command can make a folder, or fill an empty one."""
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{path} exists already: give a new folder")
+    _check_writable(path, path.parent)
+
+
+def _check_writable(path: Path, folder: Path) -> None:
+    """Make a file in the folder, or in the lowest one above that is there, and leave nothing."""
+    there = next(each for each in (folder, *folder.parents) if each.exists())
+    if not there.is_dir():
+        raise InputError(f"cannot write to {path}: {there} is a file; give another place")
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise InputError(f"cannot write to {path}: {error.strerror}; give another place") from None

@@ -1,0 +1,109 @@
+"""A recipe checked with its data: every mistake in it is named at once, before any work."""
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError, faults
+from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
+from deepfsi.sweeps.trial import mask_faults, trial_faults
+
+SOURCE = {"data", "size", "split"}
+"""Fields that say which data to load."""
+
+OPTICS = {"designs", "light", "rails", "train_noise"}
+"""Fields whose defaults would make mistakes of their own in place of those that are lost."""
+
+
+def check_recipe(
+    settings: Mapping[str, Any],
+    load: Callable[[Recipe], Dataset],
+    matrix: np.ndarray | None = None,
+) -> tuple[Recipe, Dataset]:
+    """Recipe of settings, and its data.
+
+    Parameters
+    ----------
+    settings : mapping
+        Fields of a `Recipe`.
+    load : callable
+        Recipe → its data.
+    matrix : array, shape (m, N), optional
+        Sensing matrix of the design "custom", which is then added.
+
+    Raises
+    ------
+    InputError
+        That names every mistake: of the fields, and, as far as these are sound, of the data and the
+        trials.
+    """
+    recipe, found, lost = _read(settings)
+    if matrix is not None and "custom" not in recipe.designs:
+        recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})
+    data = None if lost & SOURCE else _loaded(recipe, load, found)
+    if data is not None:
+        found += mask_faults(recipe, data)
+        found += [] if lost & OPTICS else trial_faults(recipe, data, matrix)
+    if found or data is None:
+        raise InputError("; ".join(found))
+    return recipe, data
+
+
+def _loaded(recipe: Recipe, load: Callable[[Recipe], Dataset], found: list[str]) -> Dataset | None:
+    """Data of a recipe, if need be without size and split; what is wrong is added to `found`."""
+    try:
+        return load(recipe)
+    except InputError as error:
+        found.append(str(error))
+    if recipe.size is None and recipe.split is None:
+        return None
+    try:
+        return load(recipe.model_copy(update={"size": None, "split": None}))
+    except InputError:
+        return None
+
+
+def _read(settings: Mapping[str, Any]) -> tuple[Recipe, list[str], set[str]]:
+    """Recipe of what is sound of settings, what is wrong, and the fields that are lost."""
+    try:
+        return Recipe.model_validate(settings), [], set()
+    except ValidationError as error:
+        found = faults(error)
+        sound = _sound(settings, error)
+    if settings.get("ratios") and settings.get("masks"):
+        found = list(dict.fromkeys([*found, RATIOS_OR_MASKS]))
+        sound.pop("ratios", None)
+    try:
+        return Recipe.model_validate(sound), found, set(settings) - set(sound)
+    except ValidationError as error:  # what a part of a field cannot be without the other
+        left = {name: sound[name] for name in set(sound) - {e["loc"][0] for e in error.errors()}}
+        return Recipe.model_validate(left), found, set(settings) - set(left)
+
+
+def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
+    """Settings without the wrong ones: of lists their wrong items, else the whole field."""
+    wrong = defaultdict(list)
+    for fault in error.errors():
+        if fault["loc"]:
+            wrong[fault["loc"][0]].append(fault["loc"][1:])
+    sound = dict(settings)
+    for name, places in wrong.items():
+        value = sound.pop(str(name))
+        if name == "training" and isinstance(value, dict):
+            sound["training"] = {key: each for key, each in value.items() if _trains(key, each)}
+        elif all(place and isinstance(place[0], int) for place in places):
+            bad = {place[0] for place in places}
+            left = [each for number, each in enumerate(axis(value)) if number not in bad]
+            sound |= {str(name): left} if left else {}
+    return sound
+
+
+def _trains(name: str, value: Any) -> bool:
+    try:
+        return bool(Recipe.model_validate({"training": {name: value}}))
+    except ValidationError:
+        return False
