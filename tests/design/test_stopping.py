@@ -99,6 +99,30 @@ def test_the_choice_keeps_the_accuracy_of_the_scenes_it_was_made_on(stopped):
     assert stopped.validation["used"] < 1
 
 
+def test_the_interval_of_the_light_used_is_normal_over_images(nested, digits):
+    """One draw of each image: the stops are independent, and their shares give the spread."""
+    found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1)
+    _, used = nested.exposure.stops(nested.rails, nested.light)
+    shares, images = np.array(found.stops), len(digits.y_test)
+    variance = (shares @ used**2 - (shares @ used) ** 2) * images / (images - 1)
+    assert variance > 0
+    assert found.used.high - found.used.low == pytest.approx(2 * 1.96 * (variance / images) ** 0.5)
+
+
+def test_no_scene_has_a_say_in_its_own_temperature():
+    rng = np.random.default_rng(3)
+    logits, labels = 2 * rng.standard_normal((2, 120, 4)), rng.integers(4, size=60)
+    judging, rule = stopping.fit_temperatures(logits, labels, seed=0)
+    relabelled = np.append((labels[0] + 1) % 4, labels[1:])
+    again, changed = stopping.fit_temperatures(logits, relabelled, seed=0)
+    moved = (judging != again).any(axis=0).reshape(60, 2)
+    assert not moved[0].any()
+    assert moved.sum() == 60
+    assert (rule != changed).any()
+    each = [np.unique(temperatures) for temperatures in judging]
+    assert rule == pytest.approx([np.sqrt(pair.prod()) for pair in each])
+
+
 def test_temperatures_make_confidence_honest(nested, digits, stopped):
     """A network three times as sure is found out, and then says what it said before."""
     loud = replace(nested, classifier=torch.nn.Sequential(nested.classifier, _Times(3.0)))

@@ -220,7 +220,9 @@ class _Answers:
     divide the logits at each stop.
     """
 
-    def __init__(self, logits: np.ndarray, labels: np.ndarray, temperatures: Sequence[Any]) -> None:
+    def __init__(
+        self, logits: np.ndarray, labels: np.ndarray, temperatures: np.ndarray | Sequence[float]
+    ) -> None:
         draws = logits.shape[1] // len(labels)
         self.images = np.repeat(np.arange(len(labels)), draws)
         labels = labels[self.images]
@@ -350,11 +352,11 @@ def stop(
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
     kept = _held_out(design, scenes, held_out)
     logits = logits_at_stops(design, kept.x_test, budget, draws, seed ^ 2**31)
-    halves, half = _temperatures(logits, kept.y_test, seed)
-    choice = _Answers(logits, kept.y_test, [np.where(half, b, a)[:, None] for a, b in halves])
+    judging, temperatures = fit_temperatures(logits, kept.y_test, seed)
+    choice = _Answers(logits, kept.y_test, judging[..., None])
     if threshold is None:
         threshold = choice.least_threshold(used)
-    rule = StoppingRule(after, tuple(np.sqrt(halves.prod(axis=1)).tolist()), float(threshold))
+    rule = StoppingRule(after, tuple(temperatures.tolist()), float(threshold))
     tested = logits_at_stops(design, scenes.x_test, budget, draws, seed)
     return _stopped(rule, _Answers(tested, scenes.y_test, rule.temperatures), choice, used, budget)
 
@@ -371,19 +373,33 @@ def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
     return kept
 
 
-def _temperatures(
+def fit_temperatures(
     logits: np.ndarray, labels: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Temperatures (K, 2) of two halves of the scenes, and the exposures (E,) of the first."""
+    """Temperatures that judge each exposure (K, E), and those of a rule (K,).
+
+    The scenes are split at random in two halves, and the exposures of either are judged with what
+    was fitted on the other: no scene has a say in its own confidence. A rule has the geometric
+    means of both.
+
+    Parameters
+    ----------
+    logits : array, shape (K, E, C)
+        From `logits_at_stops`.
+    labels : array of int, shape (n,)
+        Of the scenes.
+    seed : int
+        Of the halves.
+    """
     draws = logits.shape[1] // len(labels)
     # at random: the images of MNIST come from two sources by turns
     half = np.random.default_rng(seed).permutation(len(labels)).repeat(draws) % 2 == 0
     labels = labels.repeat(draws)
-    pairs = [
-        [_fit_temperature(each[part].astype(float), labels[part]) for part in (half, ~half)]
-        for each in logits
-    ]
-    return np.array(pairs), half
+    first, second = (
+        np.array([_fit_temperature(each[part].astype(float), labels[part]) for each in logits])
+        for part in (half, ~half)
+    )
+    return np.where(half, second[:, None], first[:, None]), np.sqrt(first * second)
 
 
 def _stopped(
