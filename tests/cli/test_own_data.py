@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from deepfsi import Design, from_arrays, learn
+
 
 def save_pictures(folder, counts, side=8, seed=0):
     """Write 12-bit pictures in 16-bit PNG files: each class a bright quarter and noise."""
@@ -42,3 +44,79 @@ def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, tmp_path)
     assert line in done("compare", *words).splitlines()
     facts = json.loads(done("compare", *words, "--json"))["data"]
     assert line == f"data: {facts['name']}. {facts['preprocessing']}"
+
+
+def test_a_design_remembers_its_data_size_and_camera(done, pictures, tmp_path, monkeypatch):
+    file = tmp_path / "leaves.safetensors"
+    monkeypatch.chdir(pictures.parent)  # told by a relative path
+    made = json.loads(
+        done("design", "--data", "leaves", "--size", "4x4", *TRAINED, "-o", file, "--json")
+    )
+    monkeypatch.chdir(tmp_path.parent)
+    words = ("evaluate", file, "--photons", "1e4", "--json")
+    found = json.loads(done(*words))
+    assert found["notes"] == []
+    assert found["results"] == made["tests"]
+    assert json.loads(done(*words, "--data", pictures, "--size", 4)) == found
+    memory = Design.load(file).info["data"]
+    assert memory["origin"]["data"] == str(pictures)
+    assert memory["origin"]["size"] == [4, 4]
+    assert memory["origin"]["white"] == 4095
+    assert f"trained on: {pictures} at 4x4" in done("show", file, "-o", tmp_path / "x.png")
+
+
+def test_a_design_remembers_what_was_held_out(done, refuse, tmp_path):
+    file = tmp_path / "nested.safetensors"
+    words = ["--photons", "1e3:1e5", "--masks", 4, "--nested", 2, "--epochs", 1]
+    words += ["--light", "free-dwell", "--rails", "single", "-o", file]
+    done("design", *words, "--hold-out", 321)
+    stop = ("stop", file, "--photons", "1e4", "--draws", 1)
+    found = json.loads(done(*stop, "--json"))
+    assert found == json.loads(done(*stop, "--hold-out", 321, "--json"))
+    assert found["notes"] == []
+    assert "321" in done("show", file, "-o", tmp_path / "x.png")
+    assert "without its last 300" in refuse(*stop, "--hold-out", 300)
+    done("design", *words)
+    assert "learn it with" in refuse(*stop)
+
+
+def test_a_design_says_when_it_is_told_otherwise(done, pictures, tmp_path):
+    file = tmp_path / "leaves.safetensors"
+    done("design", "--data", pictures, *TRAINED, "-o", file)
+    other = save_pictures(tmp_path / "more", {"ash": 20, "oak": 20, "yew": 20}, side=12, seed=9)
+    words = ("evaluate", file, "--photons", "1e4", "--data", other, "--size", 8)
+    [note] = [line for line in done(*words).splitlines() if line.startswith("note: ")]
+    assert note == f"note: the design was trained on {pictures}; this is {other} at 8x8"
+    assert "12 bits" in done(*words)
+    assert len(json.loads(done(*words, "--json"))["notes"]) == 1
+
+
+def test_data_that_changed_is_noticed_and_keeps_its_white(done, refuse, pictures, tmp_path):
+    file = tmp_path / "leaves.safetensors"
+    done("design", "--data", pictures, *TRAINED, "-o", file)
+    for path in (pictures / "ash").glob("00*.png"):
+        with Image.open(path) as image:
+            dim = (np.asarray(image) // 8).astype(np.uint16)
+        Image.fromarray(dim).save(path)
+    words = ("evaluate", file, "--photons", "1e4")
+    out = done(*words)
+    assert "note: " in out
+    assert "has changed since the design was trained" in out
+    assert "divided by 4095 (12 bits)" in out
+    Image.fromarray(np.full((8, 8), 60_000, np.uint16)).save(pictures / "ash" / "000.png")
+    assert "up to 60000, above white, 4095" in refuse(*words)
+    pictures.rename(tmp_path / "moved")
+    assert "give the data to test it on" in refuse(*words)
+
+
+def test_a_design_of_arrays_asks_for_data(refuse, done, tmp_path):
+    x = np.random.default_rng(0).random((60, 9))
+    file, npz = tmp_path / "arrays.safetensors", tmp_path / "scenes.npz"
+    data = from_arrays(x, np.arange(60) % 2)
+    learn(data, photons=1e4, masks=3, epochs=1, device="cpu").save(file)
+    words = ("evaluate", file, "--photons", "1e4")
+    assert "arrays in memory: give the data" in refuse(*words)
+    np.savez(npz, x=x, y=np.arange(60) % 2)
+    assert "note: " not in done(*words, "--data", npz), "they are the same"
+    np.savez(npz, x=x[:, ::-1], y=np.arange(60) % 2)
+    assert "is not the data that the design was trained on" in done(*words, "--data", npz)

@@ -43,23 +43,26 @@ def load(
     scenes = load_dataset(data, size=size, split=split)
     if view is None:
         return scenes
-    from deepfsi.hardware.calibration.view import load_calibration, view_dataset
+    from deepfsi.hardware.calibration.view import view_from
 
-    return view_dataset(scenes, load_calibration(view))
+    return view_from(scenes, view)
 
 
-def check_data(source: str, view: Path | None = None) -> None:
-    """Raise `InputError` unless there is such data, and a folder of the camera's view of it."""
+def check_data(source: str | None, view: Path | None = None) -> None:
+    """Raise `InputError` unless there is such data, if told, and the folder of a camera's view."""
     from deepfsi.datasets import check_source
 
-    check_source(source)
+    if source is not None:
+        check_source(source)
     if view is not None:
         paths.check_there(view, "the folder of a camera's calibration")
 
 
-def print_data(data: "Dataset | Data") -> None:
-    """Say in one line what was done to the scenes of a data set."""
+def print_data(data: "Dataset | Data", notes: Sequence[str] = ()) -> None:
+    """Say in one line what was done to the scenes of a data set, and notes on it."""
     print(f"data: {data.name}. {data.preprocessing}")
+    for note in notes:
+        print(f"note: {note}")
 
 
 def open_design(path: Path, trust: bool = False) -> "Design":

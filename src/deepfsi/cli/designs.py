@@ -78,7 +78,7 @@ def evaluate(
         Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
     ],
     photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
-    data: options.Data = "digits",
+    data: options.TestData = None,
     size: options.Size = None,
     noise: Annotated[str, typer.Option(help="poisson, gaussian, ml_gauss or none")] = "poisson",
     sigma: options.Sigma = 1.0,
@@ -94,28 +94,30 @@ def evaluate(
 ) -> None:
     """Test a design at any budgets, under exact photon noise.
 
-    Example: deepfsi evaluate digits.safetensors --data mnist --photons 1e2,1e3,1e4
+    On the test scenes of the data that it was trained on, which it remembers.
+
+    Example: deepfsi evaluate digits.safetensors --photons 1e2,1e3,1e4
     """
     paths.check_design(file)
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.design.memory import data_of
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
     made = common.open_design(file, trust).to(find_device(device))
     if first is not None:
         made = made.first(first)
-    scenes = common.load(data, options.size_of(size), view)
+    scenes, notes = data_of(made, data, options.size_of(size), view)
     with common.progress("evaluate", quiet=as_json) as report:
         results = test(
             made, scenes, budgets, noise=noise, sigma=sigma, draws=draws, seed=seed, report=report
         )
     if as_json:
-        common.print_json(
-            {"design": str(file), "results": [result.as_dict() for result in results]}
-        )
+        tests = [result.as_dict() for result in results]
+        common.print_json({"design": str(file), "notes": notes, "results": tests})
         return
-    common.print_data(scenes)
+    common.print_data(scenes, notes)
     rows = [
         (
             f"{r.photons:g}",
@@ -136,11 +138,13 @@ def stop(
         Path, typer.Argument(help="design file for one device, nested or of several looks")
     ],
     photons: Annotated[str, typer.Option(help="budget of a whole exposure")],
-    data: options.Data = "digits",
+    data: options.TestData = None,
     size: options.Size = None,
     hold_out: Annotated[
         int | None,
-        typer.Option(help="last training scenes that the training left out; a sixth unless given"),
+        typer.Option(
+            help="last training scenes that the training left out; as it was unless given"
+        ),
     ] = None,
     threshold: Annotated[
         float | None, typer.Option(help="confidence above which to stop; chosen unless given")
@@ -153,25 +157,28 @@ def stop(
 ) -> None:
     """Stop exposures as soon as their answer is sure enough, and say what that saves.
 
-    Example: deepfsi stop nested.safetensors --data mnist --photons 1e5 --hold-out 10000
+    Data and left-out scenes are those that the design remembers.
+
+    Example: deepfsi stop nested.safetensors --photons 1e5
     """
     paths.check_design(file)
     common.check_data(data)
     from deepfsi.design.artifact import Design
+    from deepfsi.design.memory import data_of
     from deepfsi.design.stopping import stop as run
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
     made = Design.load(file, find_device(device), trust=trust)
-    scenes = common.load(data, options.size_of(size))
+    scenes, notes = data_of(made, data, options.size_of(size))
     with common.progress("stop", quiet=as_json):
         found = run(
             made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
         )
     if as_json:
-        common.print_json({"design": str(file), **found.as_dict()})
+        common.print_json({"design": str(file), "notes": notes, **found.as_dict()})
         return
-    common.print_data(scenes)
+    common.print_data(scenes, notes)
     _print_stopped(found, _size(made))
 
 
@@ -214,6 +221,7 @@ def show(
     paths.check_design(file)
     paths.check_file(out, paths.PICTURES)
     from deepfsi.design.artifact import Design
+    from deepfsi.design.memory import memory_of
     from deepfsi.report.masks import masks_figure
 
     if count < 1:
@@ -223,6 +231,8 @@ def show(
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
     figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)
     common.draw(figure, out)
+    if memory := memory_of(made):
+        print(f"trained on: {memory.words}")
 
 
 def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:

@@ -23,6 +23,10 @@ Data = Annotated[
         "--data", help="name (deepfsi data list), folder or .zip of images, cube, or .npz"
     ),
 ]
+TestData = Annotated[
+    str | None,
+    typer.Option("--data", help="name or path, as for `design`; the design's own unless given"),
+]
 Size = Annotated[
     str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
 ]

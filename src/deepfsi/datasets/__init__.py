@@ -11,13 +11,24 @@ from deepfsi.datasets.catalog import check, download, list_datasets
 from deepfsi.datasets.conditions import ambient, jitter
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.display import read_display, write_display, write_pictures
-from deepfsi.datasets.load import Source, as_dataset, check_source, load_dataset, load_spectra
+from deepfsi.datasets.load import (
+    Source,
+    absolute,
+    as_dataset,
+    check_source,
+    load_dataset,
+    load_spectra,
+    takes,
+)
+from deepfsi.datasets.origin import Origin
 from deepfsi.datasets.spectra import SpectralImage
 
 __all__ = [
     "Dataset",
+    "Origin",
     "Source",
     "SpectralImage",
+    "absolute",
     "ambient",
     "as_dataset",
     "check",
@@ -29,6 +40,7 @@ __all__ = [
     "load_dataset",
     "load_spectra",
     "read_display",
+    "takes",
     "write_display",
     "write_pictures",
 ]

@@ -27,7 +27,7 @@ def ambient(data: Dataset, share: float) -> Dataset:
         ((x + stray) / (1 + stray)).astype(np.float32) for x in (data.x_train, data.x_test)
     )
     said = f"{data.preprocessing}; ambient light of {share:g} times the scenes' mean"
-    return replace(data, x_train=x_train, x_test=x_test, preprocessing=said)
+    return replace(data, x_train=x_train, x_test=x_test, preprocessing=said, origin=None)
 
 
 def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> Dataset:
@@ -63,7 +63,7 @@ def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> 
         _displaced(x, data.image_shape, shift, turn, rng) for x in (data.x_train, data.x_test)
     )
     said = f"{data.preprocessing}; displaced at random by {shift:g} pixels and {turn:g}° (1 σ)"
-    return replace(data, x_train=x_train, x_test=x_test, preprocessing=said)
+    return replace(data, x_train=x_train, x_test=x_test, preprocessing=said, origin=None)
 
 
 def _displaced(

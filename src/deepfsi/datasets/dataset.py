@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.datasets.origin import Origin
 from deepfsi.errors import InputError
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
@@ -38,6 +39,10 @@ class Dataset:
         padding. It describes and is not part of the hash.
     white : float or None
         Value of the source that became reflectance 1, where its type alone does not say it.
+    origin : Origin or None
+        What loads it again; None for arrays in memory, and for scenes changed after loading.
+    held_out : int
+        Training scenes that `hold_out` left out.
 
     Examples
     --------
@@ -59,6 +64,8 @@ class Dataset:
     preprocessing: str
     wavelengths: npt.NDArray[np.float64] | None = None
     white: float | None = None
+    origin: Origin | None = None
+    held_out: int = 0
 
     @property
     def pixels(self) -> int:
@@ -102,4 +109,5 @@ class Dataset:
             y_train=self.y_train[:rest],
             x_test=self.x_train[rest:],
             y_test=self.y_train[rest:],
+            held_out=count,
         )

@@ -1,14 +1,16 @@
 """Loading a data set by its name, from a path, or from arrays."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from deepfsi.datasets import cifar, idx, indian_pines
+from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.arrays import Options, Range, load_arrays, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.origin import Origin
 from deepfsi.datasets.pictures import load_pictures
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError, closest
@@ -68,10 +70,7 @@ def load_dataset(
         Value that is reflectance 1, of images and arrays of integers wider than a byte; by default
         that of the fewest bits that hold the largest value, as `deepfsi.datasets.values` says.
 
-    Raises
-    ------
-    InputError
-        If the source is unknown, missing or damaged, or an option cannot be used.
+    Raises `InputError` if the source is unknown, missing or damaged, or cannot take an option.
 
     Examples
     --------
@@ -83,7 +82,26 @@ def load_dataset(
     if isinstance(source, tuple):
         return _load_arrays(source, options)
     name = os.fspath(source)
-    return _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
+    _refuse(options, name if name in NAMES else _existing(name).name, takes(name))
+    data = _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
+    known = options._replace(size=pictures.as_shape(size), white=data.white)
+    return replace(data, origin=Origin(data=absolute(name), **known._asdict()))
+
+
+def absolute(source: str) -> str:
+    """Name of a data set as it is, absolute path of any other."""
+    return source if source in NAMES else str(Path(source).expanduser().absolute())
+
+
+def takes(source: str) -> tuple[str, ...]:
+    """Options of `load_dataset` that this source takes, and not every one does."""
+    if source in NAMES:
+        taken = dict.fromkeys(CIFAR, ("size", "images"))
+        return taken.get(source, ("split",) if source in indian_pines.SOURCES else ())
+    path = _existing(source)
+    if path.is_dir() or path.suffix.lower() == ".zip":
+        return ("size", "images", "white")
+    return ("split",) if path.suffix in SUFFIXES else ("white",)
 
 
 Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
@@ -136,7 +154,7 @@ def _existing(name: str) -> Path:
 
 
 def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
-    _refuse(options, "arrays", "white")
+    _refuse(options, "arrays", ("white",))
     if len(arrays) not in (2, 4):
         raise InputError(
             f"a tuple of {len(arrays)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
@@ -147,13 +165,10 @@ def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
 def _load_name(name: str, options: Options) -> Dataset:
     seed, rescale = options.seed, options.rescale
     if name in CIFAR:
-        _refuse(options, name, "size", "images")
         return cifar.load_cifar(name, options)
     if name in indian_pines.SOURCES:
-        _refuse(options, name, "split")
         scene = indian_pines.load_scene(name)
         return scene.dataset(options.split or "random", seed, indian_pines.BANDS, rescale)
-    _refuse(options, name)
     if name == "digits":
         from sklearn.datasets import load_digits
 
@@ -171,17 +186,14 @@ def _load_name(name: str, options: Options) -> Dataset:
 
 def _load_path(path: Path, options: Options) -> Dataset:
     if path.is_dir() or path.suffix.lower() == ".zip":
-        _refuse(options, path.name, "size", "images", "white")
         return load_pictures(path, options)
     if path.suffix in SUFFIXES:
-        _refuse(options, path.name, "split")
         split = options.split or "random"
         return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
-    _refuse(options, path.name, "white")
     return load_npz(path, options)
 
 
-def _refuse(options: Options, name: str, *taken: str) -> None:
+def _refuse(options: Options, name: str, taken: tuple[str, ...]) -> None:
     """Raise `InputError` for an option that is given but not among those that a source takes."""
     for option, (what, who) in TAKERS.items():
         if option not in taken and getattr(options, option) is not None:

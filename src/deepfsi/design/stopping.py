@@ -25,6 +25,7 @@ from scipy.special import log_softmax, logsumexp
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import check_data, check_draws
+from deepfsi.design.memory import memory_of
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.statistics.intervals import wilson
@@ -328,7 +329,7 @@ def stop(
     photons : float
         Budget Φ of the whole exposure.
     held_out : int, optional
-        Last training scenes that the training left out; a sixth unless given.
+        Last training scenes that the training left out; as the design remembers unless given.
     threshold : float, optional
         Confidence above which to stop, 0 to 1; chosen unless given.
     draws : int
@@ -363,8 +364,11 @@ def stop(
 
 def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
     """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
+    memory = memory_of(design)
+    if count is None and memory:
+        count = memory.held_out or None
     kept = data.hold_out(count)
-    if kept.hash != design.info.get("data", {}).get("hash"):
+    if memory is None or kept.hash != memory.hash:
         raise InputError(
             f"this design was not trained on {data.name} without its last {len(kept.y_test)} "
             "training scenes, which calibrate its confidence: learn it with "

@@ -14,6 +14,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.exposure import FixedDwells
+from deepfsi.design.memory import Memory
 from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
@@ -340,7 +341,7 @@ def provenance(
     """Provenance of a design for `Design.info`, from parameters of its training."""
     return {
         "job": job.model_dump(mode="json"),
-        "data": {"name": data.name, "hash": data.hash},
+        "data": Memory.of(data).model_dump(mode="json"),
         "preprocessing": data.preprocessing,
         "deepfsi": version("deepfsi"),
         "torch": torch.__version__,

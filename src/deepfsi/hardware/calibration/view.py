@@ -181,6 +181,7 @@ def view_dataset(
     digest = hashlib.sha256(calibration.model_dump_json().encode()).hexdigest()
     return replace(
         data,
+        origin=None,
         x_train=camera_view(data.x_train, data.image_shape, calibration, shape),
         x_test=camera_view(data.x_test, data.image_shape, calibration, shape),
         image_shape=shape,
@@ -189,6 +190,14 @@ def view_dataset(
             f"(calibration {digest[:12]})."
         ),
     )
+
+
+def view_from(data: Dataset, folder: Path) -> Dataset:
+    """Data set of images as the camera whose calibration is in a folder sees them."""
+    view = view_dataset(data, load_calibration(folder))
+    if data.origin is None:
+        return view
+    return replace(view, origin=data.origin.model_copy(update={"view": str(folder.absolute())}))
 
 
 def geometry_matrix(
