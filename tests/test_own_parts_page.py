@@ -23,6 +23,8 @@ def test_the_page_on_parts_of_ones_own(tmp_path, monkeypatch, done):
         exec(block, names)
     assert names["accuracy"] > 0.8
     assert names["mine"] > 0.7
+    assert names["read"] > 0.7
+    assert names["saturated"][1].accuracy > 0.7
     for line in LINES:
         done(*shlex.split(line)[1:], *(["--epochs", "1"] if " design " in line else []))
     for table in TABLES:

@@ -18,6 +18,9 @@ from deepfsi.errors import InputError
 PATTERN = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
 """Form of an import path."""
 
+UNNAMED = "own"
+"""Name in settings of a part that is given as an object and has no import path."""
+
 
 def named(path: str) -> Any:
     """Import a part from an installed package, or from a file in the current folder.

@@ -25,6 +25,7 @@ def design(
     noise: options.Noise = "poisson",
     train_noise: options.TrainNoise = None,
     sigma: options.Sigma = 1.0,
+    dark: options.Dark = 0.0,
     light: options.Light = "column",
     rails: options.Rails = "dual",
     nested: options.Nested = 0,
@@ -57,7 +58,7 @@ def design(
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     with common.progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
         made = learn(shown, matrix=own, device=device, report=report, **settings)
-    results = test(made, scenes, list(budgets), noise=noise, sigma=sigma)
+    results = test(made, scenes, list(budgets), noise=noise, sigma=sigma, dark=dark)
     made.save(out)
     if as_json:
         tests = [result.as_dict() for result in results]
@@ -80,8 +81,9 @@ def evaluate(
     photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
     data: options.TestData = None,
     size: options.Size = None,
-    noise: Annotated[str, typer.Option(help="poisson, gaussian, ml_gauss or none")] = "poisson",
+    noise: options.Noise = "poisson",
     sigma: options.Sigma = 1.0,
+    dark: options.Dark = 0.0,
     first: Annotated[
         int | None, typer.Option(help="show only so many masks of a nested design, the first ones")
     ] = None,
@@ -111,7 +113,15 @@ def evaluate(
     scenes, notes = data_of(made, data, options.size_of(size), view)
     with common.progress("evaluate", quiet=as_json) as report:
         results = test(
-            made, scenes, budgets, noise=noise, sigma=sigma, draws=draws, seed=seed, report=report
+            made,
+            scenes,
+            budgets,
+            noise=noise,
+            sigma=sigma,
+            dark=dark,
+            draws=draws,
+            seed=seed,
+            report=report,
         )
     if as_json:
         tests = [result.as_dict() for result in results]

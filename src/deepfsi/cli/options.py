@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.errors import InputError, check_known
+from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,7 +51,9 @@ Matrix = Annotated[
 Epochs = Annotated[int | None, typer.Option(help="training epochs")]
 TrainNoise = Annotated[
     str | None,
-    typer.Option(help="noise of the training, if another: ml_gauss, poisson, gaussian, none"),
+    typer.Option(
+        help="noise of the training, if another: ml_gauss, poisson, gaussian, camera, none"
+    ),
 ]
 
 # one design
@@ -65,8 +67,19 @@ PhotonRange = Annotated[
 DesignFile = Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")]
 MaskCount = Annotated[str | None, typer.Option(help="number of masks, m")]
 Design = Annotated[str | None, typer.Option("--design", help="which design; deepfsi unless given")]
-Noise = Annotated[str, typer.Option(help="poisson, gaussian or none")]
-Sigma = Annotated[float, typer.Option(help="gaussian read noise, counts per readout")]
+Noise = Annotated[
+    str,
+    typer.Option(
+        help="poisson, gaussian, camera (photons, dark counts and read noise), none, or "
+        "module:function of your own"
+    ),
+]
+Sigma = Annotated[
+    float, typer.Option(help="read noise of gaussian and camera noise, counts rms per readout")
+]
+Dark = Annotated[
+    float, typer.Option(help="dark counts of a detector in a whole exposure, for camera noise")
+]
 Light = Annotated[
     str, typer.Option(help="light constraint: column, equal-dwell, free-dwell or two-arm")
 ]
@@ -95,8 +108,15 @@ NoiseSeed = Annotated[int, typer.Option(help="of the noise")]
 
 Designs = Annotated[str | None, typer.Option(help="names, separated by commas")]
 MaskCounts = Annotated[str | None, typer.Option(help="mask counts, instead of ratios")]
-Noises = Annotated[str | None, typer.Option(help="poisson, gaussian, none")]
-Sigmas = Annotated[float | None, typer.Option(help="gaussian noise, counts per readout")]
+Noises = Annotated[
+    str | None, typer.Option(help="poisson, gaussian, camera, none, or module:function")
+]
+Sigmas = Annotated[
+    float | None, typer.Option(help="read noise, gaussian and camera, counts rms per readout")
+]
+Darks = Annotated[
+    float | None, typer.Option(help="dark counts of a detector in an exposure, camera noise")
+]
 Lights = Annotated[str | None, typer.Option(help="light constraints")]
 RailsAxis = Annotated[str | None, typer.Option(help="dual, single")]
 Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
@@ -222,15 +242,14 @@ def job_settings(
     The options are by the names of their parameters. The data decides how many masks a design of a
     fixed number has; the matrix, (m, N), is the user's own.
     """
-    from deepfsi.sweeps.recipe import TRAINING_NOISE
+    from deepfsi.sweeps.recipe import training_noise
 
-    noise = options["noise"]
-    check_known("noise", noise, TRAINING_NOISE)
-    usual = TRAINING_NOISE[noise]
+    usual = training_noise(options["noise"])
     if options["looks"] > 1 and usual == "ml_gauss":
         usual = "poisson"  # a look shows many masks too shortly for MLGauss
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
     lowest, highest = budget_range(options["photons"])
+    trained = options["train_noise"] or usual
     same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs", "classifier")
     settings = {name: options[name] for name in same if options[name] is not None}
     return settings | {
@@ -238,7 +257,8 @@ def job_settings(
         "masks": masks,
         "photons": lowest,
         "span": highest / lowest,
-        "noise": options["train_noise"] or usual,
+        "noise": trained,
+        "dark": options["dark"] if trained == "camera" else 0.0,
     }
 
 
@@ -277,6 +297,7 @@ def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict
         "ratios": numbers("ratios", options["ratios"]),
         "masks": numbers("masks", options["masks"], whole=True),
         "sigma": options["sigma"],
+        "dark": options.get("dark"),
         "trials": options["trials"],
     }
     given = {name: value for name, value in given.items() if value is not None}

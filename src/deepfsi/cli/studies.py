@@ -31,6 +31,7 @@ def compare(
     noise: options.Noises = None,
     train_noise: options.TrainNoise = None,
     sigma: options.Sigmas = None,
+    dark: options.Darks = None,
     light: options.Lights = None,
     rails: options.RailsAxis = None,
     trials: options.Trials = None,

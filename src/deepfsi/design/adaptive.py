@@ -128,7 +128,7 @@ class AdaptiveDwells(ExposureKind):
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
-        if noise == "gaussian":
+        if noise not in ("poisson", "ml_gauss", "none"):
             raise InputError(
                 "a design of several looks is for photon noise: use poisson, ml_gauss or none"
             )

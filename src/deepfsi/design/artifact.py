@@ -21,6 +21,7 @@ from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.constraints import Light
 from deepfsi.optics.grey_levels import quantise
+from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.scanner import Scanner, subtract
 
 LONGEST_LOOK = 1.05
@@ -119,9 +120,11 @@ class Design:
         """Share of the light constraint that the masks take within the whole sequence."""
         return self.exposure.used
 
-    def scanner(self, noise: str = "poisson", sigma: float = 1.0) -> Scanner:
-        """The optical front end, with a noise of your choice."""
-        return Scanner.from_rails(self.rails, noise, sigma)  # type: ignore[arg-type]
+    def scanner(
+        self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
+    ) -> Scanner:
+        """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
+        return Scanner.from_rails(self.rails, noise, sigma, dark)
 
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m) of reflectances (..., N), for a budget of one photon."""

@@ -12,7 +12,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.noise import check_noise
+from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import wilson
@@ -79,8 +79,9 @@ def evaluate(
     data: Source,
     photons: Sequence[float] | float,
     *,
-    noise: str = "poisson",
+    noise: str | OwnNoise = "poisson",
     sigma: float = 1.0,
+    dark: float = 0.0,
     draws: int = 3,
     seed: int = 0,
     report: Report | None = None,
@@ -94,9 +95,12 @@ def evaluate(
         Its test part is used; its pixels and classes must be the design's.
     photons : float or sequence of float
         Budgets Φ.
-    noise : {"poisson", "gaussian", "ml_gauss", "none"}
+    noise : {"poisson", "gaussian", "ml_gauss", "camera", "none"} or callable
+        Or one of your own, as for `Scanner`.
     sigma : float
-        Read noise in counts per readout, for gaussian noise.
+        Read noise in counts rms per readout, for gaussian and camera noise.
+    dark : float
+        Expected dark counts of one detector in a whole exposure, for camera noise.
     draws : int
         Noise draws of each scene (1 is enough without noise).
     seed : int
@@ -124,12 +128,12 @@ def evaluate(
     if not (math.isfinite(sigma) and sigma >= 0):
         raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
     check_draws(draws, seed)
-    design.exposure.check_noise(noise)
-    scanner = design.scanner(check_noise(noise), sigma)
+    scanner = design.scanner(noise, sigma, dark)
+    design.exposure.check_noise(scanner.noise)
     with shown(report, f"{design.name}, {design.masks} masks") as bar:
         confusions = _confusions(design, scenes, scanner, budgets, draws, seed, bar)
     return [
-        _result(budget, noise, confusion, draws, design.shares.tolist())
+        _result(budget, scanner.noise, confusion, draws, design.shares.tolist())
         for budget, confusion in zip(budgets, confusions, strict=True)
     ]
 

@@ -25,9 +25,6 @@ Factory = Callable[..., nn.Module]
 Given = nn.Module | Factory | str
 """A module, a factory or the import path of one."""
 
-UNNAMED = "own"
-"""Name in settings of a classifier without an import path."""
-
 
 class OwnClassifier(nn.Module):
     """A user's module as the classifier of a design.
@@ -98,20 +95,20 @@ class OwnClassifier(nn.Module):
 def describe(given: Given, arguments: Mapping[str, Any] | None) -> tuple[str, dict[str, Any]]:
     """Name of a classifier in settings and in design files, and its factory's arguments.
 
-    The name is an import path where there is one, else `UNNAMED`.
+    The name is an import path where there is one, else `imports.UNNAMED`.
     """
     every = dict(arguments or {})
     if isinstance(given, functools.partial):
         if given.args:
             raise InputError("a partial of positional arguments was given: give them as keywords")
-        return imports.path_of(given.func) or UNNAMED, {**given.keywords, **every}
+        return imports.path_of(given.func) or imports.UNNAMED, {**given.keywords, **every}
     if isinstance(given, str):
         return given, every
     if isinstance(given, nn.Module):
         if every:
             raise InputError("arguments go with a factory: a module has its own already")
-        return UNNAMED, {}
-    return imports.path_of(given) or UNNAMED, every
+        return imports.UNNAMED, {}
+    return imports.path_of(given) or imports.UNNAMED, every
 
 
 def make(
@@ -154,7 +151,7 @@ def make(
                 f"the classifier cannot be used: {told or type(error).__name__}; give a module "
                 f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
             ) from error
-    return OwnClassifier(module, "" if name == UNNAMED else name, every)
+    return OwnClassifier(module, "" if name == imports.UNNAMED else name, every)
 
 
 def _try(module: nn.Module, inputs: int, classes: int) -> None:

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.optics.masks import Fixed, Learned
-from deepfsi.optics.noise import Noise, attach_gradient, poisson, root, variance
-from deepfsi.optics.scanner import lit, project
+from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
+from deepfsi.optics.scanner import Readouts, project, project_pair, readouts
 
 Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
@@ -27,20 +27,26 @@ class FeatureNoise:
     Attributes
     ----------
     kind : str
-        Of `noise.Noise`, the same for all.
+        Name of a noise, the same for all.
     gain : tensor, shape (R, 1)
         Counts of one fully reflecting pixel, Φ / s.
     sigma : tensor, shape (R, 1)
-        Read noise, counts per readout.
+        Read noise, counts rms per readout.
+    dark : tensor, shape (R, 1)
+        Expected dark counts of a detector in a whole exposure.
+    own : callable or None
+        The noise, where it is a user's own.
     generators : list of torch.Generator
         One for each training, since what a Poisson draw takes from its generator depends on rates.
     unit : tensor, shape (R, 1)
         Standard deviation of photon noise where x S is 1.
     """
 
-    kind: Noise
+    kind: str
     gain: Tensor
     sigma: Tensor
+    dark: Tensor
+    own: OwnNoise | None
     generators: list[torch.Generator]
     unit: Tensor = field(init=False)
 
@@ -50,20 +56,23 @@ class FeatureNoise:
     @classmethod
     def of(
         cls,
-        kind: Noise,
+        kind: str,
         gains: Sequence[float],
         sigmas: Sequence[float],
         seeds: Sequence[int],
         device: torch.device,
+        darks: Sequence[float] | None = None,
+        own: OwnNoise | None = None,
     ) -> "FeatureNoise":
         """Noise of R trainings: parameters as of the class, of each training.
 
         Gains are Φ / s, counts. The Poisson draws of a seed are others than those of a generator of
         the same seed.
         """
-        gain, sigma = (torch.tensor(each, device=device).unsqueeze(1) for each in (gains, sigmas))
+        numbers = (gains, sigmas, darks or [0.0] * len(gains))
+        gain, sigma, dark = (torch.tensor(each, device=device).unsqueeze(1) for each in numbers)
         generators = [torch.Generator(device).manual_seed(seed ^ 2**31) for seed in seeds]
-        return cls(kind, gain, sigma, generators)
+        return cls(kind, gain, sigma, dark, own, generators)
 
     def part(self, replicas: slice) -> "FeatureNoise":
         """Noise of some of the trainings, which draw from the same generators."""
@@ -71,28 +80,74 @@ class FeatureNoise:
             self,
             gain=self.gain[replicas],
             sigma=self.sigma[replicas],
+            dark=self.dark[replicas],
             generators=self.generators[replicas],
         )
 
-    def counted(self, mean: Tensor, total: Tensor) -> Tensor:
-        """Features (B, R, m) from exact counts of two rails with `mean` = x D and `total` = x S."""
-        with torch.no_grad():
+    @property
+    def counting(self) -> bool:
+        """True if counts of each rail are drawn, rather than a normal number for each feature."""
+        return self.own is not None or self.kind in ("poisson", "camera")
+
+    def counted(self, mean: Tensor, total: Tensor, read: Readouts | None) -> Tensor:
+        """Features (B, R, m) from counts of two rails.
+
+        Parameters
+        ----------
+        mean, total : tensor, shape (B, R, m)
+            x D and x S.
+        read : Readouts or None
+            Of the masks, (2, R or 1, m); under photon noise alone it need not be known.
+        """
+        with torch.set_grad_enabled(self.own is not None and torch.is_grad_enabled()):
             rates = torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
-            drawn = zip(rates.unbind(dim=2), self.generators, strict=True)
-            plus, minus = torch.stack([poisson(*each) for each in drawn], dim=2)
-        return attach_gradient((plus - minus) / self.gain, mean, total)
+            shown = torch.ones_like(rates[:1], dtype=torch.bool)
+            if read is not None:
+                shown = read.shown.unsqueeze(1)
+            if self.own is not None:
+                rates = torch.where(shown, rates, 1.0)  # the slope of a root at 0 is infinite
+            drawn = [self._drawn(each, r, read) for r, each in enumerate(rates.unbind(dim=2))]
+            plus, minus = torch.where(shown, torch.stack(drawn, dim=2), 0.0)
+        features = (plus - minus) / self.gain
+        if self.own is not None:
+            return features
+        return attach_gradient(features, mean, self._power(total, read))
+
+    def _drawn(self, rates: Tensor, replica: int, read: Readouts | None) -> Tensor:
+        """Counts (2, B, m) of the rails of one training."""
+        generator = self.generators[replica]
+        if self.own is not None:
+            return self.own(rates, generator)
+        if read is None:
+            return readout(rates, self.kind, generator=generator)
+        time = read.time[:, replica % read.time.shape[1], None]
+        dark = self.dark[replica] * time.detach()
+        return readout(rates, self.kind, self.sigma[replica], generator, dark)
 
     def deviation(self, total: Tensor, lit: Tensor) -> Tensor:
-        """Standard deviation of features; as `variance`."""
+        """Standard deviation of features (..., R, m) under a noise that is no counting.
+
+        Parameters
+        ----------
+        total : tensor, shape (..., R, m)
+            x S.
+        lit : tensor, shape (R, m)
+            Number of rails that are read out.
+        """
         if self.kind == "ml_gauss":
             return root(total) * self.unit
-        return root(self.variance(total, lit))
+        return root(variance(total, lit, self.kind, self.sigma) / self.gain.square())
 
-    def variance(self, total: Tensor, lit: Tensor) -> Tensor:
-        """Variance of features (..., R, m) of `total` = x S; `lit` (R, m) rails are read out."""
-        if self.kind in ("ml_gauss", "poisson"):
-            return total / self.gain
-        return variance(total, lit, self.kind, self.sigma) / self.gain.square()
+    def variance(self, total: Tensor, read: Readouts) -> Tensor:
+        """Variance of features (..., R, m) of `total` = x S, but of a user's own noise."""
+        return self._power(total, read) / self.gain
+
+    def _power(self, total: Tensor, read: Readouts | None) -> Tensor:
+        """Variance of features over that of photon noise where x S is 1."""
+        if read is None or self.kind in ("ml_gauss", "poisson"):
+            return total
+        dark = self.dark * read.time.sum(dim=0)
+        return variance(total * self.gain, read.lit, self.kind, self.sigma, dark) / self.gain
 
 
 def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
@@ -163,16 +218,33 @@ def feature_statistics(
         Each (R, m), for scenes of unit reflectance: to be divided by the summed reflectance s.
     """
     difference, total = masks()
+    if noise.own is not None:
+        return _sampled_statistics(scenes, difference, total, noise, scale)
     mean, counts = (project(scenes.mean(dim=0), rails) for rails in (difference, total))
     power = torch.zeros_like(mean)
     for place, x in enumerate(scenes.split(CHUNK)):
         rows = slice(place * CHUNK, place * CHUNK + len(x))
         expected = project(x, difference) if means is None else means[rows]
         power += (expected - mean).square().sum(dim=0)
-    drawn = noise.variance(counts, lit(difference, total))
+    drawn = noise.variance(counts, readouts(difference, total))
     factor, often = exposures or (1.0, None)
     std = deviation(power / len(scenes) + drawn * factor, scale, often)
     return mean.expand_as(std), std, counts.expand_as(std)
+
+
+def _sampled_statistics(
+    scenes: Tensor, difference: Tensor, total: Tensor, noise: FeatureNoise, scale: Scale
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Statistics as `feature_statistics` gives them, of a draw of a user's own noise."""
+    read, moments = readouts(difference, total), []
+    for x in scenes.split(CHUNK):
+        mean, counts = project_pair(x, difference, total, both=True)
+        drawn = noise.counted(mean, counts, read).double()
+        moments.append(torch.stack([drawn.sum(dim=0), drawn.square().sum(dim=0)]))
+    first, second = torch.stack(moments).sum(dim=0) / len(scenes)
+    std = deviation((second - first.square()).clamp(min=0).to(scenes.dtype), scale)
+    counts = project(scenes.mean(dim=0), total)
+    return first.to(scenes.dtype), std, counts.expand_as(std)
 
 
 def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,20 +4,35 @@
     gaussian  F(r) = r + σ ε          read noise, σ in counts per readout (the paper's AGN)
     poisson   F(r) ~ Poisson(r)       photon noise, exact; used for testing
     ml_gauss  F(r) = r + √r ε         its smooth stand-in; used for training
+    camera    F(r) ~ Poisson(r + d) − d + σ ε
+                                      photon noise, dark counts d and read noise together
+
+Dark counts are known from frames with the light off, and what is expected of them is subtracted.
+One detector has D of them in a whole exposure, and a frame its share d of these by its time.
+
+A function of the user's own, from expected counts r of a rail and a generator to counts, is a noise
+too; masks train through it where its draws have a gradient in r.
 
 ε is standard normal. Exact counts train masks too, with the gradient of `attach_gradient`.
 A rail that is dark by construction is not read out and adds no noise.
 """
 
+import math
+import re
+from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
-from deepfsi.errors import check_known
+from deepfsi import imports
+from deepfsi.errors import InputError, check_known
 
-Noise = Literal["none", "gaussian", "poisson", "ml_gauss"]
+Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera"]
 """Name of a detector noise."""
+
+OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]
+"""A user's own noise: counts of expected counts (..., m), drawn with a generator."""
 
 POISSON_LIMIT = 1e6
 """Rate in counts above which `poisson` samples the rounded Gaussian limit.
@@ -27,10 +42,59 @@ differences and wrong at 1e10 (PyTorch issues 86782 and 136750).
 """
 
 
-def check_noise(name: str) -> Noise:
-    """Return the name of a noise, or raise `InputError` that names the closest."""
-    check_known("noise", name, get_args(Noise))
-    return name  # type: ignore[return-value]
+def check_noise(name: str) -> str:
+    """Return the name or import path of a noise, or raise `InputError` that names the closest."""
+    if not re.fullmatch(imports.PATTERN, name):
+        check_known("noise", name, get_args(Noise))
+    return name
+
+
+def check_dark(dark: float, noise: str) -> float:
+    """Return dark counts of a detector in an exposure, or raise `InputError`."""
+    if not (math.isfinite(dark) and dark >= 0):
+        raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")
+    if dark and noise != "camera":
+        raise InputError(f'dark counts are not of {noise} noise: give `noise="camera"` with them')
+    return dark
+
+
+def resolve(noise: str | OwnNoise) -> tuple[str, OwnNoise | None]:
+    """Name of a noise, and its function where it is a user's own."""
+    if not isinstance(noise, str):
+        return imports.path_of(noise) or imports.UNNAMED, noise
+    return check_noise(noise), imports.named(noise) if ":" in noise else None
+
+
+def try_own(own: OwnNoise, learning: bool) -> None:
+    """Raise `InputError` unless a user's noise draws counts, and masks can learn under it.
+
+    Parameters
+    ----------
+    own : callable
+    learning : bool
+        Whether masks are to learn.
+    """
+    rates = torch.tensor([0.5, 3.0, 50.0]).repeat(64, 1).requires_grad_(learning)
+    try:
+        counts = own(rates, torch.Generator().manual_seed(0))
+        whole = counts.shape == rates.shape and bool(torch.isfinite(counts).all())
+    except Exception as error:
+        told = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"the noise cannot be used: {told}; give noise(rates, generator), counts of a tensor"
+        ) from error
+    if not whole:
+        raise InputError(
+            "the noise gives no finite counts of the shape of the rates: give one that does"
+        )
+    if learning and not (
+        counts.requires_grad and bool(torch.autograd.grad(counts.sum(), rates)[0].any())
+    ):
+        raise InputError(
+            "masks cannot learn under this noise, whose draws have no gradient in the rates (those "
+            "of torch.poisson have none): draw rates + std * torch.randn, or train under ml_gauss "
+            "and test under it"
+        )
 
 
 def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -56,7 +120,9 @@ def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
     return torch.where(bright, torch.round(ml_gauss(rate, generator)), exact)
 
 
-def gaussian(rate: Tensor, sigma: float, generator: torch.Generator | None = None) -> Tensor:
+def gaussian(
+    rate: Tensor, sigma: float | Tensor, generator: torch.Generator | None = None
+) -> Tensor:
     """Add read noise to each readout; shapes as `poisson`.
 
     Parameters
@@ -123,7 +189,11 @@ class _Root(torch.autograd.Function):
 
 
 def readout(
-    rate: Tensor, noise: Noise, sigma: float = 1.0, generator: torch.Generator | None = None
+    rate: Tensor,
+    noise: str,
+    sigma: float | Tensor = 1.0,
+    generator: torch.Generator | None = None,
+    dark: float | Tensor = 0.0,
 ) -> Tensor:
     """Noisy counts of one rail.
 
@@ -131,19 +201,23 @@ def readout(
     ----------
     rate : tensor, shape (..., m)
         Expected counts.
-    noise : {"none", "gaussian", "poisson", "ml_gauss"}
+    noise : {"none", "gaussian", "poisson", "ml_gauss", "camera"}
     sigma : float
-        Counts per readout, for gaussian noise only.
+        Read noise, counts rms per readout, for gaussian and camera noise only.
     generator : torch.Generator, optional
+    dark : float or tensor, shape (..., m)
+        Expected dark counts of the readout, for camera noise only.
 
     Returns
     -------
     tensor, shape (..., m)
         Counts.
     """
-    check_noise(noise)
+    check_known("noise", noise, get_args(Noise))
     if noise == "none":
         return rate
+    if noise == "camera":
+        return gaussian(poisson(rate + dark, generator) - dark, sigma, generator)
     if noise == "gaussian":
         return gaussian(rate, sigma, generator)
     if noise == "poisson":
@@ -151,7 +225,13 @@ def readout(
     return ml_gauss(rate, generator)
 
 
-def variance(total: Tensor, lit: Tensor, noise: Noise, sigma: float | Tensor = 1.0) -> Tensor:
+def variance(
+    total: Tensor,
+    lit: Tensor,
+    noise: str,
+    sigma: float | Tensor = 1.0,
+    dark: float | Tensor = 0.0,
+) -> Tensor:
     """Variance of the difference of two rails, y⁺ − y⁻.
 
     Parameters
@@ -162,6 +242,8 @@ def variance(total: Tensor, lit: Tensor, noise: Noise, sigma: float | Tensor = 1
         Number of rails that are read out, 0, 1 or 2.
     noise, sigma
         As for `readout`.
+    dark : float or tensor, shape (..., m)
+        Expected dark counts of both rails together, for camera noise.
 
     Returns
     -------
@@ -172,6 +254,8 @@ def variance(total: Tensor, lit: Tensor, noise: Noise, sigma: float | Tensor = 1
         return torch.zeros_like(lit, dtype=total.dtype)
     if noise == "gaussian":
         return sigma**2 * lit.to(total.dtype)
+    if noise == "camera":
+        return total + dark + sigma**2 * lit.to(total.dtype)
     return total
 
 

@@ -1,6 +1,6 @@
 """The optical front end as a layer: photons per pixel in, noisy features out."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +8,15 @@ from torch import Tensor, nn
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import Fixed
-from deepfsi.optics.noise import Noise, attach_gradient, check_noise, readout, root, variance
+from deepfsi.optics.noise import (
+    OwnNoise,
+    attach_gradient,
+    check_dark,
+    readout,
+    resolve,
+    root,
+    variance,
+)
 
 
 class Scanner(nn.Module):
@@ -20,10 +28,14 @@ class Scanner(nn.Module):
     ----------
     masks : constraints.Fixed or constraints.Learned
         Gives the difference and the total of the rails, each ([replicas,] m, N).
-    noise : {"poisson", "gaussian", "ml_gauss", "none"}
-        Under photon noise `poisson` to test, and either it or `ml_gauss` to train.
+    noise : {"poisson", "gaussian", "ml_gauss", "camera", "none"} or callable
+        Under photon noise `poisson` to test, and either it or `ml_gauss` to train; `camera` adds
+        dark counts and read noise to it. Or a noise of your own: a function from expected counts
+        of rails and a generator to counts, or its import path.
     sigma : float
-        Read noise in counts per readout, for gaussian noise.
+        Read noise in counts rms per readout, for gaussian and camera noise.
+    dark : float
+        Expected dark counts of one detector in the whole exposure, for camera noise.
 
     Examples
     --------
@@ -33,28 +45,46 @@ class Scanner(nn.Module):
     tensor([10.])
     """
 
-    def __init__(self, masks: nn.Module, noise: Noise = "poisson", sigma: float = 1.0) -> None:
+    def __init__(
+        self,
+        masks: nn.Module,
+        noise: str | OwnNoise = "poisson",
+        sigma: float = 1.0,
+        dark: float = 0.0,
+    ) -> None:
         super().__init__()
         self.masks = masks
-        self.noise = check_noise(noise)
-        self.sigma = sigma
+        self.noise, self._own = resolve(noise)
+        self.sigma, self.dark = sigma, check_dark(dark, self.noise)
 
     @classmethod
-    def from_rails(cls, rails: Tensor, noise: Noise = "poisson", sigma: float = 1.0) -> "Scanner":
+    def from_rails(
+        cls,
+        rails: Tensor,
+        noise: str | OwnNoise = "poisson",
+        sigma: float = 1.0,
+        dark: float = 0.0,
+    ) -> "Scanner":
         """Scanner with fixed rails (2 or 1, m, N); other parameters as for the class."""
-        return cls(Fixed(rails), noise, sigma)
+        return cls(Fixed(rails), noise, sigma, dark)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy features y⁺ − y⁻ (..., [replicas,] m) of expected photons (..., N), in counts.
 
-        Differentiable in the masks. Under every noise but `poisson` the two rails' noise is drawn
-        at once, which is the same in distribution.
+        Differentiable in the masks. Under gaussian noise and `ml_gauss` the two rails' noise is
+        drawn at once, which is the same in distribution.
         """
-        if self.noise == "poisson":
+        difference, total = self.masks()
+        if self._own is not None:
+            return subtract(self.read(self.rates(photons), generator))
+        if self.noise in ("poisson", "camera"):
             rates = self.rates(photons)
             counts = subtract(self.read(rates.detach(), generator))
-            return attach_gradient(counts, subtract(rates), rates.sum(dim=-2))
-        difference, total = self.masks()
+            shown = readouts(difference, total)
+            dark = self.dark * shown.time.sum(dim=0)
+            light = rates.sum(dim=-2)
+            power = variance(light, shown.lit, self.noise, self.sigma, dark)
+            return attach_gradient(counts, subtract(rates), power)
         _check_light(photons, difference.shape[-1])
         if self.noise == "none":
             return project(photons, difference)
@@ -73,8 +103,14 @@ class Scanner(nn.Module):
 
     def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
-        shown = torch.stack(rails_lit(*self.masks()), dim=-2)[..., : rates.shape[-2], :]
-        return torch.where(shown, readout(rates, self.noise, self.sigma, generator), 0.0)
+        every = readouts(*self.masks())
+        shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
+        if self._own is not None:
+            counts = self._own(torch.where(shown, rates, 1.0), generator)
+        else:
+            dark = self.dark * time.detach()
+            counts = readout(rates, self.noise, self.sigma, generator, dark)
+        return torch.where(shown, counts, 0.0)
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""
@@ -183,6 +219,35 @@ class _Measure(torch.autograd.Function):
             product = torch.addcmul(product[0], product[1], ctx.sign)
         by_draw = gradient * deviation if ctx.needs_input_grad[2] else None
         return None, product.to(gradient.dtype), by_draw, None
+
+
+class Readouts(NamedTuple):
+    """Rails of masks as a detector reads them, the positive ones first.
+
+    Attributes
+    ----------
+    shown : tensor, shape (2, ..., m)
+        Which are not dark by construction, and are read out.
+    time : tensor, shape (2, ..., m)
+        Share of the exposure that each takes: the peak of its frame, the shortest in which one
+        device can pass its light. Two rails that share pixels are two arms, and see them at once.
+    """
+
+    shown: Tensor
+    time: Tensor
+
+    @property
+    def lit(self) -> Tensor:
+        """Number of rails that are read out for each mask, (..., m)."""
+        return self.shown.sum(dim=0)
+
+
+def readouts(difference: Tensor, total: Tensor) -> Readouts:
+    """Readouts of masks of a difference and a total of rails, each (..., m, N)."""
+    rails = torch.stack([total + difference, total - difference]) / 2
+    arms = (rails > 0).all(dim=0).any(dim=-1)
+    time = torch.where(arms, total.amax(dim=-1), rails.amax(dim=-1))
+    return Readouts((rails > 0).any(dim=-1), time)
 
 
 def rails_lit(difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:

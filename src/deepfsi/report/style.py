@@ -57,7 +57,7 @@ DARK_COLOURS = {
     "custom": "#b39bff",
 }
 
-NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise"}
+NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise", "camera": "camera noise"}
 
 LINES: dict[str, Any] = {
     "impulse": (0, (7, 2, 1.2, 2)),

@@ -175,6 +175,7 @@ def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]
             trial.test_photons,
             noise=noise,
             sigma=trial.job.sigma,
+            dark=trial.job.dark if noise == "camera" else 0.0,
             draws=trial.draws,
             seed=trial.job.seed,
             report=SILENT,

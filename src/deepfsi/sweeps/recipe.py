@@ -8,6 +8,7 @@ every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse v
 `[parts.NAME.quick]` in the coarse version of one part. Tables are merged.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Literal, TypeVar
@@ -15,11 +16,12 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.datasets import Dataset
-from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.errors import InputError, as_input_error, check_known, closest
+from deepfsi.imports import PATTERN
 from deepfsi.optics import codes
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.noise import Noise
+from deepfsi.optics.noise import check_noise
 from deepfsi.sweeps.workers import Resources
 from deepfsi.training.job import Levels, TrainingNoise, TrainingSettings, training_for
 
@@ -29,12 +31,32 @@ PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 Settings = dict[str, Any]
 """Fields of a recipe, as TOML gives them."""
 
-Physical = Literal["poisson", "gaussian", "none"]
-TRAINING_NOISE: dict[Physical, TrainingNoise] = {
+TRAINING_NOISE = {
     "poisson": "ml_gauss",
     "gaussian": "gaussian",
+    "camera": "camera",
     "none": "none",
 }
+"""For each noise of a camera, the one that is trained under."""
+
+
+def training_noise(noise: str) -> str:
+    """Noise to train under where tests are under another, or `InputError` if it is no camera's.
+
+    A user's own noise is trained under itself.
+    """
+    if not re.fullmatch(PATTERN, noise):
+        check_known("noise", noise, TRAINING_NOISE)
+    return TRAINING_NOISE.get(noise, noise)
+
+
+def _physical(noise: str) -> str:
+    training_noise(noise)
+    return noise
+
+
+Physical = Annotated[str, AfterValidator(_physical)]
+Noise = Annotated[str, AfterValidator(check_noise)]
 
 RATIOS_OR_MASKS = "give ratios or masks, not both"
 """Said where a recipe has both."""
@@ -134,6 +156,12 @@ class Recipe(BaseModel):
         (), description="noises of the training, if others: photon noise is trained by ml_gauss"
     )
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    dark: float = Field(
+        0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="dark counts of a detector in an exposure, under camera noise",
+    )
     light: Filled[Light] = ("column",)
     rails: Filled[Rails] = ("dual",)
     trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
@@ -161,6 +189,8 @@ class Recipe(BaseModel):
     def _one_or_the_other(self) -> "Recipe":
         if self.ratios and self.masks:
             raise ValueError(RATIOS_OR_MASKS)
+        if self.dark and "camera" not in (*self.noise, *self.train_noise, *self.test_noise):
+            raise ValueError("dark counts are of camera noise: give noise camera with them")
         return self
 
     def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
@@ -179,11 +209,11 @@ class Recipe(BaseModel):
             variant = ", ".join(f"{name} {chosen[name]}" for name in several)
             yield variant, training_for(design, **chosen)
 
-    def train_noises(self, noise: Physical) -> tuple[TrainingNoise, ...]:
+    def train_noises(self, noise: str) -> tuple[str, ...]:
         """Noises to train under where tests are under `noise`."""
-        return self.train_noise or (TRAINING_NOISE[noise],)
+        return self.train_noise or (training_noise(noise),)
 
-    def budgets(self, noise: Physical) -> tuple[float, ...]:
+    def budgets(self, noise: str) -> tuple[float, ...]:
         """Budgets to train at under a noise."""
         return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
 

@@ -1,8 +1,9 @@
 """A trial, one training and its tests, and the trials of a recipe."""
 
+import functools
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 
 import numpy as np
@@ -10,11 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
-from deepfsi.imports import source_hash
+from deepfsi.imports import UNNAMED, source_hash
 from deepfsi.optics import codes
 from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.noise import Noise
-from deepfsi.sweeps.recipe import Physical, Recipe
+from deepfsi.sweeps.recipe import Noise, Recipe
 from deepfsi.sweeps.records import content_hash
 from deepfsi.training.job import REVISION, Job, job_faults
 
@@ -35,7 +35,7 @@ class Trial(BaseModel):
     data: str = Field(description="name")
     data_hash: str
     matrix_hash: str = ""
-    source_hash: str = Field("", description="of the files of classifiers of one's own")
+    source_hash: str = Field("", description="of the files of one's own classifier and noise")
     validation: int
     draws: int
     test_photons: tuple[float, ...]
@@ -79,18 +79,20 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
     if faults := [*mask_faults(recipe, data), *trial_faults(recipe, data, matrix)]:
         raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
+    hashed = functools.cache(source_hash)
     for noise, variant, job in _jobs(recipe, data, matrix):
+        test_noise = recipe.test_noise or (noise,)
         trial = Trial(
             job=job,
             variant=variant,
             data=data.name,
             data_hash=data.hash,
             matrix_hash=_matrix_hash(matrix if job.design == "custom" else None),
-            source_hash=_source_hash(job),
+            source_hash=_source_hash(_own_names(job, test_noise), hashed),
             validation=recipe.held_out(data),
             draws=recipe.draws,
             test_photons=recipe.test_photons or (job.photons,),
-            test_noise=recipe.test_noise or (noise,),
+            test_noise=test_noise,
             test_levels=recipe.test_levels,
         )
         trials[trial.key] = trial
@@ -127,13 +129,19 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
             f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
         ]
     found: dict[str, None] = {}
+    names: dict[str, None] = {}
     for noise, _, job in _jobs(recipe, data, matrix):
         own = matrix if job.design == "custom" else None
         found |= dict.fromkeys(job_faults(job, data, own))
-        if job.training.looks > 1 and "gaussian" in (recipe.test_noise or (noise,)):
-            found[
-                "several looks are tested under photon noise: leave gaussian out of test_noise"
-            ] = None
+        test_noise = recipe.test_noise or (noise,)
+        if job.training.looks > 1 and set(test_noise) - {"poisson", "ml_gauss", "none"}:
+            found["several looks are tested under photon noise: leave others out of noise"] = None
+        names |= dict.fromkeys(_own_names(job, test_noise))
+    for name in names:
+        try:
+            source_hash(name)
+        except InputError as error:
+            found[str(error)] = None
     return list(found)
 
 
@@ -152,7 +160,7 @@ def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
     )
 
 
-def _kinds(recipe: Recipe) -> Iterator[tuple[str, Physical, Light, Rails]]:
+def _kinds(recipe: Recipe) -> Iterator[tuple[str, str, Light, Rails]]:
     """Yield design, noise of the tests, light and rails of all that can be."""
     for kind in product(recipe.designs, recipe.noise, recipe.light, recipe.rails):
         if _possible(*kind):
@@ -167,7 +175,7 @@ def _counts(recipe: Recipe, design: str, data: Dataset, matrix: np.ndarray | Non
 
 def _jobs(
     recipe: Recipe, data: Dataset, matrix: np.ndarray | None
-) -> Iterator[tuple[Physical, str, Job]]:
+) -> Iterator[tuple[str, str, Job]]:
     """Yield noise of the tests, variant of the training and job of every trial that can be."""
     for design, noise, light, rails in _kinds(recipe):
         for masks, train_noise, (variant, training), seed, photons in product(
@@ -183,6 +191,7 @@ def _jobs(
                 photons=photons,
                 noise=train_noise,
                 sigma=recipe.sigma,
+                dark=recipe.dark,
                 light=light,
                 rails=rails,
                 seed=seed,
@@ -201,8 +210,15 @@ def _possible(design: str, noise: str, light: str, rails: str) -> bool:
     )
 
 
-def _source_hash(job: Job) -> str:
-    return source_hash(job.training.classifier) if job.training.own else ""
+def _own_names(job: Job, test_noise: Sequence[str]) -> list[str]:
+    """Import paths of a user's own parts that a trial needs."""
+    every = {job.noise, *test_noise, job.training.classifier}
+    return sorted(name for name in every if ":" in name or name == UNNAMED)
+
+
+def _source_hash(names: Sequence[str], hashed: Callable[[str], str]) -> str:
+    """Hash of the files of a user's own parts, or "" where there is none."""
+    return content_hash({"sources": [hashed(name) for name in names]}) if names else ""
 
 
 def _matrix_hash(matrix: np.ndarray | None) -> str:

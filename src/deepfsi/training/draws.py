@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.optics.features import FeatureNoise
+from deepfsi.optics.scanner import Readouts
 from deepfsi.training.job import Job
 
 
@@ -75,7 +76,7 @@ class SeedStream:
             Rails that are read out, for read noise.
         """
         if self.noise.kind == "poisson":
-            return self.noise.counted(mean, total)
+            return self.noise.counted(mean, total, None)
         return mean + self.noise.deviation(total, lit) * self.normal(mean.shape[-1])
 
     def repeated(self, shared: Tensor) -> Tensor:
@@ -85,6 +86,12 @@ class SeedStream:
     def part(self, every: Tensor) -> Tensor:
         """Rows of these jobs in a tensor of all, (R or 1, m)."""
         return every[self.replicas] if len(every) > 1 else every
+
+    def readouts(self, every: Readouts) -> Readouts:
+        """Readouts of the masks of these jobs among those of all, (2, R or 1, m)."""
+        if every.time.shape[1] == 1:
+            return every
+        return Readouts(every.shown[:, self.replicas], every.time[:, self.replicas])
 
     def products(self, every: Tensor, step: int) -> Tensor:
         """A step's part of products of all scenes and jobs, (n, R or 1, m)."""

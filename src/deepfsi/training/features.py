@@ -25,7 +25,7 @@ from deepfsi.optics.features import (
 )
 from deepfsi.optics.masks import Fixed, Learned, pair
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import lit, measure, project, project_pair
+from deepfsi.optics.scanner import measure, project, project_pair, readouts
 from deepfsi.training.draws import SeedStream, side_by_side
 from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.training_set import TrainingSet
@@ -50,19 +50,20 @@ class FixedFeatures(Features):
     ) -> None:
         self.streams = streams
         difference, total = masks()
-        photonic = noise.kind in ("ml_gauss", "poisson")
+        photonic = noise.counting or noise.kind == "ml_gauss"
         pairs = [project_pair(x, difference, total, photonic) for x in scenes.split(CHUNK)]
         self.means = torch.cat([mean for mean, _ in pairs])
         single = difference is total or not photonic
         totals = self.means if single else torch.cat([counts for _, counts in pairs])
         del pairs
         self.mean, self.std, _ = feature_statistics(scenes, masks, noise, scale, means=self.means)
-        self.poisson = noise.kind == "poisson"
-        self.totals = totals if self.poisson else root(totals) if photonic else None
+        self.read = readouts(difference, total)
+        self.counting = noise.counting
+        self.totals = totals if self.counting else root(totals) if photonic else None
         if photonic:
             self.gain = noise.unit / self.std
         else:
-            self.gain = noise.variance(self.mean, lit(difference, total)).sqrt() / self.std
+            self.gain = noise.variance(self.mean, self.read).sqrt() / self.std
 
     def at(self, step: int) -> Tensor:
         """Features (B, R, m), standardised as those of the whole training set."""
@@ -71,9 +72,10 @@ class FixedFeatures(Features):
     def _of(self, stream: SeedStream, step: int) -> Tensor:
         expected = stream.products(self.means, step)
         mean, std = stream.part(self.mean), stream.part(self.std)
-        if self.poisson:
+        if self.counting:
             assert self.totals is not None
-            return (stream.noise.counted(expected, stream.products(self.totals, step)) - mean) / std
+            totals, read = stream.products(self.totals, step), stream.readouts(self.read)
+            return (stream.noise.counted(expected, totals, read) - mean) / std
         draws = stream.normal(expected.shape[-1])
         if self.totals is not None:
             draws = draws * stream.products(self.totals, step)
@@ -125,18 +127,24 @@ class MlGaussFeatures(LearnedFeatures):
 
 
 class CountedFeatures(LearnedFeatures):
-    """Features of learned masks under exact photon counts."""
+    """Features of learned masks under a noise whose counts of each rail are drawn.
+
+    A noise of a user's own may have another mean than the rates: its features are centred in their
+    batch.
+    """
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step."""
         difference, total = self.masks()
+        read = readouts(difference, total)
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
             own = difference[stream.replicas], total[stream.replicas]
             mean, counts = project_pair(x, *own, both=True)
-            drawn = stream.noise.counted(mean[:-1] + mean[-1], counts[:-1] + counts[-1])
-            parts.append(drawn - mean[-1])
+            expected = mean[:-1] + mean[-1], counts[:-1] + counts[-1]
+            drawn = stream.noise.counted(*expected, stream.readouts(read))
+            parts.append(drawn - (drawn.mean(dim=0) if stream.noise.own else mean[-1]))
         return parts
 
 
@@ -282,5 +290,7 @@ def features_of(
     if conditioning:
         return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale)
     assert isinstance(masks, Learned)
-    kinds = {"ml_gauss": MlGaussFeatures, "poisson": CountedFeatures}
-    return kinds.get(job.noise, ReadNoiseFeatures)(streams, masks, x, scale)
+    if noise.counting:
+        return CountedFeatures(streams, masks, x, scale)
+    kind = MlGaussFeatures if job.noise == "ml_gauss" else ReadNoiseFeatures
+    return kind(streams, masks, x, scale)

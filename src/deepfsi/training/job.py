@@ -10,13 +10,13 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.conditioning import Conditioning
-from deepfsi.design.own import UNNAMED
 from deepfsi.errors import InputError
-from deepfsi.imports import PATTERN
+from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.features import Scale
+from deepfsi.optics.noise import check_noise
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
@@ -141,8 +141,12 @@ def training_for(design: str, **settings: Any) -> TrainingSettings:
     return TrainingSettings(**{**TUNED.get(design, {}), **looking, **settings})
 
 
-TrainingNoise = Literal["ml_gauss", "poisson", "gaussian", "none"]
-"""Name of a noise that masks and classifier are trained under."""
+def _noise(name: str) -> str:
+    return name if name == UNNAMED else check_noise(name)
+
+
+TrainingNoise = Annotated[str, AfterValidator(_noise)]
+"""Name or import path of a noise that masks and classifier are trained under."""
 
 
 class Job(BaseModel):
@@ -155,6 +159,9 @@ class Job(BaseModel):
     photons: float = Field(ge=BUDGETS[0], le=BUDGETS[1])
     noise: TrainingNoise = "ml_gauss"
     sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    dark: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="dark counts of a detector in an exposure"
+    )
     light: Light = "column"
     rails: Rails = "dual"
     seed: int = Field(0, ge=0, lt=2**32)
@@ -219,6 +226,7 @@ def product_dtype(job: Job, device: torch.device) -> torch.dtype:
     limit = {
         "ml_gauss": BFLOAT16_COUNTS,
         "poisson": BFLOAT16_COUNTS,
+        "camera": BFLOAT16_COUNTS,
         "gaussian": job.sigma * BFLOAT16_COUNTS**0.5,
     }
     return torch.bfloat16 if fast and counts <= limit.get(job.noise, 0) else torch.float32
@@ -331,6 +339,6 @@ def _look_faults(job: Job) -> list[str]:
     if job.training.conditioned or job.noise not in ("ml_gauss", "poisson"):
         faults.append(
             "several looks are for one budget under photon noise: leave a range of budgets, "
-            "`nested` and gaussian noise out"
+            "`nested` and other noise out"
         )
     return faults

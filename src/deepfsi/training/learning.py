@@ -28,12 +28,12 @@ from deepfsi.optics.features import (
 )
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.noise import OwnNoise, check_dark, resolve, try_own
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.job import (
     MLP,
     Job,
     Precision,
-    TrainingNoise,
     TrainingSettings,
     check_jobs,
     own_rails,
@@ -57,8 +57,9 @@ def learn(
     masks: int,
     design: str = "deepfsi",
     matrix: np.ndarray | None = None,
-    noise: TrainingNoise = "ml_gauss",
+    noise: str | OwnNoise = "ml_gauss",
     sigma: float = 1.0,
+    dark: float = 0.0,
     light: Light = "column",
     rails: Rails = "dual",
     seed: int = 0,
@@ -95,10 +96,12 @@ def learn(
         A key of `codes.DESIGNS`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
-    noise : {"ml_gauss", "poisson", "gaussian", "none"}
-        Of the training.
+    noise : {"ml_gauss", "poisson", "gaussian", "camera", "none"} or callable
+        Of the training; or one of your own, as for `Scanner`.
     sigma : float
-        Read noise in counts per readout, for gaussian noise.
+        Read noise in counts rms per readout, for gaussian and camera noise.
+    dark : float
+        Expected dark counts of one detector in a whole exposure, for camera noise.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     rails : {"dual", "single"}
     seed : int
@@ -155,6 +158,8 @@ def learn(
         if value is not None or name not in OWN_DEFAULT
     }
     given["classifier"], given["classifier_arguments"] = describe(classifier, classifier_arguments)
+    given["noise"], own_noise = resolve(noise)
+    given["dark"] = check_dark(dark, given["noise"])
     own = None if isinstance(classifier, str) else classifier
     with as_input_error():
         training = training_for(
@@ -164,7 +169,7 @@ def learn(
         job = Job(**named, training=training)
     training_set = TrainingSet(as_dataset(data), device)
     with shown(report, f"{design}, {masks} masks") as bar:
-        return train(training_set, [job], matrix, bar, own)[0]
+        return train(training_set, [job], matrix, bar, own, own_noise)[0]
 
 
 def train(
@@ -173,6 +178,7 @@ def train(
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
     classifier: nn.Module | Factory | None = None,
+    own_noise: OwnNoise | None = None,
 ) -> list[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
@@ -186,16 +192,23 @@ def train(
     report : Report
     classifier : nn.Module or callable, optional
         A user's own, where it is not imported by its name in the settings.
+    own_noise : callable, optional
+        The same for the noise.
     """
     began = time.perf_counter()
     device = training_set.device
     first = check_jobs(jobs, training_set.data, device, matrix)
+    own_noise = own_noise or resolve(first.noise)[1]
+    if own_noise is not None:
+        try_own(own_noise, first.code.learned)
     noise = FeatureNoise.of(
         first.noise,
         [job.photons / training_set.summed_reflectance for job in jobs],
         [job.sigma for job in jobs],
         [job.seed for job in jobs],
         device,
+        [job.dark for job in jobs],
+        own_noise,
     )
     learned = None
     if first.design == "control":

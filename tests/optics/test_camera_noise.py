@@ -1,0 +1,214 @@
+"""Photons, dark counts and read noise together, and a noise of one's own: moments and gradients."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from conftest import OPTICS, assert_moments, generator, quick
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints, noise
+from deepfsi.optics.features import FeatureNoise
+from deepfsi.optics.masks import Learned
+from deepfsi.optics.scanner import Scanner, readouts
+from shared.noises import exact, photons, saturating
+
+DRAWS = 50_000
+SIGMA, DARK = 3.0, 40.0
+
+PLUS = torch.tensor([[0.5, 0.0], [0.25, 0.2], [0.0, 0.0], [0.0, 0.0]], dtype=torch.float64)
+MINUS = torch.tensor([[0.0, 0.25], [0.0, 0.0], [0.25, 0.5], [0.0, 0.0]], dtype=torch.float64)
+RAILS = torch.stack([PLUS, MINUS])
+"""Both rails of a mask are lit, one alone, the other alone, and none."""
+
+TIMES = torch.tensor([[0.5, 0.25, 0.0, 0.0], [0.25, 0.0, 0.5, 0.0]], dtype=torch.float64)
+"""Shares of the exposure, by hand."""
+
+
+@pytest.mark.parametrize("rate", [0, 1e-3, 1, 1e3, 1e7])
+@pytest.mark.parametrize("dark", [0.0, 0.3, 50.0])
+@pytest.mark.parametrize("sigma", [0.0, 0.5, 7.0])
+def test_variance_is_that_of_light_dark_counts_and_read_noise(rate, dark, sigma):
+    rates = torch.full((DRAWS,), rate, dtype=torch.float64)
+    counts = noise.readout(rates, "camera", sigma, generator(), dark)
+    assert_moments(counts, rate, rate + dark + sigma**2, poisson=True, rounding=0.5 * (rate > 1e6))
+
+
+def test_every_part_is_its_own_law():
+    """Third central moment: of Poisson its mean, of read noise none."""
+    counts = noise.readout(torch.full((DRAWS,), 2.0).double(), "camera", 1.0, generator(), 3.0)
+    third = (counts - counts.mean()).pow(3)
+    assert abs(third.mean() - 5.0) <= 5 * float(third.std()) / math.sqrt(DRAWS)
+
+
+@pytest.mark.parametrize("light", [0.0, 30.0, 1e4])
+def test_each_readout_has_dark_counts_for_its_time(light):
+    photons = torch.tensor([light, 2 * light], dtype=torch.float64)
+    counts = Scanner.from_rails(RAILS, "camera", SIGMA, DARK).counts(
+        photons.expand(DRAWS, 2), generator()
+    )
+    lit = RAILS.amax(dim=-1) > 0
+    power = RAILS @ photons + (DARK * TIMES + SIGMA**2) * lit
+    for rail in range(2):
+        for mask in range(4):
+            mean = float(RAILS[rail, mask] @ photons)
+            assert_moments(
+                counts[:, rail, mask], mean, float(power[rail, mask]), poisson=True, rounding=1e-9
+            )
+
+
+def test_features_have_both_rails_noise():
+    photons = torch.tensor([30.0, 60.0], dtype=torch.float64)
+    scanner = Scanner.from_rails(RAILS, "camera", SIGMA, DARK)
+    features = scanner(photons.expand(DRAWS, 2), generator())
+    lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
+    power = (RAILS @ photons).sum(dim=0) + DARK * TIMES.sum(dim=0) + SIGMA**2 * lit
+    for mask in range(4):
+        mean = float((PLUS - MINUS)[mask] @ photons)
+        assert_moments(features[:, mask], mean, float(power[mask]), poisson=True, rounding=1e-9)
+
+
+@pytest.mark.parametrize(("light", "rails"), OPTICS)
+def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
+    """Times of the frames of one device sum to the exposure; on two arms each detector has all."""
+    matrix = torch.randn(6, 20, dtype=torch.float64, generator=generator())
+    fitted = constraints.fit(matrix if rails == "dual" else matrix.abs(), light, rails)
+    time = readouts(*constraints.combine(fitted)).time
+    if light == "column":
+        assert (time <= 1).all()
+    elif light == "two-arm":
+        assert torch.allclose(time.sum(dim=1), torch.ones(2, dtype=torch.float64))
+        assert torch.equal(time[0], time[1])
+    else:
+        assert float(time.sum()) == pytest.approx(1)
+
+
+def test_impulse_imaging_has_a_detector_for_each_pixel_and_raster_one_for_all(digits):
+    for design, detectors in (("impulse", 64), ("raster", 1)):
+        rails = quick(digits, design).rails.double()
+        assert float(readouts(*constraints.combine(rails)).time.sum()) == pytest.approx(detectors)
+
+
+@pytest.mark.parametrize("light", ["column", "free-dwell", "two-arm"])
+def test_masks_follow_mean_and_variance(light):
+    """E[y²] = μ² + L with L of light, dark counts and read noise: its slope in every weight."""
+    start = torch.randn(3, 5, dtype=torch.float64, generator=generator(2))
+    masks = Learned(start, light)
+    scene = torch.linspace(1, 5, 5, dtype=torch.float64)
+    scanner = Scanner(masks, "camera", SIGMA, DARK)
+
+    difference, total = masks()
+    read = readouts(difference, total)
+    power = total @ scene + DARK * read.time.sum(dim=0) + SIGMA**2 * read.lit
+    wanted = torch.autograd.grad(
+        ((difference @ scene) ** 2 + power).sum(), list(masks.parameters())
+    )
+
+    batches = []
+    for seed in range(40):
+        features = scanner(scene.expand(2000, 5), generator(seed))
+        loss = features.square().sum(dim=1).mean()
+        grads = torch.autograd.grad(loss, list(masks.parameters()))
+        batches.append(torch.cat([each.flatten() for each in grads]))
+    found = torch.stack(batches)
+    error = found.std(dim=0) / math.sqrt(len(found))
+    exact = torch.cat([each.flatten() for each in wanted])
+    # of 40 batches the error itself is known to a ninth; five and a half of them
+    assert ((found.mean(dim=0) - exact).abs() <= 5.5 * error + 1e-9).all()
+    assert (exact.abs() > 1e-3).any()
+
+
+@pytest.mark.parametrize("kind", ["poisson", "camera"])
+def test_training_draws_what_the_scanner_does(kind):
+    """Counted features of a step, two trainings side by side, against the law of each."""
+    gains, sigmas, darks = [50.0, 200.0], [2.0, 5.0], [30.0, 10.0]
+    drawn = FeatureNoise.of(kind, gains, sigmas, [0, 1], torch.device("cpu"), darks)
+    difference, total = constraints.combine(RAILS.unsqueeze(0))
+    scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
+    mean, light = (each @ scene for each in (difference, total))  # (1, 4)
+    read = readouts(difference, total)
+    features = drawn.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
+    lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
+    for job, gain in enumerate(gains):
+        besides = darks[job] * TIMES.sum(dim=0) + sigmas[job] ** 2 * lit
+        power = light[0] * gain + (besides if kind == "camera" else 0)
+        for mask in range(4):
+            assert_moments(
+                features[:, job, mask] * gain, float(mean[0, mask] * gain), float(power[mask]),
+                poisson=True, rounding=1e-4,
+            )  # fmt: skip
+        assert torch.allclose(drawn.variance(light, read)[job], (power / gain**2).float().double())
+
+
+@pytest.mark.parametrize("dark", [-1.0, math.nan, math.inf])
+def test_impossible_dark_counts_are_refused(dark):
+    with pytest.raises(InputError, match="give 0 or more"):
+        Scanner.from_rails(RAILS, "camera", 1.0, dark)
+
+
+@pytest.mark.parametrize("kind", ["poisson", "gaussian", photons])
+def test_dark_counts_are_of_camera_noise_only(kind):
+    with pytest.raises(InputError, match="camera"):
+        Scanner.from_rails(RAILS, kind, 1.0, 5.0)
+
+
+def test_a_noise_of_ones_own_is_drawn_for_each_rail():
+    scene = torch.tensor([600.0, 900.0], dtype=torch.float64)
+    for own in (saturating, "shared.noises:saturating"):
+        scanner = Scanner.from_rails(RAILS, own)
+        assert scanner.noise == "shared.noises:saturating"
+        counts = scanner.counts(scene.expand(DRAWS, 2), generator())
+        rates = RAILS @ scene
+        seen = rates / (1 + rates / 1000)
+        for rail in range(2):
+            for mask in range(4):
+                mean = float(seen[rail, mask])
+                assert_moments(counts[:, rail, mask], mean, mean, poisson=False, rounding=1e-9)
+    features = scanner(scene.expand(DRAWS, 2), generator())
+    assert_moments(
+        features[:, 0], float(seen[0, 0] - seen[1, 0]), float(seen[:, 0].sum()),
+        poisson=False, rounding=1e-9,
+    )  # fmt: skip
+
+
+def test_masks_learn_through_a_noise_of_ones_own():
+    """As through ml_gauss, with a dark rail that gives no NaN."""
+    masks = [Learned(torch.randn(4, 6, generator=generator(1)), "column") for _ in range(2)]
+    for each, kind in zip(masks, (photons, "ml_gauss"), strict=True):
+        grads = []
+        for seed in range(60):
+            y = Scanner(each, kind)(torch.full((500, 6), 40.0), generator(seed))
+            grads.append(torch.autograd.grad(y.square().sum(dim=1).mean(), each.weight)[0])
+        each.found = torch.stack(grads)
+    first, second = (each.found for each in masks)
+    error = (first.var(dim=0) + second.var(dim=0)).div(len(first)).sqrt()
+    assert torch.isfinite(first).all()
+    assert ((first.mean(dim=0) - second.mean(dim=0)).abs() <= 5.5 * error).all()
+
+
+def no_tensor(rates: Tensor, generator: torch.Generator | None) -> object:
+    return rates.tolist()
+
+
+def infinite(rates: Tensor, generator: torch.Generator | None) -> Tensor:
+    return rates / 0
+
+
+@pytest.mark.parametrize(
+    ("own", "match"),
+    [
+        (exact, "no gradient in the rates"),
+        (lambda rates: rates, "cannot be used"),
+        (lambda rates, generator: rates[:, :1], "of the shape of the rates"),
+        (infinite, "no finite counts"),
+        (no_tensor, "cannot be used"),
+        ("shared.noises:no_such", "has no no_such"),
+        ("no_such_module:noise", "No module named"),
+        ("camrea", "did you mean 'camera'"),
+    ],
+)
+def test_what_is_no_noise_is_refused_in_one_line(digits, own, match):
+    with pytest.raises(InputError, match=match) as error:
+        quick(digits, noise=own)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,22 @@
+"""Noises as users write them, importable as `shared.noises:NAME`."""
+
+import torch
+from torch import Tensor
+
+from deepfsi.optics.noise import root
+
+
+def photons(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """The package's ml_gauss, written again."""
+    return rates + root(rates) * torch.randn(rates.shape, generator=generator)
+
+
+def saturating(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """A detector that saturates at a thousand counts: another mean than the rates."""
+    seen = rates / (1 + rates / 1000)
+    return seen + root(seen) * torch.randn(rates.shape, generator=generator)
+
+
+def exact(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Exact counts, whose draws have no gradient."""
+    return torch.poisson(rates, generator)
