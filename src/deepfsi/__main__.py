@@ -1,6 +1,22 @@
-"""`python -m deepfsi`."""
+"""`deepfsi` and `python -m deepfsi`."""
 
-from deepfsi.cli import main
+from typing import NoReturn
+
+from deepfsi import interrupts
+
+
+def main() -> NoReturn:
+    """Run the command line, with Ctrl-C handled from the first moment."""
+    interrupts.arm()
+    from deepfsi import cli
+
+    try:
+        cli.main()
+    except SystemExit as end:
+        if end.code == interrupts.STOPPED:
+            interrupts.leave()
+        raise
+
 
 if __name__ == "__main__":
     main()

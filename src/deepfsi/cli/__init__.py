@@ -12,6 +12,7 @@ from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
+from deepfsi.interrupts import STOPPED, say_stopped
 
 app = typer.Typer(
     name="deepfsi",
@@ -43,9 +44,6 @@ app.add_typer(camera.dmd, name="dmd")
 app.add_typer(camera.camera, name="camera")
 app.add_typer(data.app, name="data")
 
-_STOPPED = 130
-"""Exit code after Ctrl-C."""
-
 
 def main() -> NoReturn:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
@@ -54,17 +52,15 @@ def main() -> NoReturn:
     except typer.Exit as stop:
         code = stop.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        code = _STOPPED
+        code = STOPPED
     except InputError as error:
         _fail(as_options(str(error)))
     except typer.TyperException as error:
         _fail(getattr(error, "format_message", error.__str__)())
     except OSError as error:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
-    if code == _STOPPED:
-        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"], ["plan"])
-        kept = "; finished trials are kept, run again to go on" if resumes else ""
-        print(f"deepfsi: stopped{kept}", file=sys.stderr)
+    if code == STOPPED:
+        say_stopped()
     sys.exit(code if isinstance(code, int) else 0)
 
 

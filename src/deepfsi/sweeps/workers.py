@@ -8,11 +8,13 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.errors import InputError
+from deepfsi.interrupts import held_back
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -96,12 +98,14 @@ def processes(
         initializer=_settle,
         initargs=(shared, max(1, cores() // workers)),
     )
+    resource_tracker.ensure_running()  # which would let Ctrl-C through, were it started later
     queue = iter(tasks)
     running: set[Future[Result]] = set()
     try:
         while True:
             for task in queue:
-                running.add(pool.submit(_run, work, task))
+                with held_back():
+                    running.add(pool.submit(_run, work, task))
                 if len(running) == workers:
                     break
             if not running:

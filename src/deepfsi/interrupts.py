@@ -1,0 +1,124 @@
+"""Ctrl-C on a command line: one line and exit code 130 within two seconds, at any moment.
+
+Python turns Ctrl-C into `KeyboardInterrupt`, which does harm where it comes at a bad moment: within
+the import of a compiled module (a fatal error of Python), in a worker process that just starts (a
+traceback), in a callback (ignored), or late (a long product of matrices). So it is raised only
+where no import runs, workers are started with it blocked, and a thread ends the process that is
+still there `GRACE_SECONDS` after. Files are drafts until they are whole, and claims end with their
+process, so that ending at any moment leaves nothing half done.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import NoReturn
+
+STOPPED = 130
+"""Exit code after Ctrl-C."""
+
+GRACE_SECONDS = 1.2
+"""Time from Ctrl-C until the process is ended."""
+
+RAY_GRACE_SECONDS = 20.0
+"""The same where work runs on a Ray cluster, which has to be told to stop."""
+
+_said = threading.Event()
+
+
+def arm() -> None:
+    """Handle Ctrl-C for the rest of this process, a command line."""
+    if sys.platform == "win32":  # has no such signals
+        return
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.signal(signal.SIGINT, _stop)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # also while a long call runs
+    threading.Thread(target=_end_in_time, args=(reading,), daemon=True).start()
+    sys.warnoptions.append("ignore:resource_tracker")  # it cleans up after us, and says so
+    usual = sys.unraisablehook
+
+    def without_stops(ignored: "sys.UnraisableHookArgs") -> None:
+        if ignored.exc_type is not KeyboardInterrupt:
+            usual(ignored)
+
+    sys.unraisablehook = without_stops
+
+
+def say_stopped() -> None:
+    """Say once on standard error that the command was stopped, and what is kept."""
+    if not _said.is_set():
+        _said.set()
+        resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"], ["plan"])
+        kept = "; finished trials are kept, run again to go on" if resumes else ""
+        print(f"deepfsi: stopped{kept}", file=sys.stderr)
+
+
+def leave() -> NoReturn:
+    """End this process and its workers now."""
+    _end_workers()
+    with contextlib.suppress(OSError, ValueError, RuntimeError):  # it may interrupt a print
+        if sys.stderr.isatty():
+            sys.stderr.write("\x1b[?25h")  # a bar hides the cursor
+        say_stopped()
+        sys.stderr.flush()
+        sys.stdout.flush()
+    os._exit(STOPPED)
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[None]:
+    """Hold Ctrl-C back until the block ends; processes started in it never see it."""
+    usual = signal.getsignal(signal.SIGINT)
+    elsewhere = threading.current_thread() is not threading.main_thread()
+    if sys.platform == "win32" or elsewhere or usual is None:
+        yield
+        return
+    came: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, usual)
+        if came and callable(usual):
+            usual(came[0], sys._getframe())
+
+
+def _end_workers() -> None:
+    """Kill worker processes, also one that is being started; imports nothing, as one may run."""
+    psutil = sys.modules.get("psutil")
+    if "multiprocessing.spawn" not in sys.modules or not hasattr(psutil, "Process"):
+        return
+    for child in psutil.Process().children():
+        with contextlib.suppress(psutil.Error):
+            if any("multiprocessing.spawn" in word for word in child.cmdline()):
+                child.kill()
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    """Raise `KeyboardInterrupt`, but end the process where an import runs."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            leave()
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _end_in_time(reading: int) -> None:
+    """End the process some time after the first Ctrl-C, or at the second."""
+    while os.read(reading, 1) != bytes([signal.SIGINT]):
+        pass
+    again = threading.Thread(target=_end_at_once, args=(reading,), daemon=True)
+    again.start()
+    again.join(RAY_GRACE_SECONDS if "--ray" in sys.argv else GRACE_SECONDS)
+    leave()
+
+
+def _end_at_once(reading: int) -> None:
+    while os.read(reading, 1) != bytes([signal.SIGINT]):
+        pass

@@ -1,0 +1,111 @@
+"""Ctrl-C at random moments: one line, exit code 130, nothing left over.
+
+DEEPFSI_STOPS=100 pytest tests/test_interrupts.py tries more moments, and says how long each took.
+"""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from shared.waiting import PATIENCE, until
+
+STOPS = int(os.environ.get("DEEPFSI_STOPS", "4"))
+SLOWEST = 2.0
+"""Seconds within which all is over on a machine that is free."""
+
+RECIPE = """
+designs = ["pca", "deepfsi"]
+photons = 1e2
+masks = [1, 2, 3, 4]
+trials = 200
+draws = 1
+training = { epochs = 2, batch = 32 }
+"""
+ARMED = """
+import sys
+from deepfsi import __main__, interrupts
+interrupts.arm()
+interrupts.arm = lambda: None
+print("armed", flush=True)
+__main__.main()
+"""
+"""The command line, once Ctrl-C is handled; before, Python itself starts."""
+
+
+def start(folder: Path) -> subprocess.Popen:
+    recipe = folder / "recipe.toml"
+    recipe.write_text(RECIPE)
+    words = ["sweep", str(recipe), "-o", str(folder / "out"), "--workers", "2"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", ARMED, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
+    assert process.stdout.readline() == "armed\n"
+    return process
+
+
+def stopped(process: subprocess.Popen) -> tuple[float, str]:
+    """Seconds from Ctrl-C, which reaches the whole group, to the end, and what was said."""
+    children = psutil.Process(process.pid).children(recursive=True)
+    began = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE)
+    took = time.monotonic() - began
+    assert not psutil.wait_procs(children, timeout=PATIENCE)[1]
+    return took, errors
+
+
+def crowding() -> float:
+    """Times that this machine is slower than a free one, by its load."""
+    return max(1.0, os.getloadavg()[0] / len(os.sched_getaffinity(0)) + 1)
+
+
+@pytest.mark.slow
+def test_ctrl_c_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
+    process, began = start(tmp_path), time.monotonic()
+    until(lambda: list(tmp_path.glob("out/trials/*.json")) or process.poll() is not None)
+    span, chance = time.monotonic() - began, random.Random(5)
+    moments = [chance.uniform(0, 1.2 * span) for _ in range(STOPS)]
+    seconds = []
+    for moment in [0.0, *moments]:
+        took, errors = stopped(process)
+        seconds.append(took)
+        assert process.returncode == 130, errors
+        assert errors.strip().count("\n") == 0, errors
+        line = errors.strip()
+        assert line.startswith("deepfsi: stopped; finished trials are kept")
+        process = start(tmp_path)
+        time.sleep(moment)
+    process.kill()
+    process.communicate()
+    print(json.dumps({"seconds": sorted(round(each, 2) for each in seconds)}))
+    assert max(seconds) < SLOWEST * crowding()
+
+
+def test_a_command_ends_within_a_moment_where_no_exception_would_come(tmp_path):
+    """A loop that swallows what Ctrl-C raises, and prints its own words."""
+    code = (
+        "import sys, time; from deepfsi import interrupts; interrupts.arm()\n"
+        "sys.argv = ['deepfsi', 'show']\n"
+        "while True:\n"
+        "    try: print('armed', flush=True); time.sleep(600)\n"
+        "    except KeyboardInterrupt: pass\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "armed\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, errors) == (130, "deepfsi: stopped\n")
