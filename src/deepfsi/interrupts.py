@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 STOPPED = 130
 """Exit code after Ctrl-C."""
@@ -91,7 +91,7 @@ def held_back() -> Iterator[None]:
 
 def _end_workers() -> None:
     """Kill worker processes, also one that is being started; imports nothing, as one may run."""
-    psutil = sys.modules.get("psutil")
+    psutil: Any = sys.modules.get("psutil")
     if "multiprocessing.spawn" not in sys.modules or not hasattr(psutil, "Process"):
         return
     for child in psutil.Process().children():
