@@ -141,6 +141,15 @@ def test_a_recording_that_ends_early_keeps_whole_passes(manifest, pause, left):
     assert {f.scene for f in found.faults if f.kind == "lost"} == set(range(whole, 4))
 
 
+def test_passes_are_not_shifted_where_the_first_left_one_marker():
+    """The last pass lacks its end, for all that times tell: then the first may be the second."""
+    manifest = schedule([1000])
+    true = train(manifest, 4, pauses=[0, 0, 0, 1e-3])
+    markers = true.ravel()[4:]
+    with pytest.raises(InputError, match="not certain"):
+        align(markers, manifest, 4, counter=lamp(manifest, true))
+
+
 def test_a_long_hole_is_not_filled():
     true = train(EQUAL, 3, 1e-4, pauses=0.05)
     found = align(np.delete(true.ravel(), range(25, 31)), EQUAL, 3)

@@ -134,10 +134,13 @@ def test_a_scene_with_faults_is_counted_or_given_up(whole, tmp_path):
 @given(
     trouble=troubles("missing", "late", "extra", "cut", "start", "next", "before"),
     pauses=st.lists(st.sampled_from([0.0, 1e-3, 0.02]), min_size=3, max_size=3),
-    drift=st.floats(-2e-4, 2e-4),
+    drift=st.floats(-2e-4, 2e-4) | st.floats(-1e-2, 1e-2),
+    held=st.just(1.0) | st.floats(0.3, 1.0),
 )
-def test_a_valid_exposure_holds_the_photons_of_its_frames(whole, tmp_path, trouble, pauses, drift):
-    """Markers that come one frame too early or too late are among the faults."""
+def test_a_valid_exposure_holds_the_photons_of_its_frames(
+    whole, tmp_path, trouble, pauses, drift, held
+):
+    """Markers a frame too early or late, frames of other lengths and cuts are among the faults."""
     folder, patterns = tmp_path / "run", whole.patterns
     starts = train(patterns.manifest, 3, drift, pauses=pauses)
     markers = starts.ravel()
@@ -153,6 +156,8 @@ def test_a_valid_exposure_holds_the_photons_of_its_frames(whole, tmp_path, troub
     if not folder.exists():
         prepare(folder, whole.folder / "patterns", read_acquisition(whole.folder)[0])
     replace(whole, folder=folder).record(starts, markers, whole.photons)
+    content = (folder / "photons.ptu").read_bytes()
+    (folder / "photons.ptu").write_bytes(content[: max(round(held * len(content)), 1000)])
     try:
         counts = count(folder)
     except InputError as error:

@@ -180,7 +180,7 @@ def _decode(
     first = [(int(where[0]), how) for where, how in damages if len(where)]
     if first:
         raise _Damage(*min(first))
-    reached = max(int(bases[-1]), latest)
+    reached = max(int(bases[-1]), latest, after)
     part = Part(kind, words, places, times, bits, sync, wraps, runs, reached)
     return part, _State(int(bases[-1]) // kind.wrap, latest, after)
 

@@ -73,12 +73,13 @@ def count(
     header = read_header(Path(folder) / "photons.ptu")
     _check_ticks(header, gates)
     frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
-    check_gates(gates, manifest, frames)
+    check_gates(header, gates, manifest, frames)
     windows = Windows.of(manifest, gates, frames)
     whole, faults = frames.whole, frames.faults
     opens = frames.starts_s[whole][:, windows.frame] + windows.offset
+    closes = np.minimum(opens + windows.length, frames.until_s)
     found, seconds = _count_windows(
-        header, opens, windows.length, acquisition.inputs, report.part(0.4, 1.0)
+        header, opens, closes, acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
     fits = _show_ends(header, photons[..., 0], spent)
@@ -110,7 +111,7 @@ def _check_ticks(header: Header, gates: Gates) -> None:
 
 
 def _count_windows(
-    header: Header, opens: np.ndarray, length: np.ndarray, inputs: tuple[int, ...], report: Report
+    header: Header, opens: np.ndarray, closes: np.ndarray, inputs: tuple[int, ...], report: Report
 ) -> tuple[np.ndarray, np.ndarray]:
     """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g).
 
@@ -119,8 +120,8 @@ def _count_windows(
     """
     tick_s, known = header.tick_s, np.isfinite(opens).ravel()
     starts = in_ticks(opens.ravel()[known], tick_s)
-    stops = in_ticks((opens + length).ravel()[known], tick_s)
-    starts = np.minimum.accumulate(starts[::-1])[::-1]
+    stops = in_ticks(closes.ravel()[known], tick_s)
+    starts = np.minimum(np.minimum.accumulate(starts[::-1])[::-1], stops.max(initial=0))
     stops[:-1] = np.minimum(stops[:-1], starts[1:])
     found = np.zeros((opens.size, len(inputs)), np.int64)
     seconds = np.zeros(opens.size)

@@ -114,7 +114,8 @@ def _check_certain(passes: list[Pass], markers: Markers, spare: np.ndarray) -> N
             f"markers of {len(passes)} whole passes, and there are {scenes} scenes: give those "
             "that were recorded"
         )
-    ends = lacking > MOST_RESTORED or (markers.cut and len(passes) < scenes)
+    before = times[0] < passes[0].expected[0] - schedule.tolerance
+    ends = lacking > MOST_RESTORED or (lacking and before) or (markers.cut and len(passes) < scenes)
     if ends and _has_strays(passes, times, schedule):
         raise InputError(
             "the last pass is cut, and markers outside of all passes follow no schedule: which "

@@ -15,8 +15,9 @@ from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
+from deepfsi.hardware.ptu.records import MARKER_SLACK_S
 from deepfsi.hardware.recording.acquisition import Acquisition
-from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS, align
+from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS, Counter, align
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.passes import MOST_DRIFT
 from deepfsi.progress import Report
@@ -38,6 +39,8 @@ class Frames:
         By how much a marker may be off.
     drift : float
         By how much passes last longer than planned, as a share: their median.
+    until_s : float
+        Up to when all photons are in the file, seconds; infinite unless it is cut.
     faults : list of Fault
         Of the markers.
     """
@@ -47,6 +50,7 @@ class Frames:
     pictures_s: np.ndarray
     tolerance_s: float
     drift: float
+    until_s: float
     faults: list[Fault]
 
 
@@ -74,28 +78,21 @@ def find_frames(
     path, tick_s = header.path, header.tick_s
     times, bits = read_markers(path, report)
     times = times[bits & acquisition.marker_bit != 0]
-    end = int(times.max(initial=0)) - header.kind.wrap if header.problems else None
-
-    def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-        edges = np.clip(np.stack([in_ticks(starts, tick_s), in_ticks(stops, tick_s)]), 0, end)
-        unique, places = np.unique(edges, return_inverse=True)
-        found = count_gates(path, unique[:-1], unique[1:], acquisition.inputs[:1])[:, 0]
-        before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
-        return before[1] - before[0]
-
+    last = float(times.max(initial=0)) * tick_s
+    # The file of a recording that was cut holds all photons up to the last marker.
+    until = last - 2 * max(MARKER_SLACK_S, tick_s) if header.problems else np.inf
     try:
         aligned = align(
             times * tick_s,
             manifest,
             len(acquisition.scenes),
             tolerance_s=tolerance_s,
-            counter=counter,
+            counter=_photon_counter(header, acquisition.inputs[:1], until),
             cut=bool(header.problems),
         )
     except InputError as error:
         raise InputError(f"{path} has {len(times)} frame markers: {error}") from None
     starts = aligned.starts_s.copy()
-    last = float(times.max(initial=0)) * tick_s
     if header.problems:
         starts[starts >= last] = np.nan  # the frame that was being recorded when the file ended
     shown = starts[:, manifest.shown]
@@ -104,10 +101,30 @@ def find_frames(
     if not whole.any():
         why = aligned.faults[0] if aligned.faults else "it ends too early"
         raise InputError(f"{path} has no whole exposure ({why}): record again")
-    drift = _find_drift(starts, manifest.starts_s)
     return Frames(
-        starts, whole, aligned.pictures_s, aligned.tolerance_s, drift, list(aligned.faults)
+        starts_s=starts,
+        whole=whole,
+        pictures_s=aligned.pictures_s,
+        tolerance_s=aligned.tolerance_s,
+        drift=_find_drift(starts, manifest.starts_s),
+        until_s=until,
+        faults=list(aligned.faults),
     )
+
+
+def _photon_counter(header: Header, inputs: tuple[int, ...], until: float) -> Counter:
+    """Count photons on an input in any windows, as far as all are in the file."""
+    tick_s = header.tick_s
+    end = max(int(until / tick_s), 0) if np.isfinite(until) else None
+
+    def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
+        edges = np.clip(np.stack([in_ticks(starts, tick_s), in_ticks(stops, tick_s)]), 0, end)
+        unique, places = np.unique(edges, return_inverse=True)
+        found = count_gates(header.path, unique[:-1], unique[1:], inputs)[:, 0]
+        before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
+        return before[1] - before[0]
+
+    return counter
 
 
 def _find_drift(starts: np.ndarray, planned: np.ndarray) -> float:
@@ -152,7 +169,7 @@ class Windows:
     def of(cls, manifest: Manifest, gates: Gates, found: Frames) -> "Windows":
         """Windows of a pass over the frames of a manifest as they were found in a recording.
 
-        Parameters as of `check_gates`.
+        Parameters as of `check_gates`, but for the file.
         """
         repeats, frames = gates.repeats, len(manifest.frames)
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
@@ -182,11 +199,13 @@ class Windows:
         return np.add.reduceat(kept, np.searchsorted(self.frame, np.arange(self.frames)), axis=1)
 
 
-def check_gates(gates: Gates, manifest: Manifest, found: Frames) -> None:
+def check_gates(header: Header, gates: Gates, manifest: Manifest, found: Frames) -> None:
     """Raise `InputError` if frames were so much shorter than planned that gates do not fit.
 
     Parameters
     ----------
+    header : Header
+        Of the photon file.
     gates : Gates
         Of the masks' frames.
     manifest : Manifest
@@ -200,8 +219,9 @@ def check_gates(gates: Gates, manifest: Manifest, found: Frames) -> None:
     if over.max() > 0:
         exposure = float((room / manifest.shares).min()) / gates.repeats
         raise InputError(
-            f"frames were {-found.drift:.2%} shorter than planned, and {gates.repeats} exposures "
-            f"do not fit: give --exposure {exposure:.4g} or less, or fewer --repeats"
+            f"{header.path} has frames {-found.drift:.2%} shorter than planned, and "
+            f"{gates.repeats} exposures do not fit: give --exposure {exposure:.4g} or less, or "
+            "fewer --repeats"
         )
 
 
