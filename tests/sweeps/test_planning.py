@@ -221,7 +221,7 @@ def test_the_command(done, tmp_path):
     plan = json.loads(done("plan", "--target", "0.7", *words, "--json"))
     assert plan["target"] == 0.7
     kept = json.loads((tmp_path / "p/plan.json").read_text())
-    assert plan == {**kept, "command": plan["command"]}
+    assert plan == {**kept, "command": plan["command"], "schema": plan["schema"]}
     assert json.loads((tmp_path / "p/results.json").read_text())["points"]
 
 

@@ -55,7 +55,9 @@ def camera_prepare(
     )
     made = prepare(out, patterns, planned)
     if as_json:
-        common.print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
+        common.print_json(
+            "camera.prepare", {"folder": str(out), "acquisition": made.model_dump(mode="json")}
+        )
         return
     seen = " and ".join(str(each + 1) for each in made.inputs)
     print(

@@ -72,7 +72,7 @@ def dmd_export(
     rails = DesignRails(made.rails.numpy(), made.light, made.image_shape, reflectance, content)
     with common.progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(rails, settings, out, report)
-    _print_patterns(patterns, out, as_json)
+    _print_patterns("dmd.export", patterns, out, as_json)
 
 
 @dmd.command("check")
@@ -88,7 +88,7 @@ def dmd_check(
 
     with common.progress("frames", quiet=as_json) as report:
         patterns = check_patterns(folder, report)
-    _print_patterns(patterns, folder, as_json)
+    _print_patterns("dmd.check", patterns, folder, as_json)
 
 
 @camera.command("simulate")
@@ -130,7 +130,9 @@ def camera_simulate(
     with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
-        common.print_json({"folder": str(out), "acquisition": made.model_dump(mode="json")})
+        common.print_json(
+            "camera.simulate", {"folder": str(out), "acquisition": made.model_dump(mode="json")}
+        )
         return
     print(
         f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:g} s each\n"
@@ -190,7 +192,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
     if as_json:
         faults = [fault.model_dump() for fault in counts.faults]
         measured = {"counts": counts.counts.tolist(), "valid": counts.valid.tolist()}
-        common.print_json({**summary, "faults": faults, **measured})
+        common.print_json("camera.count", {**summary, "faults": faults, **measured})
         return
     for fault in counts.faults:
         print(f"marker {fault}")
@@ -246,7 +248,9 @@ def camera_classify(
             }
         )
     if as_json:
-        common.print_json({"photons": float(photons or counts.photons), "scenes": scenes})
+        common.print_json(
+            "camera.classify", {"photons": float(photons or counts.photons), "scenes": scenes}
+        )
         return
     rows = [
         (
@@ -272,6 +276,7 @@ def camera_image(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="picture; picture.png in the folder if none")
     ] = None,
+    as_json: options.Json = False,
 ) -> None:
     """Draw the least-squares picture of each scene from its counts, for alignment.
 
@@ -287,7 +292,7 @@ def camera_image(
 
     acquisition, _ = read_acquisition(folder)
     figure = pictures_figure(reconstruct(folder), [scene.name for scene in acquisition.scenes])
-    common.draw(figure, target)
+    common.draw("camera.image", figure, target, as_json)
 
 
 @camera.command("inspect")
@@ -306,9 +311,10 @@ def camera_inspect(
         contents = inspect(file, report)
     if as_json:
         common.print_json(
+            "camera.inspect",
             contents.model_dump()
             | {"photons": {each + 1: n for each, n in contents.photons.items()}}
-            | {"markers": {bit.bit_length() - 1: n for bit, n in contents.markers.items()}}
+            | {"markers": {bit.bit_length() - 1: n for bit, n in contents.markers.items()}},
         )
     else:
         _print_contents(file, contents)
@@ -353,7 +359,9 @@ def camera_spots(
     shape = options.size_of(size) or (32, 32)
     pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape))}
     uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
-    common.print_pictures(write_pictures({**pictures, **uniform}, out), out, as_json)
+    common.print_pictures(
+        "camera.spots", write_pictures({**pictures, **uniform}, out), out, as_json
+    )
 
 
 @camera.command("calibrate")
@@ -389,7 +397,8 @@ def camera_calibrate(
     path = save_calibration(found, out)
     if as_json:
         common.print_json(
-            {"calibration": str(path), **found.model_dump(mode="json", exclude={"flat"})}
+            "camera.calibrate",
+            {"calibration": str(path), **found.model_dump(mode="json", exclude={"flat"})},
         )
         return
     print(
@@ -422,7 +431,7 @@ def _check_shown(file: Path, patterns: "Patterns") -> None:
         )
 
 
-def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
+def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
     from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
@@ -433,6 +442,7 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
     cost = find_cost(manifest, find_gates(manifest, longest))
     if as_json:
         common.print_json(
+            command,
             {
                 "patterns": str(folder),
                 "frames": len(manifest.frames),
@@ -441,7 +451,7 @@ def _print_patterns(patterns: "Patterns", folder: Path, as_json: bool) -> None:
                 "longest_exposure_s": longest,
                 "uncounted": asdict(cost),
                 "dimmed": manifest.dimmed,
-            }
+            },
         )
         return
     print(

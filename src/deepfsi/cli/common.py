@@ -3,7 +3,7 @@
 import json
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,8 +77,8 @@ def open_design(path: Path, trust: bool = False) -> "Design":
     return made.as_shown(*check_patterns(path).realised)
 
 
-def draw(figure: "Figure", path: Path) -> None:
-    """Write a figure, whole or not at all, and say where."""
+def draw(command: str, figure: "Figure", path: Path, as_json: bool) -> None:
+    """Write a command's figure, whole or not at all, and say where."""
     import io
 
     from deepfsi.files import write_atomically
@@ -86,7 +86,10 @@ def draw(figure: "Figure", path: Path) -> None:
     picture = io.BytesIO()
     figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
     write_atomically(path, picture.getvalue())
-    print(f"drawn: {path}")
+    if as_json:
+        print_json(command, {"picture": str(path)})
+    else:
+        print(f"drawn: {path}")
 
 
 def read_matrix(source: str | None) -> "np.ndarray | None":
@@ -113,15 +116,20 @@ def command_line() -> str:
     return shlex.join(["deepfsi", *sys.argv[1:]])
 
 
-def print_json(value: Any) -> None:
-    """Print a value for scripts."""
-    print(json.dumps(value, indent=1))
+JSON_SCHEMA = 1
+"""Version of what every command prints with --json; raised where a field changes or goes."""
 
 
-def print_pictures(written: Sequence[Path], folder: Path, as_json: bool) -> None:
-    """Say which pictures were written to a folder."""
+def print_json(command: str, value: Mapping[str, Any]) -> None:
+    """Print what a command found for scripts, its schema first: "deepfsi.camera.count/1"."""
+    schema = {"schema": f"deepfsi.{command}/{JSON_SCHEMA}"}
+    print(json.dumps({**schema, **value, **schema}, indent=1))
+
+
+def print_pictures(command: str, written: Sequence[Path], folder: Path, as_json: bool) -> None:
+    """Say which pictures a command wrote to a folder."""
     if as_json:
-        print_json([str(path) for path in written])
+        print_json(command, {"folder": str(folder), "pictures": [str(path) for path in written]})
     else:
         print(f"{len(written)} pictures: {folder}")
 

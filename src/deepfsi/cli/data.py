@@ -24,21 +24,27 @@ def data_list(as_json: options.Json = False) -> None:
 
     known = list_datasets()
     if as_json:
-        common.print_json([entry._asdict() for entry in known])
+        common.print_json("data.list", {"data_sets": [entry._asdict() for entry in known]})
         return
     rows = [tuple(map(str, entry)) for entry in known]
     common.print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
 
 
 @app.command("download")
-def data_download(name: Annotated[str, typer.Argument(help="name of a data set")]) -> None:
+def data_download(
+    name: Annotated[str, typer.Argument(help="name of a data set")], as_json: options.Json = False
+) -> None:
     """Fetch a data set once, checked by hash.
 
     Example: deepfsi data download mnist
     """
     from deepfsi.datasets import download
 
-    print(f"{name}: {download(name)}")
+    where = download(name)
+    if as_json:
+        common.print_json("data.download", {"name": name, "where": str(where)})
+    else:
+        print(f"{name}: {where}")
 
 
 @app.command("check")
@@ -53,7 +59,9 @@ def data_check(
 
     files = check(name)
     if as_json:
-        common.print_json([entry._asdict() for entry in files])
+        common.print_json(
+            "data.check", {"name": name, "files": [entry._asdict() for entry in files]}
+        )
     else:
         rows = [(str(f.file), "good" if f.ok else "BAD", f.detail) for f in files]
         common.print_table(name, ("file", "state", "detail"), rows)
@@ -78,4 +86,4 @@ def data_export(
     from deepfsi.datasets import write_display
 
     written = write_display(common.load(name, options.size_of(size)), out, per_class, seed)
-    common.print_pictures(written, out, as_json)
+    common.print_pictures("data.export", written, out, as_json)

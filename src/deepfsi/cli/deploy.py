@@ -19,6 +19,7 @@ def export(
         Path | None, typer.Option("--out", "-o", help="the design's name with .onnx unless given")
     ] = None,
     trust: options.Trust = False,
+    as_json: options.Json = False,
 ) -> None:
     """Write the classifier of a design as an ONNX graph, which runs without this package.
 
@@ -35,6 +36,10 @@ def export(
 
     design = common.open_design(file, trust)
     write_atomically(target, to_onnx(design))
+    if as_json:
+        sizes = {"rails": len(design.rails), "masks": design.masks, "classes": design.classes}
+        common.print_json("export", {"graph": str(target), **sizes})
+        return
     shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
     print(
         f"in: counts {shape}, photons (batch,)\n"
@@ -99,7 +104,7 @@ def plan(
     write_atomically(out / "plan.json", json.dumps(found, indent=1).encode())
     write_results(out / "results.json", results)
     if as_json:
-        common.print_json(found)
+        common.print_json("plan", found)
         return
     _print_needs(found, [axis for axis in ("light", "rails") if len(getattr(recipe, axis)) > 1])
     print(f"plan: {out / 'plan.json'}")

@@ -61,8 +61,8 @@ def design(
     results = test(made, scenes, list(budgets), noise=noise, sigma=sigma, dark=dark)
     made.save(out)
     if as_json:
-        tests = [result.as_dict() for result in results]
-        common.print_json({"design": str(out), "info": made.info, "test": tests[0], "tests": tests})
+        tests = [{"classes": made.classes, **result.as_dict()} for result in results]
+        common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})
         return
     common.print_data(scenes)
     for result in results:
@@ -124,8 +124,8 @@ def evaluate(
             report=report,
         )
     if as_json:
-        tests = [result.as_dict() for result in results]
-        common.print_json({"design": str(file), "notes": notes, "results": tests})
+        tests = [{"classes": made.classes, **result.as_dict()} for result in results]
+        common.print_json("evaluate", {"design": str(file), "notes": notes, "results": tests})
         return
     common.print_data(scenes, notes)
     rows = [
@@ -186,7 +186,7 @@ def stop(
             made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
         )
     if as_json:
-        common.print_json({"design": str(file), "notes": notes, **found.as_dict()})
+        common.print_json("stop", {"design": str(file), "notes": notes, **found.as_dict()})
         return
     common.print_data(scenes, notes)
     _print_stopped(found, _size(made))
@@ -223,6 +223,7 @@ def show(
     file: Annotated[Path, typer.Argument(help="design file")],
     out: Annotated[Path, typer.Option("--out", "-o", help="picture: .png, .svg or .pdf")],
     count: Annotated[int, typer.Option(help="at most this many masks")] = 24,
+    as_json: options.Json = False,
 ) -> None:
     """Draw the masks of a design.
 
@@ -240,8 +241,8 @@ def show(
     budget = made.info.get("job", {}).get("photons")
     title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
     figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)
-    common.draw(figure, out)
-    if memory := memory_of(made):
+    common.draw("show", figure, out, as_json)
+    if (memory := memory_of(made)) and not as_json:
         print(f"trained on: {memory.words}")
 
 

@@ -72,7 +72,7 @@ def compare(
         base = QUICK
     chosen = check_recipe(options.recipe_settings(asked, base), own)
     results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
-    _finish(results, out, as_json)
+    _finish("compare", results, out, as_json)
 
 
 def sweep(
@@ -115,7 +115,7 @@ def sweep(
         _forecast(chosen, out, device, workers, as_json)
         return
     results, records = _run(chosen, out, "sweep", as_json, device=device, workers=workers, ray=ray)
-    _finish(results, out, as_json)
+    _finish("sweep", results, out, as_json)
     if table is not None:
         write_table(records, table)
         if not as_json:
@@ -174,7 +174,7 @@ def reproduce(
     sections = [section for each in chosen if (section := each.section(out))]
     if as_json:
         claims = {section.name: [asdict(claim) for claim in section.claims] for section in sections}
-        common.print_json({"report": str(page), "claims": claims})
+        common.print_json("reproduce", {"report": str(page), "claims": claims})
         return
     for section in sections:
         _print_claims(section)
@@ -183,6 +183,7 @@ def reproduce(
 
 def report(
     folder: Annotated[Path, typer.Argument(help="output of compare, sweep or reproduce")],
+    as_json: options.Json = False,
 ) -> None:
     """Write the page of a comparison, or of all experiments in a folder, anew.
 
@@ -193,7 +194,11 @@ def report(
     from deepfsi.report.comparison_page import build
 
     write = experiments.page if experiments.is_study(folder) else build
-    print(f"report: {write(folder)}")
+    page = write(folder)
+    if as_json:
+        common.print_json("report", {"report": str(page)})
+    else:
+        print(f"report: {page}")
 
 
 def _list_experiments(as_json: bool) -> None:
@@ -201,9 +206,8 @@ def _list_experiments(as_json: bool) -> None:
 
     known = [(study, each) for study, every in experiments.STUDIES.items() for each in every]
     if as_json:
-        common.print_json(
-            [{"name": s, "part": each.name, "title": each.title} for s, each in known]
-        )
+        listed = [{"name": s, "part": each.name, "title": each.title} for s, each in known]
+        common.print_json("reproduce.list", {"experiments": listed})
         return
     for study, each in known:
         print(f"{study if each is experiments.STUDIES[study][0] else '':14s}{each.title}")
@@ -248,14 +252,14 @@ def _run(
         )
 
 
-def _finish(results: "Results", out: Path, as_json: bool) -> None:
+def _finish(command: str, results: "Results", out: Path, as_json: bool) -> None:
     from deepfsi.report.comparison_page import build
     from deepfsi.sweeps.results import write_results
 
     write_results(out / "results.json", results)
     page = build(out)
     if as_json:
-        common.print_json(results.as_dict())
+        common.print_json(command, {"report": str(page), **results.as_dict()})
         return
     common.print_data(results.data)
     _print_points(results)
@@ -276,7 +280,7 @@ def _forecast(
     with common.progress("timing a few steps of each kind", quiet=as_json):
         expected = forecast_cost(*chosen, out, device, workers)
     if as_json:
-        common.print_json(asdict(expected))
+        common.print_json("sweep.forecast", asdict(expected))
         return
     print(
         f"{expected.trials} trials, {expected.done} of them done\n"
