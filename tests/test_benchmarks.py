@@ -254,3 +254,12 @@ def test_a_training_is_timed_beside_busy_processes(capsys):
     printed = capsys.readouterr().out
     for way in load.WAYS:
         assert f"| 1 | {way} |" in printed
+
+
+def test_light_for_a_calibration_is_tabled(capsys):
+    benchmark("calibration_light").main(["--cells", "8", "--photons", "1e5", "--seeds", "2"])
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[1].strip() for row in rows] == ["raster", "hadamard"]
+    for row in rows:
+        assert int(row[3]) >= 23
+        assert float(row[4]) < 0.2

@@ -169,16 +169,15 @@ def test_a_recording_that_cannot_be_leaves_nothing(refuse, lab, patterns, tmp_pa
     assert said in refuse("camera", "simulate", patterns, *usual, *words)
 
 
-def test_a_camera_is_calibrated_by_files_alone(done, made, tmp_path):
-    """A tilted view is found to a third of a cell with 8 x 8 of them, and trained on."""
-    made("hadamard", "equal-dwell", "dual").save(tmp_path / "hadamard.safetensors")
+def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
+    """A tilted view is found to a twentieth of a cell with 8 x 8 of them, and trained on."""
     camera = tmp_path / "tilted.toml"
     camera.write_text(
         "view = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]\ndark = 1e3\n"
     )
     spots, run, out = tmp_path / "spots", tmp_path / "run", tmp_path / "calibration"
     device = ["--device", "64x64", "--dwell", "20ms"]
-    done("dmd", "export", tmp_path / "hadamard.safetensors", *device, "-o", tmp_path / "p")
+    done("dmd", "export", "hadamard", "--size", "8x8", *device, "-o", tmp_path / "p")
     done("camera", "spots", "--size", "32x32", "-o", spots)
     done(
         "camera", "simulate", tmp_path / "p", "--scene", spots, "--flux", 1e7, "--exposure", "2s",
@@ -187,17 +186,70 @@ def test_a_camera_is_calibrated_by_files_alone(done, made, tmp_path):
     done("camera", "count", run)
     text = done("camera", "calibrate", run, "--spots", spots, "-o", out, "--json")
     found = json.loads(text)
-    assert found["spots"] >= 16  # the others fall between the large cells or beside them
+    assert found["spots"] == 25
+    assert found["error"] < 0.05
+    assert found["warnings"] == []
     truth = np.array([[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]])
     for corner in ((0.2, 0.2, 1), (0.8, 0.2, 1), (0.5, 0.5, 1), (0.8, 0.8, 1)):
         ours, theirs = (np.array(h) @ corner for h in (found["homography"], truth))
-        assert np.abs(ours[:2] / ours[2] - theirs[:2] / theirs[2]).max() < 1 / 3 / 8
-    assert found["dark"] == pytest.approx(1e3, rel=0.5)
+        assert np.abs(ours[:2] / ours[2] - theirs[:2] / theirs[2]).max() < 1 / 20 / 8
+    dark_s = 27 * 2 * 20e-3  # all-OFF frames of all scenes
+    assert found["dark"] == pytest.approx(1e3, abs=5 * np.sqrt(1e3 / dark_s))
+    gates_s = 2.0  # of the black scene, mirrors half ON
+    assert found["ambient"] < 5 * np.sqrt(1e3 * (1 / gates_s + 1 / dark_s)) * 2
     words = ["--photons", "1e4", "--masks", 4, "--epochs", 1, "--view", out]
     done("design", *words, "-o", tmp_path / "seen.safetensors")
     design = Design.load(tmp_path / "seen.safetensors")
     assert "calibration" in design.info["preprocessing"]
     done("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)
+
+
+def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, tmp_path):
+    device = ["--device", "64x64", "--dwell", "1ms"]
+    done("dmd", "export", "hadamard", "--size", "16x16", *device, "-o", tmp_path / "p")
+    done("camera", "spots", "--size", "16x16", "--side", 1, "-o", tmp_path / "spots")
+    words = [
+        "--scene",
+        tmp_path / "spots",
+        "--flux",
+        3e5,
+        "--exposure",
+        "0.5s",
+        "--camera",
+        "ideal",
+    ]
+    done("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
+    done("camera", "count", tmp_path / "run")
+    words = ["camera", "calibrate", tmp_path / "run", "--spots", tmp_path / "spots"]
+    out = done(*words, "-o", tmp_path / "c", "--json")
+    assert any("times the light" in doubt for doubt in json.loads(out)["warnings"])
+
+
+def test_patterns_of_devices_by_size_have_times_of_their_own(done, refuse, lab, tmp_path):
+    times = ["--shortest", "100us", "--settle", "5us"]
+    out = done(*export(lab, *times, "--dwell", "50us", "-o", tmp_path / "p"))
+    assert "--dwell 50us was raised to 100 µs" in out
+    device = read_patterns(tmp_path / "p").manifest.device
+    assert (device.shortest_us, device.settle_us) == (100, 5.0)
+    assert "raised" not in done(*export(lab, *times, "--dwell", "100us", "-o", tmp_path / "q"))
+    assert "whole microseconds" in refuse(*export(lab, "--shortest", "1.5us", "-o", tmp_path / "r"))
+    late = ["--settle", "60us", "--dwell", "50us"]
+    assert "to settle" in refuse(*export(lab, *late, "-o", tmp_path / "r"))
+    assert "cells of its design" in refuse(*export(lab, "--size", "8x8", "-o", tmp_path / "r"))
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_large_recording_is_asked_for(done, refuse, lab, patterns, tmp_path, monkeypatch):
+    """All of a pass is written: its photons are forecast before the work."""
+    words = ["camera", "simulate", patterns, "--scene", lab / "images", "--exposure", "5ms"]
+    words += ["--camera", "ideal", "-o", tmp_path / "run"]
+    said = refuse(*words, "--flux", 1e12)
+    assert "GB" in said
+    assert "--yes" in said
+    assert not (tmp_path / "run").exists()
+    monkeypatch.setattr("deepfsi.cli.camera.MOST_EVENTS", 1e3)
+    assert "--yes" in refuse(*words, "--flux", 1e6)
+    done(*words, "--flux", 1e6, "--yes")
 
 
 def test_a_run_of_other_pictures_does_not_calibrate(done, refuse, run, tmp_path):

@@ -7,7 +7,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
-from deepfsi.cli import acquisitions, camera, common, data
+from deepfsi.cli import acquisitions, camera, common, data, dmd
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
@@ -40,7 +40,7 @@ def _start(
 for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
     app.command()(_command)
 camera.camera.command("prepare")(acquisitions.camera_prepare)
-app.add_typer(camera.dmd, name="dmd")
+app.add_typer(dmd.dmd, name="dmd")
 app.add_typer(camera.camera, name="camera")
 app.add_typer(data.app, name="data")
 

@@ -1,5 +1,6 @@
-"""Commands of the camera: patterns for a device, virtual and real acquisitions, photon files."""
+"""Commands of the camera: virtual and real acquisitions, photon files, calibration."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,12 +15,6 @@ if TYPE_CHECKING:
     from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.virtual.camera import Camera
 
-dmd = typer.Typer(
-    invoke_without_command=True,
-    callback=common.help_if_bare,
-    help="Patterns for a micromirror device.\n\n"
-    "Example: deepfsi dmd export digits.safetensors --device dlp7000 --dwell 1ms -o patterns",
-)
 camera = typer.Typer(
     invoke_without_command=True,
     callback=common.help_if_bare,
@@ -27,68 +22,13 @@ camera = typer.Typer(
     "Example: deepfsi camera count run_0001",
 )
 
+MOST_EVENTS = 1e8
+"""Photons of a simulated recording that are written without asking."""
+
+EVENT_BYTES = 4
+"""Bytes of a photon in its file."""
+
 RunArgument = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
-
-
-@dmd.command("export")
-def dmd_export(
-    file: Annotated[Path, typer.Argument(help="design file")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the patterns, new")],
-    device: Annotated[str, typer.Option(help="dlp7000, or COLUMNSxROWS mirrors")] = "dlp7000",
-    dwell: Annotated[
-        str, typer.Option(help="mean time of a frame on the device, such as 1ms or 44us")
-    ] = "1ms",
-    selection: Annotated[
-        str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
-    ] = "ordered",
-    seed: Annotated[int, typer.Option(help="of a random selection")] = 0,
-    kind: Annotated[
-        str, typer.Option("--format", help="npy or raw (packed bits), or png (one a frame)")
-    ] = "npy",
-    as_json: options.Json = False,
-) -> None:
-    """Turn a design into frames for a micromirror device, with a manifest.
-
-    Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
-    """
-    paths.check_design(file)
-    paths.check_new_folder(out)
-    from deepfsi.design.artifact import Design
-    from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-    from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
-
-    settings = FrameSettings(
-        find_device(device),
-        options.seconds("dwell", dwell),
-        selection,  # type: ignore[arg-type]
-        seed,
-        kind,  # type: ignore[arg-type]
-    )
-    made = Design.load(file)
-    if made.name == "impulse":
-        raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
-    made.exposure.check_fixed()
-    content, reflectance = file.read_bytes(), made.summed_reflectance
-    rails = DesignRails(made.rails.numpy(), made.light, made.image_shape, reflectance, content)
-    with common.progress("patterns", quiet=as_json) as report:
-        patterns = export_patterns(rails, settings, out, report)
-    _print_patterns("dmd.export", patterns, out, as_json)
-
-
-@dmd.command("check")
-def dmd_check(
-    folder: Annotated[Path, typer.Argument(help="folder of patterns")],
-    as_json: options.Json = False,
-) -> None:
-    """Read every frame of a folder back and compare it with the manifest.
-
-    Example: deepfsi dmd check patterns
-    """
-    from deepfsi.hardware.patterns.folder import check_patterns
-
-    with common.progress("frames", quiet=as_json) as report:
-        patterns = check_patterns(folder, report)
-    _print_patterns("dmd.check", patterns, folder, as_json)
 
 
 @camera.command("simulate")
@@ -108,6 +48,7 @@ def camera_simulate(
     settle: options.Settle = None,
     repeats: options.Repeats = None,
     seed: Annotated[int, typer.Option(help="repeats exactly")] = 0,
+    yes: Annotated[bool, typer.Option("--yes", help="write a large file without asking")] = False,
     as_json: options.Json = False,
 ) -> None:
     """Record scenes with a virtual camera: a photon file as a real one would write it.
@@ -116,7 +57,8 @@ def camera_simulate(
     """
     paths.check_new_folder(out)
     from deepfsi.datasets import read_display
-    from deepfsi.hardware.virtual.camera import RecordingSettings, record
+    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
 
     recording = RecordingSettings(
         _camera(settings),
@@ -127,6 +69,8 @@ def camera_simulate(
         seed,
     )
     images = read_display(scene)
+    if not yes:
+        _ask_for_room(expected_events(read_patterns(patterns), images.x, recording.camera, flux))
     with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
@@ -341,12 +285,13 @@ def _print_contents(file: Path, contents: "Contents") -> None:
 def camera_spots(
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
     size: Annotated[str, typer.Option(help="pixels of the display, HEIGHTxWIDTH")] = "32x32",
+    side: Annotated[int, typer.Option(min=1, help="pixels of a spot; larger is brighter")] = 2,
     as_json: options.Json = False,
 ) -> None:
     """Write the pictures that calibrate a camera: bright spots, all white, all black.
 
-    Show them to the camera with Hadamard or raster patterns, count, and give the run to
-    `deepfsi camera calibrate`.
+    Show them to the camera with the patterns of `deepfsi dmd export hadamard`, count, and give the
+    run to `deepfsi camera calibrate`.
 
     Example: deepfsi camera spots --size 32x32 -o spots
     """
@@ -357,7 +302,7 @@ def camera_spots(
     from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
 
     shape = options.size_of(size) or (32, 32)
-    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape))}
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
     uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
     common.print_pictures(
         "camera.spots", write_pictures({**pictures, **uniform}, out), out, as_json
@@ -392,18 +337,34 @@ def camera_calibrate(
         [scene.name for scene in acquisition.scenes],
         reconstruct(folder),
         read_counts(folder),
-        patterns.manifest.grid,
+        patterns,
     )
     path = save_calibration(found, out)
     if as_json:
+        about = found.model_dump(mode="json", exclude={"flat"})
         common.print_json(
-            "camera.calibrate",
-            {"calibration": str(path), **found.model_dump(mode="json", exclude={"flat"})},
+            "camera.calibrate", {"calibration": str(path), **about, "warnings": found.doubts}
         )
         return
     print(
-        f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); "
+        f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); the "
+        f"view is known to {found.error:.2f} cells at the display's corners\n"
         f"dark {found.dark:.4g} counts/s, ambient {found.ambient:.4g} counts/s\ncalibration: {path}"
+    )
+    for doubt in found.doubts:
+        print(f"deepfsi: warning: {doubt}", file=sys.stderr)
+
+
+def _ask_for_room(events: float) -> None:
+    """Ask before a photon file beyond `MOST_EVENTS`; `InputError` where there is no one to ask."""
+    if events <= MOST_EVENTS:
+        return
+    size = f"{events:.2g} photons, {events * EVENT_BYTES / 1e9:.2g} GB"
+    if sys.stdin.isatty() and typer.confirm(f"The recording will hold {size}. Go on?", err=True):
+        return
+    raise InputError(
+        f"the recording would hold {size}: lower --flux, show fewer scenes, export with a shorter "
+        "--dwell (all of a pass is recorded), or add --yes"
     )
 
 
@@ -429,42 +390,3 @@ def _check_shown(file: Path, patterns: "Patterns") -> None:
             f"{file} is not the design whose patterns were shown: give the file that "
             "`deepfsi dmd export` was given"
         )
-
-
-def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: bool) -> None:
-    from dataclasses import asdict
-
-    from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
-
-    manifest = patterns.manifest
-    sentinels = len(manifest.frames) - len(manifest.shown)
-    longest = longest_exposure(manifest, manifest.device.settle_us * 1e-6)
-    cost = find_cost(manifest, find_gates(manifest, longest))
-    if as_json:
-        common.print_json(
-            command,
-            {
-                "patterns": str(folder),
-                "frames": len(manifest.frames),
-                "mask_frames": len(manifest.shown),
-                "pass_s": manifest.pass_s,
-                "longest_exposure_s": longest,
-                "uncounted": asdict(cost),
-                "dimmed": manifest.dimmed,
-            },
-        )
-        return
-    print(
-        f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
-        f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
-        f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
-        f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
-        f"{cost.idle:.1%} since no picture is shorter than {manifest.device.shortest_us} µs"
-    )
-    if manifest.dimmed < 0.999:
-        print(
-            f"cost in light: one device shows a {manifest.light} design with "
-            f"{manifest.dimmed:.3g} of its light; learn it with --light free-dwell or "
-            "equal-dwell instead"
-        )
-    print(f"patterns: {folder}")

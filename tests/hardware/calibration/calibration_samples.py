@@ -20,6 +20,7 @@ def calibration_of(view=VIEW, blur=(0.0, 0.0), flat=((1.0,),), **fields):
     return Calibration(
         homography=np.asarray(view).tolist(),
         residual=0.1,
+        error=0.05,
         spots=25,
         shown=25,
         blur=blur,

@@ -51,6 +51,65 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     assert np.abs(gain * mine - truth).mean() < 0.01 + noise
 
 
+@pytest.mark.parametrize("blur_cells", [0.0, 0.4])
+def test_a_spot_smaller_than_a_cell_is_not_drawn_to_its_centre(blur_cells):
+    """Centres of spots of half a cell would leave an error of 0.2 cells, and 5 of 25 spots out."""
+    grid = find_grid(Device(name="d", columns=256, rows=192), (8, 8))
+    blur = blur_cells * 8 / 9.24 / 8, blur_cells * 8 / 12.3 / 8
+    scenes = fit.spot_scenes((32, 32))
+    pictures = pictures_of(scenes, VIEW, blur, ((1.0,),), 0.002, grid=grid)
+    found = fit.calibrate(scenes, pictures, grid)
+    assert found.spots == 25
+    assert 8 * off_corners(found) < 0.05
+
+
+def hadamard_noise(photons):
+    """Noise of each cell of a Hadamard picture where a spot of 4 pixels sends so many photons.
+
+    Of the light of both frames of a mask one half is counted, and all cells share its noise:
+    in units of a pixel that lights a cell by 1, sqrt(2 / photons) times the spot's 4 pixels.
+    """
+    return 4 * np.sqrt(2 / photons)
+
+
+def test_faint_spots_of_hadamard_pictures_are_not_lost():
+    """1500 photons a spot: centres of single spots lose a third of them there."""
+    scenes = fit.spot_scenes((32, 32))
+    off, told, seen = [], [], []
+    for seed in range(8):
+        pictures = pictures_of(scenes, VIEW, (0.01, 0.01), ((1.0,),), hadamard_noise(1500), seed)
+        found = fit.calibrate(scenes, pictures, GRID)
+        corner = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+        distance = 32 * (apply(found.homography, corner) - apply(VIEW, corner))
+        off.append(np.sqrt((distance**2).sum(axis=1).max()))
+        told.append(found.error)
+        seen.append(found.spots)
+    assert min(seen) >= 24
+    # the worst of four corners: beyond the error of one, but not by far
+    ratio = np.sqrt(np.mean(np.square(off))) / np.mean(told)
+    assert 0.6 < ratio < 1.9
+
+
+def test_a_calibration_that_is_not_to_be_trusted_says_why():
+    sure = calibration_of()
+    assert sure.doubts == []
+    doubts = sure.model_copy(update={"spots": 15, "residual": 0.3, "error": 0.2}).doubts
+    assert "only 15 of 25 spots" in doubts[0]
+    assert "0.30 cells" in doubts[1]
+    assert "4 times the light" in doubts[2]
+    assert sure.model_copy(update={"spots": 9, "shown": 9}).doubts == []
+
+
+def test_a_spot_that_is_not_where_the_others_say_is_left_out():
+    scenes = fit.spot_scenes((32, 32))
+    pictures = pictures_of(scenes, VIEW, (0.01, 0.01), ((1.0,),), 0.005)
+    pictures[7] = np.roll(pictures[7], 2, axis=1)
+    pictures[12] = np.nan  # no valid exposure
+    found = fit.calibrate(scenes, pictures, GRID)
+    assert found.spots == 23
+    assert 32 * off_corners(found) < 0.05
+
+
 def test_other_device_and_cell_number():
     grid = find_grid(Device(name="d", columns=100, rows=90), (16, 20))
     scenes = fit.spot_scenes((30, 40), (4, 6), 3)
@@ -112,9 +171,8 @@ def test_lost_and_wrong_spots_do_not_count():
     device[3] = np.nan
     device[[8, 15, 20]] = rng.random((3, 2))
     found = fit.find_homography(display, device, (32, 32))
-    assert found.spots == 21
+    assert found.agreed.sum() == 21
     assert 32 * np.abs(apply(found.matrix, display) - apply(VIEW, display)).max() < 0.1
-    assert 0.01 < found.residual < 0.1
 
 
 @pytest.mark.parametrize("kind", ["few", "line", "diagonal", "chaos"])

@@ -24,6 +24,7 @@ from deepfsi.hardware.virtual.camera import (
     RecordingSettings,
     arrival_rates,
     draw_counts,
+    expected_events,
     irradiance,
     record,
 )
@@ -171,6 +172,16 @@ def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, lig
     assert (flow[:, off, 0] == 0).all()
     if light == "two-arm":
         assert flow.sum(axis=-1) == pytest.approx(np.tile(whole[:, None], flow.shape[1]), rel=1e-5)
+
+
+@pytest.mark.parametrize(("light", "rails"), [("free-dwell", "dual"), ("two-arm", "dual")])
+def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
+    shown = patterns(tmp_path / "p", light, rails)
+    camera = Camera(efficiency=0.3, dark=1e3, ambient=2e4)
+    grey = np.full((2, *SHAPE), 0.4)
+    rates = arrival_rates(tmp_path / "p", grey, camera, 1e5)
+    events = (rates.sum(axis=2) * shown.manifest.picture_s).sum()
+    assert expected_events(shown, grey, camera, 1e5) == pytest.approx(events, rel=1e-4)
 
 
 def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monkeypatch):

@@ -26,6 +26,7 @@ from deepfsi.hardware.calibration.background import (
     expected_background,
     subtract_background,
 )
+from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.calibration.view import Calibration, view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames
@@ -181,11 +182,11 @@ def calibrate() -> Calibration:
     spots = fit.spot_scenes((32, 32))
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     exposure = 10.0
-    rails = np.eye(grid.down * grid.across)[None] / (grid.down * grid.across)
+    raster = scan_rails("raster", (32, 32))
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
-            DesignRails(rails, "equal-dwell", (32, 32), float(grid.down * grid.across)),
-            FrameSettings(DEVICE, 1.1 * exposure / rails.shape[1]),
+            raster,
+            FrameSettings(DEVICE, 1.1 * exposure / raster.rails.shape[1]),
             Path(folder) / "raster",
         )
         arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import ndimage, optimize
+from scipy import ndimage
 from skimage import measure, transform
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.background import black_rates
+from deepfsi.hardware.calibration.background import expected_background
+from deepfsi.hardware.calibration.refine import fit_view
 from deepfsi.hardware.calibration.view import Calibration, geometry_matrix
-from deepfsi.hardware.patterns.sequence import Grid
+from deepfsi.hardware.patterns.sequence import Grid, Patterns
 from deepfsi.hardware.recording.counts import Counts
 
 WHITE, BLACK = "white.png", "black.png"
@@ -28,8 +29,8 @@ WINDOW_CELLS = 1.5
 LEAST_PEAK_STD = 6.0
 """A spot is seen where its peak is this many standard deviations of the noise."""
 
-OUTLIER_CELLS = 0.5
-"""Distance beyond which a spot is left out of the homography, cells."""
+FIRST_OUTLIER_CELLS = 1.0
+"""Distance beyond which a spot is left out of the first homography, cells."""
 
 LEAST_FILLED = 0.5
 """Share of a cell that the display fills where the flat field is fitted, not continued."""
@@ -40,27 +41,21 @@ FLAT_DEGREE = 4
 CELLS_PER_TERM = 4
 """Cells that each term of the polynomial needs."""
 
-WIDEST_BLUR_CELLS = 2.0
-"""Largest blur that is looked for, cells."""
-
 
 @dataclass(frozen=True)
 class Homography:
-    """Homography fitted to spots.
+    """Homography fitted to the centres of spots.
 
     Attributes
     ----------
     matrix : array, shape (3, 3)
         Display → device in unit squares.
-    residual : float
-        Root mean square distance of the spots from it, cells.
-    spots : int
+    agreed : array of bool, shape (n,)
         Spots that it rests on.
     """
 
     matrix: np.ndarray
-    residual: float
-    spots: int
+    agreed: np.ndarray
 
 
 def spot_scenes(
@@ -139,16 +134,20 @@ def calibrate(
     _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
-    shown, measured = _centroids(scenes), find_spots(pictures)
-    fit = find_homography(shown, measured, cells)
-    blur = _find_blur(scenes, pictures, fit.matrix, grid)
-    flat = None if white is None else find_flat(white - floor, scenes.shape[1:], fit.matrix, blur)
+    first = find_homography(_centroids(scenes), find_spots(pictures), cells)
+    view = fit_view(scenes, pictures, grid, first.matrix, first.agreed)
+    flat = (
+        None
+        if white is None
+        else find_flat(white - floor, scenes.shape[1:], view.matrix, view.blur)
+    )
     return Calibration(
-        homography=fit.matrix.tolist(),
-        residual=fit.residual,
-        spots=fit.spots,
+        homography=view.matrix.tolist(),
+        residual=view.residual,
+        error=view.error,
+        spots=int(view.used.sum()),
         shown=len(scenes),
-        blur=blur,
+        blur=view.blur,
         flat=((1.0,),) if flat is None else tuple(map(tuple, flat.tolist())),
         dark=dark,
         ambient=ambient,
@@ -179,7 +178,7 @@ def calibrate_run(
     names: Sequence[str],
     pictures: np.ndarray,
     counts: Counts,
-    grid: Grid,
+    patterns: Patterns,
 ) -> Calibration:
     """Calibrate from one acquisition of spots, a white and a black picture.
 
@@ -189,6 +188,9 @@ def calibrate_run(
         Displayed pictures by name; `WHITE` and `BLACK` are uniform, all others are spots.
     pictures : array, shape (S, down, across)
         What was measured of each, as `reconstruct` gives it.
+    counts : Counts
+        Of the acquisition: its all-OFF frames tell the dark rate, and all frames of the black
+        picture the ambient light.
 
     Raises
     ------
@@ -203,14 +205,16 @@ def calibrate_run(
         )
     measured = dict(zip(names, pictures, strict=True))
     spots = [name for name in names if name not in (WHITE, BLACK)]
-    dark = ambient = 0.0
+    dark, ambient = float(counts.dark_rate.mean()), 0.0
     if BLACK in measured:
         place = list(names).index(BLACK)
-        dark, ambient = black_rates(counts.on_rate[[place]], counts.off_rate[[place]])
+        seen = counts.signal()[place][counts.valid[place]].sum(axis=(1, 2)).mean()
+        lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
+        ambient = max(0.0, float(seen / lit))
     return calibrate(
         np.array([shown[name] for name in spots]),
         np.array([measured[name] for name in spots]),
-        grid,
+        patterns.manifest.grid,
         white=measured.get(WHITE),
         black=measured.get(BLACK),
         dark=dark,
@@ -251,7 +255,7 @@ def find_homography(
 ) -> Homography:
     """Homography that brings places on the display to places on the device.
 
-    Spots that lie more than half a cell from what the others say are left out (RANSAC).
+    Spots that lie more than a cell from what the others say are left out (RANSAC).
 
     Parameters
     ----------
@@ -282,7 +286,7 @@ def find_homography(
             (source, target),
             transform.ProjectiveTransform,
             min_samples=4,
-            residual_threshold=OUTLIER_CELLS,
+            residual_threshold=FIRST_OUTLIER_CELLS,
             max_trials=500,
             stop_probability=0.9999,
             rng=seed,
@@ -292,39 +296,10 @@ def find_homography(
     model = transform.estimate_transform("projective", source[inliers], target[inliers])
     if not model or not np.isfinite(model.params).all():
         raise InputError(trouble)
-    distance = model.residuals(source[inliers], target[inliers])
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
-    matrix /= matrix[2, 2]
-    return Homography(matrix, float(np.sqrt((distance**2).mean())), int(inliers.sum()))
-
-
-def _find_blur(
-    scenes: np.ndarray, pictures: np.ndarray, homography: Any, grid: Grid
-) -> tuple[float, float]:
-    """Blur that explains pictures of spots best, each spot with a brightness of its own.
-
-    Standard deviation down and across, in the device's unit square: round on the device.
-    """
-    cells = (grid.down, grid.across)
-    flat_scenes = np.asarray(scenes, dtype=float).reshape(len(scenes), -1)
-    measured = np.asarray(pictures, dtype=float).reshape(len(pictures), -1)
-    side = np.sqrt(grid.height * grid.width)
-
-    def in_square(width: float) -> tuple[float, float]:
-        return width * side / (grid.down * grid.height), width * side / (grid.across * grid.width)
-
-    def misfit(width: float) -> float:
-        view = geometry_matrix(scenes.shape[1:], cells, homography, in_square(width))
-        model = (view @ flat_scenes.T).T
-        power = (model**2).sum(axis=1)
-        match = (model * measured).sum(axis=1)
-        explained = np.divide(match**2, power, out=np.zeros_like(power), where=power > 0)
-        return float((measured**2).sum() - explained.sum())
-
-    found = optimize.minimize_scalar(
-        misfit, bounds=(0, WIDEST_BLUR_CELLS), method="bounded", options={"xatol": 5e-3}
-    )
-    return in_square(0.0 if misfit(0.0) <= found.fun else float(found.x))
+    agreed = np.zeros(len(seen), dtype=bool)
+    agreed[np.flatnonzero(seen)[inliers]] = True
+    return Homography(matrix / matrix[2, 2], agreed)
 
 
 def find_flat(

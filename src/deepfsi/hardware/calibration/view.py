@@ -24,6 +24,15 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 
+LEAST_SPOTS = 16
+"""Spots that a calibration should rest on, or all that were shown."""
+
+LARGEST_RESIDUAL_CELLS = 0.25
+"""Distance of the spots from the fit above which a calibration is doubted, cells."""
+
+LARGEST_ERROR_CELLS = 0.1
+"""Standard error of the view above which a calibration is doubted, cells."""
+
 POINTS_PER_CELL = 24, 32
 """Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
 
@@ -49,6 +58,8 @@ class Calibration(BaseModel):
         Display → device, unit squares, (across, down, 1).
     residual : float
         Root mean square distance of the spots from it, cells.
+    error : float
+        Standard error of the place of the display's worst corner, cells.
     spots, shown : int
         Spots that it rests on, and spots that were shown.
     blur : tuple of float
@@ -67,6 +78,7 @@ class Calibration(BaseModel):
     deepfsi: str = version("deepfsi")
     homography: tuple[Row, Row, Row]
     residual: Rate
+    error: Rate
     spots: int = Field(ge=4)
     shown: int = Field(ge=4)
     blur: tuple[Share, Share] = (0.0, 0.0)
@@ -83,6 +95,28 @@ class Calibration(BaseModel):
         if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
             raise ValueError("the homography cannot be inverted")
         return self
+
+    @property
+    def doubts(self) -> list[str]:
+        """Why not to trust it, one line each; none where all is well."""
+        said = []
+        if self.spots < min(LEAST_SPOTS, self.shown):
+            said.append(
+                f"only {self.spots} of {self.shown} spots are seen, and {LEAST_SPOTS} or more are "
+                "wanted: expose longer, show larger spots (--side) or aim the camera"
+            )
+        if self.residual > LARGEST_RESIDUAL_CELLS:
+            said.append(
+                f"the spots lie {self.residual:.2f} cells from one perspective, and up to "
+                f"{LARGEST_RESIDUAL_CELLS:g} are well: the lens bends lines, something moved, or "
+                "there is too little light"
+            )
+        if self.error > LARGEST_ERROR_CELLS:
+            said.append(
+                f"the view is known to {self.error:.2f} cells, and {LARGEST_ERROR_CELLS:g} are "
+                f"wanted: give {(self.error / LARGEST_ERROR_CELLS) ** 2:.2g} times the light"
+            )
+        return said
 
 
 def save_calibration(calibration: Calibration, folder: Path) -> Path:

@@ -89,10 +89,43 @@ DEVICES = {"dlp7000": Device(name="dlp7000", columns=1024, rows=768)}
 """Devices by name."""
 
 
-def find_device(name: str) -> Device:
-    """Device of that name, or one of COLUMNSxROWS mirrors, or `InputError`."""
-    if name.lower() in DEVICES:
-        return DEVICES[name.lower()]
+def find_device(
+    name: str, shortest_s: float | None = None, settle_s: float | None = None
+) -> Device:
+    """Device of a name, or one of COLUMNSxROWS mirrors.
+
+    Parameters
+    ----------
+    name : str
+        One of `DEVICES`, or such as "1920x1080".
+    shortest_s, settle_s : float, optional
+        Shortest picture time, whole microseconds, and time to settle, in seconds: the named
+        device's, or those of any other, unless given.
+
+    Raises
+    ------
+    InputError
+        If there is no such device, or the times are not allowed.
+    """
+    device = DEVICES.get(name.lower()) or _device_of_size(name)
+    if shortest_s is not None:
+        shortest = round(shortest_s * 1e6, 6)
+        if not (1 <= shortest <= LONGEST_PICTURE_S * 1e6 and shortest.is_integer()):
+            raise InputError(
+                f"`shortest` {shortest:g} µs is not allowed: give whole microseconds, 1 to "
+                f"{LONGEST_PICTURE_S * 1e6:g}"
+            )
+        device = device.model_copy(update={"shortest_us": int(shortest)})
+    if settle_s is not None:
+        if not 0 <= settle_s <= LONGEST_PICTURE_S:
+            raise InputError(
+                f"`settle` {settle_s:g} s is not allowed: give 0 to {LONGEST_PICTURE_S:g}"
+            )
+        device = device.model_copy(update={"settle_us": round(settle_s * 1e6, 6)})
+    return device
+
+
+def _device_of_size(name: str) -> Device:
     sides = name.lower().split("x")
     if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
         columns, rows = map(int, sides)
@@ -193,6 +226,11 @@ class FrameSettings:
         check_known("format", self.format, get_args(Format))
 
     @property
+    def raised(self) -> bool:
+        """True where the dwell is below the device's shortest picture time, which then holds."""
+        return self.dwell_s * 1e6 < self.device.shortest_us * (1 - 1e-9)
+
+    @property
     def sentinel_us(self) -> int:
         """Picture time of a sentinel, µs."""
         return max(self.device.shortest_us, _whole(self.dwell_s * 1e6))
@@ -206,14 +244,14 @@ class FrameSettings:
         after settling, or a picture would last too long.
         """
         device, mean = self.device, max(self.dwell_s * 1e6, self.device.shortest_us)
-        if light == "equal-dwell":
-            return [_whole(mean)] * len(shares)
         rest = mean - device.settle_us
         if rest <= 0:
             raise InputError(
-                f"a dwell of {self.dwell_s:g} s leaves no time after {device.settle_us:g} µs to "
+                f"a dwell of {mean * 1e-6:g} s leaves no time after {device.settle_us:g} µs to "
                 "settle: give a longer one"
             )
+        if light == "equal-dwell":
+            return [_whole(mean)] * len(shares)
         wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
         if wanted.max() > 1e6 * LONGEST_PICTURE_S:
             raise InputError(

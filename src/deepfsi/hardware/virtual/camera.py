@@ -26,7 +26,7 @@ from deepfsi.errors import InputError
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
-from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest
+from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest, Patterns
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
@@ -213,6 +213,30 @@ def arrival_rates(
             done = first * frames + (place + len(on)) * len(part)
             report(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
+
+
+def expected_events(patterns: Patterns, scenes: np.ndarray, camera: Camera, flux: float) -> float:
+    """Photons and dark counts that a recording is expected to hold, at most, without dead time.
+
+    As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
+    and between them.
+
+    Parameters
+    ----------
+    scenes, flux
+        As of `arrival_rates`.
+    """
+    manifest, grid = patterns.manifest, patterns.manifest.grid
+    images = _check_scenes(scenes, manifest)
+    _check_flux(flux)
+    opened = np.array([frame.role == "on" for frame in manifest.frames], dtype=float)
+    opened[manifest.shown] = patterns.fractions.mean(axis=1)
+    lit_s = manifest.pass_s if manifest.two_arm else float(manifest.picture_s @ opened)
+    white = flux * grid.down * grid.across / manifest.summed_reflectance
+    area = grid.down * grid.across * grid.mirrors / (manifest.device.columns * manifest.device.rows)
+    light = white * images.mean(axis=(1, 2)).sum() + camera.ambient * area * len(images)
+    dark = camera.dark * (2 if manifest.two_arm else 1) * len(images)
+    return float(camera.efficiency * light * lit_s + dark * manifest.pass_s)
 
 
 def _check_flux(flux: float) -> None:

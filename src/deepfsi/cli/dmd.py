@@ -1,0 +1,158 @@
+"""Commands of the micromirror device: patterns written and checked."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepfsi.cli import common, options, paths
+from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    from deepfsi.hardware.patterns.folder import DesignRails
+    from deepfsi.hardware.patterns.sequence import Patterns
+
+dmd = typer.Typer(
+    invoke_without_command=True,
+    callback=common.help_if_bare,
+    help="Patterns for a micromirror device.\n\n"
+    "Example: deepfsi dmd export digits.safetensors --device dlp7000 --dwell 1ms -o patterns",
+)
+
+
+@dmd.command("export")
+def dmd_export(
+    file: Annotated[
+        Path, typer.Argument(help="design file; or raster or hadamard, to calibrate with")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the patterns, new")],
+    size: Annotated[
+        str | None, typer.Option(help="cells of raster or hadamard, HEIGHTxWIDTH; 32x32 if none")
+    ] = None,
+    device: Annotated[str, typer.Option(help="dlp7000, or COLUMNSxROWS mirrors")] = "dlp7000",
+    shortest: Annotated[
+        str | None, typer.Option(help="shortest picture time of the device; 44us if none")
+    ] = None,
+    settle: Annotated[
+        str | None, typer.Option(help="time for its mirrors to settle; 10us if none")
+    ] = None,
+    dwell: Annotated[
+        str, typer.Option(help="mean time of a frame on the device, such as 1ms or 44us")
+    ] = "1ms",
+    selection: Annotated[
+        str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
+    ] = "ordered",
+    seed: Annotated[int, typer.Option(help="of a random selection")] = 0,
+    kind: Annotated[
+        str, typer.Option("--format", help="npy or raw (packed bits), or png (one a frame)")
+    ] = "npy",
+    as_json: options.Json = False,
+) -> None:
+    """Turn a design into frames for a micromirror device, with a manifest.
+
+    A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
+
+    Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
+    """
+    paths.check_new_folder(out)
+    from deepfsi.hardware.patterns.folder import export_patterns
+    from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
+
+    settings = FrameSettings(
+        find_device(
+            device,
+            options.optional_seconds("shortest", shortest),
+            options.optional_seconds("settle", settle),
+        ),
+        options.seconds("dwell", dwell),
+        selection,  # type: ignore[arg-type]
+        seed,
+        kind,  # type: ignore[arg-type]
+    )
+    rails = _rails(file, size)
+    with common.progress("patterns", quiet=as_json) as report:
+        patterns = export_patterns(rails, settings, out, report)
+    if settings.raised and not as_json:
+        print(
+            f"--dwell {dwell} was raised to {settings.device.shortest_us} µs: "
+            f"{settings.device.name} shows no shorter picture (--shortest)"
+        )
+    _print_patterns("dmd.export", patterns, out, as_json)
+
+
+def _rails(file: Path, size: str | None) -> "DesignRails":
+    """Rails of a design file, or of a scan by its name."""
+    from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+    from deepfsi.hardware.patterns.folder import DesignRails
+
+    if str(file) in SCANS:
+        return scan_rails(str(file), options.size_of(size) or (32, 32))
+    if size is not None:
+        raise InputError(
+            f"--size is for {' and '.join(SCANS)}: {file} has the cells of its design; leave it out"
+        )
+    paths.check_design(file)
+    from deepfsi.design.artifact import Design
+
+    made = Design.load(file)
+    if made.name == "impulse":
+        raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
+    made.exposure.check_fixed()
+    content, reflectance = file.read_bytes(), made.summed_reflectance
+    return DesignRails(made.rails.numpy(), made.light, made.image_shape, reflectance, content)
+
+
+@dmd.command("check")
+def dmd_check(
+    folder: Annotated[Path, typer.Argument(help="folder of patterns")],
+    as_json: options.Json = False,
+) -> None:
+    """Read every frame of a folder back and compare it with the manifest.
+
+    Example: deepfsi dmd check patterns
+    """
+    from deepfsi.hardware.patterns.folder import check_patterns
+
+    with common.progress("frames", quiet=as_json) as report:
+        patterns = check_patterns(folder, report)
+    _print_patterns("dmd.check", patterns, folder, as_json)
+
+
+def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
+
+    manifest = patterns.manifest
+    sentinels = len(manifest.frames) - len(manifest.shown)
+    longest = longest_exposure(manifest, manifest.device.settle_us * 1e-6)
+    cost = find_cost(manifest, find_gates(manifest, longest))
+    if as_json:
+        common.print_json(
+            command,
+            {
+                "patterns": str(folder),
+                "frames": len(manifest.frames),
+                "mask_frames": len(manifest.shown),
+                "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
+                "pass_s": manifest.pass_s,
+                "longest_exposure_s": longest,
+                "uncounted": asdict(cost),
+                "dimmed": manifest.dimmed,
+            },
+        )
+        return
+    print(
+        f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
+        f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
+        f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
+        f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
+        f"{cost.idle:.1%} since no picture is shorter than {manifest.device.shortest_us} µs"
+    )
+    if manifest.dimmed < 0.999:
+        print(
+            f"cost in light: one device shows a {manifest.light} design with "
+            f"{manifest.dimmed:.3g} of its light; learn it with --light free-dwell or "
+            "equal-dwell instead"
+        )
+    print(f"patterns: {folder}")
