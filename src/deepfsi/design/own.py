@@ -83,8 +83,8 @@ class OwnClassifier(nn.Module):
         if self.module is None:
             raise InputError(
                 f"the classifier of this design is {self.factory or 'a module of its maker'}, "
-                "whose code was not run: load it with `trust` if you trust its file, or with "
-                "`classifier`"
+                "whose code was not run: load it with `trust` if you trust its file, or give the "
+                "code to Design.load"
             )
         if features.ndim == 2:
             return self.module(features)
