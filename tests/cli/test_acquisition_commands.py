@@ -98,6 +98,21 @@ def test_a_lab_counts_what_it_prepared(done, lab):
     assert counted["photons_counted"] == recorded.photons[:, 2:-2].sum()
 
 
+@pytest.mark.parametrize(
+    ("rate", "said"),
+    [(0.005, "0.50% longer"), (-2e-4, "200.0 ppm shorter")],
+)
+def test_the_drift_of_the_clocks_is_said(done, lab, rate, said):
+    run, _ = prepared(done, lab, "--input", 3, "--marker", 2)
+    recorded = record(run)
+    starts = train(recorded.patterns.manifest, 3, rate, jitter=1e-13)
+    recorded.record(starts, starts.ravel(), recorded.photons)
+    assert f"clocks: frames last {said} than planned" in done("camera", "count", run)
+    assert json.loads(done("camera", "count", run, "--json"))["drift"] == pytest.approx(
+        rate, abs=1e-8
+    )
+
+
 def test_wrong_wiring_is_put_right_when_counting(done, refuse, lab):
     run, _ = prepared(done, lab)
     recorded = record(run)

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.virtual.camera import Camera
 
+SMALL_DRIFT = 1e-3
+"""Drift of clocks that is printed in ppm, as a share."""
+
 camera = typer.Typer(
     invoke_without_command=True,
     callback=common.help_if_bare,
@@ -146,10 +149,14 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
         f"{counts.photons:.4g} photons an exposure, dark "
         f"{', '.join(f'{rate:.4g}' for rate in sorted(set(summary['dark_rate'])))} counts/s\n"
-        f"clocks: frames last {abs(counts.drift) * 1e6:.3g} ppm "
-        f"{'shorter' if counts.drift < 0 else 'longer'} than planned\n"
+        f"clocks: frames last {_share(counts.drift)} than planned\n"
         f"counts: {folder / 'counts.npz'}"
     )
+
+
+def _share(drift: float) -> str:
+    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < SMALL_DRIFT else f"{abs(drift):.2%}"
+    return f"{size} {'shorter' if drift < 0 else 'longer'}"
 
 
 @camera.command("classify")

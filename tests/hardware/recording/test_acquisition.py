@@ -47,7 +47,10 @@ def test_bad_files_are_named(run, name, content):
         ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),
         ({"inputs": [1, 1]}, "two arms need two inputs"),
         ({"inputs": [3]}, "photons.ptu has no pass that begins|light"),
-        ({"marker_bit": 1}, "photons.ptu has 0 frame markers"),
+        (
+            {"marker_bit": 1},
+            "0 frame markers on marker input 0; there are some on 2: give --marker 2",
+        ),
         ({"marker_bit": 3}, "marker_bit"),
         ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
         ({"manifest_sha256": None}, "acquisition.json has no manifest_sha256.* prepare"),

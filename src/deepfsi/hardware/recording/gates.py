@@ -77,6 +77,7 @@ def find_frames(
     """
     path, tick_s = header.path, header.tick_s
     times, bits = read_markers(path, report)
+    _check_markers(header, bits, acquisition.marker_bit)
     times = times[bits & acquisition.marker_bit != 0]
     last = float(times.max(initial=0)) * tick_s
     # The file of a recording that was cut holds all photons up to the last marker.
@@ -109,6 +110,19 @@ def find_frames(
         drift=_find_drift(starts, manifest.starts_s),
         until_s=until,
         faults=list(aligned.faults),
+    )
+
+
+def _check_markers(header: Header, bits: np.ndarray, wanted: int) -> None:
+    """Raise `InputError`, with the marker inputs that have some, if a file has none of a bit."""
+    if (bits & wanted != 0).any():
+        return
+    others = [str(number) for number in range(4) if (bits & 1 << number != 0).any()]
+    advice = "wire the device's trigger to the counter"
+    if others:
+        advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
+    raise InputError(
+        f"{header.path} has 0 frame markers on marker input {wanted.bit_length() - 1}; {advice}"
     )
 
 
