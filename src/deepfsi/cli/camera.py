@@ -147,7 +147,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
         f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
-        f"{counts.photons:.4g} photons an exposure, dark "
+        f"{common.budget(counts.photons)} photons an exposure, dark "
         f"{', '.join(f'{rate:.4g}' for rate in sorted(set(summary['dark_rate'])))} counts/s\n"
         f"clocks: frames last {_share(counts.drift)} than planned\n"
         f"counts: {folder / 'counts.npz'}"

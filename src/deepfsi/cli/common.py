@@ -3,7 +3,7 @@
 import json
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -116,6 +116,9 @@ def command_line() -> str:
     return shlex.join(["deepfsi", *sys.argv[1:]])
 
 
+NAME_WIDTH = 20
+"""Characters of a name in a table, such as that of a class."""
+
 JSON_SCHEMA = 1
 """Version of what every command prints with --json; raised where a field changes or goes."""
 
@@ -135,16 +138,47 @@ def print_pictures(command: str, written: Sequence[Path], folder: Path, as_json:
 
 
 def print_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table whose first column is words."""
+    """Print a table whose first column is words, one line a row where the width allows it."""
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.padding = (0, 1, 0, 0)
     for number, head in enumerate(heads):
         table.add_column(head, justify="right" if number else "left", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    console = Console(markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:  # a file or a pipe has no width
+        unbounded = console.options.update(max_width=sys.maxsize)
+        console.width = max(console.width, console.measure(table, options=unbounded).maximum)
+    console.print(table)
+
+
+def budget(photons: float) -> str:
+    """Photons as all commands print and take them: 1e4, 3.16e4."""
+    mantissa, exponent = f"{photons:.2e}".split("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+
+
+def share(mean: float, low: float, high: float) -> str:
+    """A rate with half the width of its interval: 0.565 ± 0.027."""
+    return f"{mean:.3f} ± {(high - low) / 2:.3f}"
+
+
+def short(name: str) -> str:
+    """Beginning of a long name, for a table."""
+    return name if len(name) <= NAME_WIDTH else f"{name[: NAME_WIDTH - 1]}…"
+
+
+def print_designs(names: Iterable[str]) -> None:
+    """Say which designs the labels of a table are."""
+    from deepfsi.optics.codes import DESIGNS
+
+    print(
+        ", ".join(f"{DESIGNS[name].label} {DESIGNS[name].title}" for name in dict.fromkeys(names))
+    )
 
 
 def progress(what: str, quiet: bool) -> AbstractContextManager[Report]:

@@ -1,5 +1,6 @@
 """Commands of data sets by name."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -26,8 +27,17 @@ def data_list(as_json: options.Json = False) -> None:
     if as_json:
         common.print_json("data.list", {"data_sets": [entry._asdict() for entry in known]})
         return
-    rows = [tuple(map(str, entry)) for entry in known]
+    rows = [(*map(str, entry[:-1]), _shown(entry.where)) for entry in known]
     common.print_table("data sets", ("name", "images", "pixels", "classes", "where"), rows)
+
+
+def _shown(where: str) -> str:
+    """A folder, or that of a file, from $DEEPFSI_DATA or the home folder on, for a table."""
+    where = str(Path(where).parent) if Path(where).is_file() else where
+    for folder, name in ((os.environ.get("DEEPFSI_DATA"), "$DEEPFSI_DATA"), (Path.home(), "~")):
+        if folder and Path(where).is_relative_to(folder):
+            return str(Path(name) / Path(where).relative_to(folder))
+    return where
 
 
 @app.command("download")

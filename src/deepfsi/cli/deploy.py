@@ -111,14 +111,17 @@ def plan(
 
 
 def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
+    from deepfsi.optics.codes import DESIGNS
+
     def two_digits(photons: float) -> str:
-        return f"{float(f'{photons:.1e}'):g}"
+        return common.budget(float(f"{photons:.1e}"))
 
     def photons(need: Mapping[str, Any]) -> str:
         tried = need["tried"]
         if need["found"] == "below":
-            return f"{tried[0]['photons']:g} or fewer"
-        return two_digits(need["photons"]) if need["photons"] else f"above {tried[-1]['photons']:g}"
+            return f"{common.budget(tried[0]['photons'])} or fewer"
+        above = f"above {common.budget(tried[-1]['photons'])}"
+        return two_digits(need["photons"]) if need["photons"] else above
 
     def interval(need: Mapping[str, Any]) -> str:
         low, high = (end and two_digits(end) for end in (need["low"], need["high"]))
@@ -128,13 +131,20 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
 
     needs = sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
     rows = [
-        (need["title"], *(need[axis] for axis in axes), photons(need), interval(need),
-         str(need["masks"]), str(len(need["tried"])))
+        (
+            DESIGNS[need["design"]].label,
+            photons(need),
+            interval(need),
+            str(need["masks"]),
+            str(len(need["tried"])),
+            *(need[axis] for axis in axes),
+        )
         for need in needs
-    ]  # fmt: skip
-    heads = ("design", *axes, "photons", "95 % interval", "masks", "budgets tried")
+    ]
+    heads = ("design", "photons", "95 % interval", "masks", "tried", *axes)
     common.print_table(f"{plan['data']['name']}: accuracy {plan['target']:g} needs", heads, rows)
-    print(f"interval: {plan['covers']}")
+    common.print_designs(need["design"] for need in needs)
+    print(f"interval: {plan['covers']}; tried: budgets of its curve")
     print(
         "mask counts and added budgets were chosen on validation data; accuracies are of test data"
     )

@@ -67,8 +67,8 @@ def design(
     common.print_data(scenes)
     for result in results:
         print(
-            f"{made.name} with {made.masks} masks at {result.photons:g} photons: test accuracy "
-            f"{result.accuracy:.4f} [{result.low:.4f}, {result.high:.4f}], "
+            f"{made.name} with {made.masks} masks at {common.budget(result.photons)} photons: test "
+            f"accuracy {common.share(result.accuracy, result.low, result.high)}, "
             f"light throughput {result.throughput:.3f}"
         )
     print(f"saved: {out}")
@@ -130,17 +130,17 @@ def evaluate(
     common.print_data(scenes, notes)
     rows = [
         (
-            f"{r.photons:g}",
-            f"{r.accuracy:.4f} [{r.low:.4f}, {r.high:.4f}]",
+            common.budget(r.photons),
+            common.share(r.accuracy, r.low, r.high),
             _worst(r.rates, made.classes),
             f"{r.throughput:.3f}",
             f"{r.photons * r.throughput / made.masks:.3g}",
         )
-        for r in results
+        for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy, 95 % interval", "worst class", "counted", "counts per mask")
+    heads = ("photons", "accuracy", "worst class", "counted", "counts a mask")
     common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
-    print(f"interval: {results[0].covers}")
+    print(f"± half of the 95 % interval: {results[0].covers}")
 
 
 def stop(
@@ -208,7 +208,9 @@ def _print_stopped(found: "Stopped", size: str) -> None:
         (head, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]")
         for head, rate in rates.items()
     ]
-    title = f"{size}, {found.photons:g} photons, stopped above {found.rule.threshold:.5g}"
+    title = (
+        f"{size}, {common.budget(found.photons)} photons, stopped above {found.rule.threshold:.5g}"
+    )
     common.print_table(title, ("", "mean", "95 % interval"), rows)
     kept = {round(each["accepted"], 2): each["stopped"] for each in found.rejection}
     print(
@@ -239,7 +241,9 @@ def show(
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = Design.load(file)
     budget = made.info.get("job", {}).get("photons")
-    title = f"{made.name}, {made.masks} masks" + (f", {budget:g} photons" if budget else "")
+    title = f"{made.name}, {made.masks} masks" + (
+        f", {common.budget(budget)} photons" if budget else ""
+    )
     figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)
     common.draw("show", figure, out, as_json)
     if (memory := memory_of(made)) and not as_json:
@@ -250,4 +254,4 @@ def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:
     rate, name = min(
         (rate, name) for rate, name in zip(rates, classes, strict=True) if rate is not None
     )
-    return f"{rate:.3f} ({name})"
+    return f"{rate:.3f} ({common.short(name)})"

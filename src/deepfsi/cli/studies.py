@@ -300,29 +300,42 @@ QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": 
 """Recipe of a comparison on digits, where no ratios, masks or trials are given."""
 
 
+AXIS_HEADS = {"trained_under": "training", "trained_at": "trained at", "variant": "setting"}
+"""Heads of columns, where they are not the names of the fields."""
+
+
+def _axis(name: str, value: Any) -> str:
+    if name == "levels":
+        return str(value) if value else "any"
+    return common.budget(value) if name == "trained_at" else str(value)
+
+
 def _print_points(results: "Results") -> None:
-    from deepfsi.report.accuracy import axis_text, series_axes
+    from deepfsi.report.accuracy import series_axes
 
     best = [point for point in results.points if point.best]
     apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]
     axes = ["noise", *apart]
     axes = [axis for axis in axes if len({str(getattr(point, axis)) for point in best}) > 1]
-    names = (axis.replace("_", " ") for axis in axes)
-    heads = ("design", *names, "photons", "masks", "accuracy, 95 % interval", "counted")
-    best.sort(key=lambda p: (*(str(getattr(p, axis)) for axis in axes), p.photons, -p.accuracy))
+    heads = (
+        *("design", "photons", "masks", "accuracy", "counted"),
+        *(AXIS_HEADS.get(axis, axis) for axis in axes),
+    )
+    best.sort(key=lambda p: (p.photons, -p.accuracy))
     rows = [
         (
-            f"{p.title} ({p.label})",
-            *(axis_text(axis, getattr(p, axis)) for axis in axes),
-            f"{p.photons:g}",
+            p.label,
+            common.budget(p.photons),
             str(p.masks),
-            f"{p.accuracy:.4f} [{p.low:.4f}, {p.high:.4f}]",
+            common.share(p.accuracy, p.low, p.high),
             f"{p.throughput:.3f}",
+            *(_axis(axis, getattr(p, axis)) for axis in axes),
         )
         for p in best
     ]
     common.print_table(results.title, heads, rows)
-    print("interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
+    common.print_designs(p.design for p in best)
+    print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("counted: share of the budget that reaches a detector")
     if results.chosen_on == "validation":
         print("mask counts were chosen on validation data; the table is of test data")
