@@ -10,16 +10,23 @@ import re
 import shutil
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import build
+from deepfsi.report.masks import masks_figure
+from deepfsi.report.pictures import pictures_figure
+from deepfsi.report.section import Claim, Picture, Section, Table
 from deepfsi.report.study_page import write_study
+from deepfsi.report.style import COLOURS
+from deepfsi.sweeps.results import read_results, write_results
 from shared.pages import example
-from shared.results import make_results
+from shared.results import a_point, make_results, some_results
 
 FLAGS = (
     "--headless=new",
@@ -188,6 +195,63 @@ def test_text_given_is_never_run_and_nothing_is_fetched(opened):
         "return performance.getEntriesByType('resource').map(e => e.name)"
     )
     assert [name for name in names if not name.startswith("data:")] == []
+
+
+HOSTILE = (
+    '<img src=x onerror="window.harmed = true">',
+    "</text></svg><script>window.harmed = true</script>",
+    f'id="a" url(#b) {COLOURS["deepfsi"]}',
+    r"C:\data\1 $\frac$ {{ 7 }} &lt;b&gt;",
+)
+"""Names of classes, data sets and folders that break careless pages."""
+
+
+def hostile_pages(home, name):
+    """Address of a page of each kind, with a name wherever a user's words may stand."""
+    plain = a_point(title=name, label=name, variant=name, covers=name, light=name, rails=name)
+    other = a_point(0.8, design="pca", title=name, label=name, variant=f"{name}2")
+    results = some_results([plain, other, a_point(noise=name)], recipe={"data": name, name: name})
+    data = results.data.model_copy(update={"name": name, "classes": (name, "b")})
+    changed = {"data": data, "title": name, "command": name}
+    write_results(home / "results.json", results.model_copy(update=changed))
+    page, words = build(home), 3 * [name]
+    matrix = np.random.default_rng(0).normal(size=(2, 16))
+    figures = (
+        masks_figure(matrix, (4, 4), title=name),
+        pictures_figure(matrix.reshape(2, 4, 4), [name, "b"]),
+        accuracy_figure(read_results(home / "results.json")),
+    )
+    section = Section(
+        name="one",
+        title=name,
+        found=name,
+        paper=name,
+        pictures=tuple(Picture(each, name, name) for each in figures),
+        claims=(Claim(name, True, name, name),),
+        tables=(Table(name, tuple(words), (tuple(words),)),),
+        files=(name,),
+        command=name,
+        facts={"data": {"name": name, "classes": words}},
+    )
+    return page.as_uri(), write_study(home / "study", name, [section]).as_uri()
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_that_users_give_stay_text_wherever_they_stand(browser, tmp_path, name):
+    look(browser)
+    for address in hostile_pages(tmp_path, name):
+        browser.get_log("browser")
+        browser.get(address)
+        assert browser.execute_script("return window.harmed === undefined")
+        assert browser.execute_script("return document.querySelectorAll('img').length") == 0
+        assert browser.execute_script("return document.scripts.length") == 1
+        text = browser.execute_script("return document.body.textContent")
+        drawn = browser.execute_script(
+            "return [...document.querySelectorAll('svg text')].map(e => e.textContent).join()"
+        )
+        assert text.count(name) > 6
+        assert name in drawn
+        assert browser.get_log("browser") == []
 
 
 def test_a_click_and_a_key_sort_numbers(opened):

@@ -150,19 +150,24 @@ def svg(figure: Figure, name: str, words: str) -> str:
     body = body[body.index("<svg") :]
     for part in (r"<metadata>.*?</metadata>", r"<style.*?</style>", r'\sxmlns(:xlink)?="[^"]*"'):
         body = re.sub(part, "", body, flags=re.DOTALL)
-    body = body.replace("xlink:href=", "href=")
-    body = re.sub(r'\bid="', f'id="{name}-', body)
-    body = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", body)
-    body = re.sub(
-        r"#[0-9a-f]{6}\b",
-        lambda found: f"var(--{CSS_NAMES[found[0]]})" if found[0] in CSS_NAMES else found[0],
-        body,
-    )
+    body = re.sub(r"<[^>]*>", lambda tag: _of_page(tag[0], name), body)  # not what it says
     view = re.search(r'viewBox="[^"]*"', body)
     assert view is not None, "matplotlib gives every figure a viewBox"
     style = f"max-width: {96 * figure.get_figwidth():.0f}px"
     head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{style}" {view[0]}>'
-    return re.sub(r"<svg[^>]*>", head, body, count=1)
+    return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
+
+
+def _of_page(tag: str, name: str) -> str:
+    """A tag of an SVG with ids that differ on the page, and the page's colours."""
+    tag = tag.replace("xlink:href=", "href=")
+    tag = re.sub(r'\bid="', f'id="{name}-', tag)
+    tag = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", tag)
+    return re.sub(
+        r"#[0-9a-f]{6}\b",
+        lambda found: f"var(--{CSS_NAMES[found[0]]})" if found[0] in CSS_NAMES else found[0],
+        tag,
+    )
 
 
 PAGE_WIDTH = 7.2
