@@ -11,7 +11,6 @@ transformer on a GPU, where it stays under the photon noise). Ratios are of medi
 """
 
 import argparse
-import itertools
 import statistics
 import time
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.experiments import find
-from deepfsi.progress import Report
+from deepfsi.progress import Moments, Report
 from deepfsi.training.patches import Patches, PatchJob, PatchTraining, precision, train
 
 BUDGET, CLASSES = 1e4, 10
@@ -96,15 +95,15 @@ def plain_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
 
 def our_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
     """Seconds of each epoch."""
-    ticks: list[float] = []
+    moments = Moments()
 
     def tick(share: float, what: str) -> None:
         if patches.device.type == "cuda":
             torch.cuda.synchronize()
-        ticks.append(time.perf_counter())
+        moments.report(share, what)
 
     train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=settings), Report(tick))
-    return [stop - start for start, stop in itertools.pairwise(ticks)]
+    return moments.epochs(settings.epochs)
 
 
 def main(given: Sequence[str] | None = None) -> None:

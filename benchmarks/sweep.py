@@ -27,7 +27,7 @@ from torch import nn
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import Report
+from deepfsi.progress import Moments
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
@@ -96,9 +96,9 @@ def sample(data: Dataset, device: str, workers: int) -> None:
 
 def seconds_an_epoch(scenes: TrainingSet, jobs: list[Job]) -> float:
     """Of jobs trained together; the second epoch of two."""
-    ticks: list[float] = []
-    train(scenes, jobs, report=Report(lambda share, what: ticks.append(time.perf_counter())))
-    return ticks[2] - ticks[1]
+    moments = Moments()
+    train(scenes, jobs, report=moments.report)
+    return moments.epochs(2)[1]
 
 
 def short(masks: int, photons: float = 1e4, epochs: int = 2, **changes: object) -> Job:

@@ -11,7 +11,6 @@ under exact Poisson noise, after --epochs epochs of each.
 """
 
 import argparse
-import itertools
 import statistics
 import time
 
@@ -22,7 +21,7 @@ from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import Report
+from deepfsi.progress import Moments
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -108,12 +107,10 @@ def our_epochs(
     settings = TrainingSettings(
         epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision
     )
-    ticks: list[float] = []
+    moments = Moments()
     job = Job(masks=masks, photons=BUDGET, training=settings)
-    design = train(
-        training_set, [job], report=Report(lambda share, what: ticks.append(time.perf_counter()))
-    )[0]
-    seconds = [stop - start for start, stop in itertools.pairwise(ticks)]
+    design = train(training_set, [job], report=moments.report)[0]
+    seconds = moments.epochs(epochs)
     return seconds, evaluate(design, data, BUDGET, draws=1)[0].accuracy
 
 

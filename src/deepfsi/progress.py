@@ -1,8 +1,12 @@
 """Progress of a long task."""
 
+import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 
 
 def _nothing(share: float, what: str) -> None:
@@ -48,27 +52,100 @@ SILENT = Report()
 """Shows nothing."""
 
 
+class Moments:
+    """Moments at which a task reached its shares, as its `report` told."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, float]] = []
+        self.report = Report(lambda share, what: self._seen.append((share, time.perf_counter())))
+
+    def reached(self, share: float) -> float:
+        """Moment, s, at which the task first was that far."""
+        return next(when for done, when in self._seen if done >= share - 1e-9)
+
+    def epochs(self, count: int) -> list[float]:
+        """Seconds of each of the epochs that the task had."""
+        ends = [self.reached(epoch / count) for epoch in range(count + 1)]
+        return [stop - start for start, stop in pairwise(ends)]
+
+
+FIRST_LINE_SECONDS = 5.0
+"""Time after which a task says how far it is, where no terminal shows a bar."""
+
+MOST_LINE_SECONDS = 300.0
+"""Longest time between two lines; each time is twice the one before."""
+
+WHOLE_TASK = 1e7
+"""Seconds that the time left is estimated over: all that have passed, as batches end rarely."""
+
+
 @contextmanager
 def terminal_bar(what: str, hidden: bool = False) -> Iterator[Report]:
-    """Progress bar with the time left on standard error, where that is a terminal.
+    """Progress with the time left on standard error: a bar on a terminal, else a line at times.
 
     Parameters
     ----------
     what : str
         Words before the bar, where the task has none.
     hidden : bool
-        Show no bar on a terminal either.
+        Show nothing.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import TimeRemainingColumn as TimeLeft
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeLeft())
     console = Console(stderr=True)
-    hidden = hidden or not console.is_terminal
-    with Progress(*columns, console=console, disable=hidden, transient=True) as bar:
+    if hidden:
+        yield SILENT
+        return
+    if not console.is_terminal:
+        with _lines(what) as report:
+            yield report
+        return
+    words = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn(), words, BarColumn(), TimeElapsedColumn(), TimeLeft())
+    with Progress(
+        *columns, console=console, transient=True, speed_estimate_period=WHOLE_TASK
+    ) as bar:
         task = bar.add_task(what, total=1.0)
         yield Report(lambda share, now: bar.update(task, completed=share, description=now or what))
+
+
+@contextmanager
+def _lines(what: str) -> Iterator[Report]:
+    """Say at times how far a task is, from the fifth second on."""
+    began, share, ended = time.monotonic(), 0.0, threading.Event()
+
+    def note(now: float, _: str) -> None:
+        nonlocal share
+        share = now
+
+    def say() -> None:
+        pause = FIRST_LINE_SECONDS
+        while not ended.wait(pause):
+            print(f"{what}: {progress_text(share, time.monotonic() - began)}", file=sys.stderr)
+            pause = min(time.monotonic() - began, MOST_LINE_SECONDS)
+
+    threading.Thread(target=say, daemon=True).start()
+    try:
+        yield Report(note)
+    finally:
+        ended.set()
+
+
+def progress_text(share: float, seconds: float) -> str:
+    """Say how far a task is after some seconds, and how long the rest takes at this pace."""
+    if share <= 0:
+        return f"{duration_text(seconds)} so far"
+    left = duration_text(seconds * (1 - share) / share)
+    return f"{share:.0%} after {duration_text(seconds)}, about {left} left at this pace"
+
+
+def duration_text(seconds: float) -> str:
+    """Write a time as people do: 40 s, 12 min, 3.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager

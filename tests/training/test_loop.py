@@ -174,3 +174,12 @@ def test_threads_wait_asleep_unless_the_user_says_otherwise(given, spins):
         text=True,
     ).stderr
     assert re.search(r"GOMP_SPINCOUNT = '(\d+)'", said).group(1) == str(spins)
+
+
+def test_progress_rises_within_an_epoch_that_takes_long(digits, monkeypatch):
+    monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
+    seen = []
+    quick(digits, epochs=1, batch=100, report=Report(lambda share, what: seen.append(share)))
+    steps = len(digits.x_train) // 100
+    assert len([share for share in seen if 0 < share < 1]) >= steps - 1
+    assert seen == sorted(seen)

@@ -7,6 +7,7 @@ import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.recipes import check_recipe, read_recipe
+from deepfsi.progress import duration_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -223,7 +224,7 @@ def _print_claims(section: "Section") -> None:
     answers = {True: "yes", False: "no", None: "open"}
     for claim in section.claims:
         table.add_row(claim.text, answers[claim.holds], claim.measured, claim.why)
-    Console().print(table)
+    Console(markup=False, emoji=False).print(table)
 
 
 def _run(
@@ -277,8 +278,8 @@ def _forecast(
 
     from deepfsi.sweeps.forecast import forecast_cost
 
-    with common.progress("timing a few steps of each kind", quiet=as_json):
-        expected = forecast_cost(*chosen, out, device, workers)
+    with common.progress("timing a few steps of each kind", quiet=as_json) as report:
+        expected = forecast_cost(*chosen, out, device, workers, report)
     if as_json:
         common.print_json("sweep.forecast", asdict(expected))
         return
@@ -286,14 +287,10 @@ def _forecast(
         f"{expected.trials} trials, {expected.done} of them done\n"
         f"batches: {expected.batches}, by {expected.workers} processes\n"
         f"products: {expected.operations:.2g} floating-point operations\n"
-        f"expected here: {_duration(expected.seconds)}"
+        f"expected here: {duration_text(expected.seconds)} beside other programs as now, which "
+        f"keep {expected.others:.1f} of {expected.cores} cores busy; "
+        f"{duration_text(expected.seconds_free)} without them"
     )
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}

@@ -29,6 +29,9 @@ MASKS_AT_ONCE = 2048
 MEMORY = 0.7
 """Share of the free memory that is planned for."""
 
+TRAINING_SHARE = 0.9
+"""Share of a batch's time that its training takes, for the bar; its tests take the rest."""
+
 Batch = list[Trial]
 """Trials that are trained together."""
 
@@ -129,10 +132,13 @@ class SweepContext:
         """
         parts = self.batches_within(batch, math.inf)
         if len(parts) > 1:
-            return [done for part in parts for done in self.train(part)]
+            spans = [report.part(i / len(parts), (i + 1) / len(parts)) for i in range(len(parts))]
+            halves = zip(parts, spans, strict=True)
+            return [done for part, span in halves for done in self.train(part, span)]
         own = self.matrix if batch[0].job.design == "custom" else None
+        learning, testing = report.part(0.0, TRAINING_SHARE), report.part(TRAINING_SHARE, 1.0)
         try:
-            designs = train(self.training_set, [trial.job for trial in batch], own, report)
+            designs = train(self.training_set, [trial.job for trial in batch], own, learning)
         except Diverged:
             if len(batch) == 1:
                 return [(batch[0], None, None)]
@@ -144,10 +150,11 @@ class SweepContext:
                 ) from None
             middle = len(batch) // 2
             return self.train(batch[:middle]) + self.train(batch[middle:])
-        return [
-            (trial, self.record(trial, design), design.to_bytes())
-            for trial, design in zip(batch, designs, strict=True)
-        ]
+        found: list[Done[Trial]] = []
+        for trial, design in zip(batch, designs, strict=True):
+            found.append((trial, self.record(trial, design), design.to_bytes()))
+            testing(len(found) / len(batch))
+        return found
 
     def record(self, trial: Trial, design: Design) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""

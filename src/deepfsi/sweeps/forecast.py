@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import torch
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import evaluate
-from deepfsi.progress import SILENT, Report
+from deepfsi.progress import SILENT, Moments, Report
 from deepfsi.sweeps.context import Batch, SweepContext
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
-from deepfsi.sweeps.workers import default_count
+from deepfsi.sweeps.workers import cores, default_count
 from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.learning import train
 from deepfsi.training.loop import batch_of
@@ -41,7 +42,14 @@ class Forecast:
     operations : float
         Floating-point operations of the products of scenes with masks that are left.
     seconds : float
-        Expected on this machine for what is left.
+        Expected on this machine for what is left, if other programs go on to load it as they did
+        while it was timed.
+    seconds_free : float
+        The same on this machine without other programs.
+    others : float
+        Cores that other programs kept busy, in the mean while it was timed.
+    cores : int
+        Of this machine, for this process.
     """
 
     trials: int
@@ -50,10 +58,18 @@ class Forecast:
     workers: int
     operations: float
     seconds: float
+    seconds_free: float
+    others: float
+    cores: int
 
 
 def forecast_cost(
-    recipe: Recipe, data: Dataset, folder: Path, device: str = "auto", workers: int | None = None
+    recipe: Recipe,
+    data: Dataset,
+    folder: Path,
+    device: str = "auto",
+    workers: int | None = None,
+    report: Report = SILENT,
 ) -> Forecast:
     """Cost of a sweep, less what its folder holds.
 
@@ -70,6 +86,7 @@ def forecast_cost(
     device : {"auto", "cpu", "cuda"}
     workers : int, optional
         Processes that will share the work; as many as `run_trials` takes unless given.
+    report : Report
     """
     trials = plan(recipe, data)
     records = Records(folder)
@@ -83,20 +100,59 @@ def forecast_cost(
     for batch in todo:
         context.training_set.prepare(batch[0].job.drawn_from)
         kinds[_kind(batch, context)].append(batch)
-    threads = torch.get_num_threads()
+    threads, costs = torch.get_num_threads(), list[float]()
     torch.set_num_threads(max(1, threads // processes))
+    load = _Load()
     try:
-        costs = [cost for members in kinds.values() for cost in _seconds(members, context)]
+        for place, members in enumerate(kinds.values()):
+            report(place / len(kinds), context.title(members[0]))
+            costs += _seconds(members, context)
     finally:
         torch.set_num_threads(threads)
+    others = load.of_others()
+    timed = max(max(costs, default=0.0), sum(costs) / processes)
+    free = timed / slowdown(others, 1, cores())
     return Forecast(
         trials=len(trials),
         done=len(trials) - len(open_trials),
         batches=len(todo),
         workers=processes,
         operations=sum(_operations(trial.job, context) for trial in left),
-        seconds=max(max(costs, default=0.0), sum(costs) / processes),
+        seconds=free * slowdown(others, processes, cores()),
+        seconds_free=free,
+        others=others,
+        cores=cores(),
     )
+
+
+def slowdown(others: float, own: int, cores: int) -> float:
+    """Times that processes of ours take as long as on a free machine, where all share its cores.
+
+    Parameters
+    ----------
+    others : float
+        Cores that other programs would keep busy.
+    own : int
+        Processes of ours, of one core's work each at least.
+    cores : int
+        Of the machine.
+    """
+    return max(1.0, (others + own) / cores)
+
+
+class _Load:
+    """Load by other programs, from its making on."""
+
+    def __init__(self) -> None:
+        psutil.cpu_percent()
+        self.wall, self.used = time.perf_counter(), time.process_time()
+
+    def of_others(self) -> float:
+        """Cores that other programs want: those they had, or by what they left to this process."""
+        wall, used = time.perf_counter() - self.wall, time.process_time() - self.used
+        busy = psutil.cpu_percent() / 100 * (psutil.cpu_count() or 1)
+        had = busy - used / wall
+        return max(0.0, had, cores() * wall / max(used, 1e-3) - 1 if used < 0.9 * wall else 0.0)
 
 
 def _seconds(batches: Sequence[Batch], context: SweepContext) -> list[float]:
@@ -143,13 +199,11 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     short = batch[0].job.training.model_copy(update={"epochs": 2, "batch": size})
     jobs = [trial.job.model_copy(update={"training": short}) for trial in batch]
     training_set = TrainingSet(few, context.device, dict(context.matrices))
-    ticks: list[float] = []
+    moments = Moments()
     own = context.matrix if jobs[0].design == "custom" else None
-    designs = train(
-        training_set, jobs, own, Report(lambda share, what: ticks.append(time.perf_counter()))
-    )
-    second_epochs = np.diff(ticks)[1::3]  # the control group is trained twice
-    step = float(second_epochs.sum()) / (len(few.y_train) // size)
+    designs = train(training_set, jobs, own, moments.report)
+    epochs = moments.epochs(4 if jobs[0].design == "control" else 2)  # that is trained twice
+    step = sum(epochs[1::2]) / (len(few.y_train) // size)
     trial = batch[0]
     began = time.perf_counter()
     evaluate(

@@ -16,7 +16,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.records import RecordedTrial, Records
-from deepfsi.sweeps.workers import HERE, Workers, default_count, processes
+from deepfsi.sweeps.workers import HERE, Workers, default_count, processes, report_of_task
 
 AnyTrial = TypeVar("AnyTrial", bound=RecordedTrial)
 
@@ -112,6 +112,7 @@ def _work_off(
         todo = context.batches(first_of_each, count)
         here = replace(workers, count=min(count, len(todo)))
         if here.ray is not None or min(count, len(todo)) > 1:
+            report(0.0, "matrices that all share")
             context.prepare(first_of_each)
         lost = _train_all(todo, context, records, here, report)
         failed |= {trial.design_key for trial in lost}
@@ -124,12 +125,12 @@ def _test_trained(
 ) -> list[AnyTrial]:
     """Test the designs that are there already, from other tests; return the other trials."""
     left = []
-    for trial in trials:
+    for place, trial in enumerate(trials):
         design = records.design(trial)
         if design is None or not records.claim([trial]):
             left.append(trial)
             continue
-        report(0.0, f"testing {design.name} again")
+        report(place / len(trials), f"testing {design.name} again")
         records.write(trial, context.record(trial, design.to(context.processor)), None)
     return left
 
@@ -143,6 +144,7 @@ def _train_all(
 ) -> list[AnyTrial]:
     """Train and record batches; return the trials that diverged."""
     lost: list[AnyTrial] = []
+    given: list[list[AnyTrial]] = []
     total, done = sum(map(context.effort, todo)), 0.0
 
     def part(batch: list[AnyTrial]) -> Report:
@@ -150,11 +152,18 @@ def _train_all(
         titled = Report(lambda share, _: report(share, title))
         return titled.part(done / total, (done + context.effort(batch)) / total)
 
+    def watch(shares: dict[int, float]) -> None:
+        """Show how far all batches are that workers have."""
+        under_way = sum(share * context.effort(given[place]) for place, share in shares.items())
+        titles = dict.fromkeys(context.title(given[place]) for place in shares)
+        report(min((done + under_way) / total, 1.0), "; ".join(titles))
+
     while todo:
         postponed: list[list[AnyTrial]] = []
         report(done / total, f"{len(todo)} batches")
-        claimed = _claimed(todo, records, postponed)
-        with closing(_trained(claimed, context, workers, part)) as arriving:
+        given.clear()
+        claimed = _claimed(todo, records, postponed, given)
+        with closing(_trained(claimed, context, workers, part, watch)) as arriving:
             for finished in arriving:
                 lost += _recorded(finished, records)
                 batch = [trial for trial, _, _ in finished]
@@ -168,9 +177,12 @@ def _train_all(
 
 
 def _claimed(
-    todo: Sequence[list[AnyTrial]], records: Records, postponed: list[list[AnyTrial]]
+    todo: Sequence[list[AnyTrial]],
+    records: Records,
+    postponed: list[list[AnyTrial]],
+    given: list[list[AnyTrial]],
 ) -> Iterator[list[AnyTrial]]:
-    """Yield what is left to train of batches that no other process works on."""
+    """Yield what is left to train of batches that no other process works on; note it in `given`."""
     for batch in todo:
         left = [trial for trial in batch if records.design(trial) is None]
         if not left:
@@ -181,7 +193,8 @@ def _claimed(
         finished = [trial for trial in left if records.design(trial) is not None]
         records.release(finished)
         if len(finished) < len(left):
-            yield [trial for trial in left if trial not in finished]
+            given.append([trial for trial in left if trial not in finished])
+            yield given[-1]
 
 
 def _trained(
@@ -189,6 +202,7 @@ def _trained(
     context: Context[AnyTrial],
     workers: Workers,
     part: Callable[[list[AnyTrial]], Report],
+    watch: Callable[[dict[int, float]], None],
 ) -> Generator[list[Done[AnyTrial]], None, None]:
     """Yield what batches give, as they finish."""
     if workers.ray is not None:
@@ -201,7 +215,8 @@ def _trained(
             for _, result in tasks:
                 yield result
     elif (workers.count or 1) > 1:
-        with closing(processes(_train, context, claimed, workers.count or 1)) as results:
+        count = workers.count or 1
+        with closing(processes(_train, context, claimed, count, watch)) as results:
             yield from results
     else:
         for batch in claimed:
@@ -209,7 +224,7 @@ def _trained(
 
 
 def _train(context: Context[AnyTrial], batch: list[AnyTrial]) -> list[Done[AnyTrial]]:
-    return context.train(batch)
+    return context.train(batch, report_of_task())
 
 
 def _recorded(finished: Sequence[Done[AnyTrial]], records: Records) -> list[AnyTrial]:

@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -15,12 +15,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.errors import InputError
 from deepfsi.interrupts import held_back
+from deepfsi.progress import SILENT, Report
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
 
+LOOK_SECONDS = 0.5
+"""Time between two looks at how far the tasks are."""
+
 _shared: Any = None
+_shares: Any = None
+_slot = 0
 
 
 class Resources(BaseModel):
@@ -69,20 +75,28 @@ def cores() -> int:
 
 
 def processes(
-    work: Callable[[Shared, Task], Result], shared: Shared, tasks: Iterable[Task], workers: int
+    work: Callable[[Shared, Task], Result],
+    shared: Shared,
+    tasks: Iterable[Task],
+    workers: int,
+    watch: Callable[[dict[int, float]], None] = lambda shares: None,
 ) -> Generator[Result, None, None]:
     """Results of tasks as they finish.
 
     Parameters
     ----------
     work : callable
-        Of a module, so that another process can import it.
+        Of a module, so that another process can import it. It may say how far it is with
+        `report_of_task`.
     shared : object
         What every task needs; sent once to each process.
     tasks : iterable
         Taken one by one, when a process is about to become free.
     workers : int
         Processes, each with an equal share of the cores.
+    watch : callable
+        Called every moment with the places, in the order in which they were taken, of the tasks
+        that run, and the shares of them that are done.
 
     Raises
     ------
@@ -92,28 +106,18 @@ def processes(
         Whatever `work` raises. The other processes are then stopped.
     """
     others = set(multiprocessing.active_children())
+    spawn = multiprocessing.get_context("spawn")
+    shares = spawn.RawArray("d", workers)
     pool = ProcessPoolExecutor(
         workers,
-        mp_context=multiprocessing.get_context("spawn"),
+        mp_context=spawn,
         initializer=_settle,
-        initargs=(shared, max(1, cores() // workers)),
+        initargs=(shared, shares, max(1, cores() // workers)),
     )
     resource_tracker.ensure_running()  # which would let Ctrl-C through, were it started later
-    queue = iter(tasks)
-    running: set[Future[Result]] = set()
+    running: dict[Future[Result], tuple[int, int]] = {}
     try:
-        while True:
-            for task in queue:
-                with held_back():
-                    running.add(pool.submit(_run, work, task))
-                if len(running) == workers:
-                    break
-            if not running:
-                return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            yield from [future.result() for future in done if not future.exception()]
-            for future in done:
-                future.result()
+        yield from _worked_off(pool, work, tasks, shares, running, watch)
     except BrokenProcessPool:
         raise InputError(
             f"one of {workers} worker processes was killed, perhaps for want of memory: finished "
@@ -126,13 +130,50 @@ def processes(
         pool.shutdown(cancel_futures=True)
 
 
-def _settle(shared: Any, threads: int) -> None:
+def _worked_off(
+    pool: ProcessPoolExecutor,
+    work: Callable[[Shared, Task], Result],
+    tasks: Iterable[Task],
+    shares: Any,
+    running: dict[Future[Result], tuple[int, int]],
+    watch: Callable[[dict[int, float]], None],
+) -> Iterator[Result]:
+    """Submit tasks, each with a slot of `shares`, and yield results as they come."""
+    queue, free = iter(enumerate(tasks)), list(range(len(shares)))
+    while True:
+        while free and (task := next(queue, None)):
+            (place, given), slot = task, free.pop()
+            shares[slot] = 0.0
+            with held_back():
+                running[pool.submit(_run, work, given, slot)] = place, slot
+        if not running:
+            return
+        done, _ = wait(running, LOOK_SECONDS, return_when=FIRST_COMPLETED)
+        watch({place: shares[slot] for place, slot in running.values()})
+        free += [running.pop(future)[1] for future in done]
+        yield from [future.result() for future in done if not future.exception()]
+        for future in done:
+            future.result()
+
+
+def report_of_task() -> Report:
+    """Report of the task that this worker process does; of any other process one that is silent."""
+    if _shares is None:
+        return SILENT
+
+    def show(share: float, _: str) -> None:
+        _shares[_slot] = share
+
+    return Report(show)
+
+
+def _settle(shared: Any, shares: Any, threads: int) -> None:
     """Prepare a process: Ctrl-C is its parent's to handle, and it dies with its parent."""
     import torch
     from threadpoolctl import threadpool_limits
 
-    global _shared
-    _shared = shared
+    global _shared, _shares
+    _shared, _shares = shared, shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(threads)
     threadpool_limits(threads)
@@ -146,5 +187,7 @@ def _die_with_parent() -> None:
     os._exit(1)
 
 
-def _run(work: Callable[[Any, Task], Result], task: Task) -> Result:
+def _run(work: Callable[[Any, Task], Result], task: Task, slot: int) -> Result:
+    global _slot
+    _slot = slot
     return work(_shared, task)

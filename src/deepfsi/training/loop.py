@@ -9,6 +9,7 @@ seed take the same draws, so that a difference between two budgets is not blurre
 to rounding a design does not depend on which others it was trained with.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
@@ -49,6 +50,9 @@ QUANTISED_MASK_COPIES = 10
 
 FEATURE_COPIES = 12
 """Copies of the features and hidden units alive in a step."""
+
+REPORT_SECONDS = 1.0
+"""Time after which a training says how far it is, within an epoch, too."""
 
 FLOAT_BYTES = 4.0
 """Bytes of a number."""
@@ -130,16 +134,20 @@ def descend(
     loss : callable
         From the place of a step in its epoch to its loss.
     report : Report
-        Called after each epoch.
+        Called after each epoch, and within one that takes long.
     """
     optimiser = torch.optim.AdamW(groups, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, [group["lr"] for group in groups], total_steps=epochs * steps
     )
     report(0.0)
+    due = time.monotonic() + REPORT_SECONDS
     for epoch in range(epochs):
         shuffle()
         for step in range(steps):
+            if time.monotonic() > due:
+                report((epoch + step / steps) / epochs)
+                due = time.monotonic() + REPORT_SECONDS
             loss(step).backward()
             optimiser.step()
             optimiser.zero_grad(set_to_none=True)

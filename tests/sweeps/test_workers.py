@@ -1,0 +1,35 @@
+"""Worker processes say how far they are."""
+
+from pathlib import Path
+
+import pytest
+
+from deepfsi.sweeps.workers import processes, report_of_task
+from shared.waiting import until
+
+
+def halfway(folder: Path, task: int) -> int:
+    """Say that half is done, and wait until it was heard."""
+    report_of_task()(0.5)
+    until((folder / str(task)).exists)
+    return task
+
+
+@pytest.mark.slow
+def test_shares_of_running_tasks_are_seen_before_one_ends(tmp_path):
+    seen = []
+
+    def watch(shares: dict[int, float]) -> None:
+        seen.append(dict(shares))
+        for place, share in shares.items():
+            if share == 0.5:
+                (tmp_path / str(10 + place)).touch()
+
+    found = list(processes(halfway, tmp_path, [10, 11, 12], 2, watch))
+    assert sorted(found) == [10, 11, 12]
+    assert {place for shares in seen for place in shares} == {0, 1, 2}
+    assert all(len(shares) <= 2 for shares in seen)
+
+
+def test_a_task_in_no_worker_reports_to_nobody():
+    report_of_task()(0.5)

@@ -1,0 +1,78 @@
+"""Progress of long tasks is said within seconds, on a terminal and in a log."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+
+from deepfsi import progress
+from deepfsi.progress import Moments, duration_text, progress_text, terminal_bar
+from shared.waiting import until
+
+
+def test_a_log_says_how_far_a_task_is_and_what_is_left(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "FIRST_LINE_SECONDS", 0.01)
+    said = ""
+    with terminal_bar("plan") as report:
+        report(0.25, "pca, 3 masks")
+        time.sleep(0.03)
+
+        def heard() -> bool:
+            nonlocal said
+            said += capsys.readouterr().err
+            return "\n" in said
+
+        until(heard)
+    assert re.match(r"plan: 25% after \d+ s, about \d+ s left at this pace\n", said)
+
+
+def test_a_short_or_hidden_task_says_nothing(capsys, monkeypatch):
+    with terminal_bar("plan") as report:
+        report(0.5)
+    monkeypatch.setattr(progress, "FIRST_LINE_SECONDS", 0.0)
+    with terminal_bar("plan", hidden=True) as report:
+        report(0.5)
+        time.sleep(0.01)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_bar_on_a_terminal_shows_the_time_left_however_rarely_work_ends(tmp_path):
+    """Two reports, an hour apart by the clock that the bar sees."""
+    code = (
+        "import time; real, gone = time.monotonic, [0]\n"
+        "time.monotonic = lambda: real() + gone[0]\n"
+        "from deepfsi.progress import terminal_bar\n"
+        "with terminal_bar('plan') as report:\n"
+        "    report(0.1); gone[0] = 3600; report(0.2, '[a class]'); time.sleep(0.5)\n"
+    )
+    screen, line = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+    subprocess.run([sys.executable, "-c", code], stderr=line, env=environment, check=True)
+    os.close(line)
+    shown = os.read(screen, 65536).decode()
+    os.close(screen)
+    assert "[a class]" in shown
+    assert re.search(r"\d:\d\d:\d\d \S*\s*\S*\d:\d\d:\d\d", re.sub(r"\x1b\[[\d;?]*\w", "", shown))
+
+
+def test_times_are_written_as_people_do():
+    assert [duration_text(seconds) for seconds in (4.4, 89, 720, 12600)] == [
+        "4 s", "89 s", "12 min", "3.5 h",
+    ]  # fmt: skip
+    assert progress_text(0.0, 7) == "7 s so far"
+    assert progress_text(0.5, 7) == "50% after 7 s, about 7 s left at this pace"
+
+
+def test_moments_are_those_at_which_a_share_is_first_reached(monkeypatch):
+    clock = iter([0.0, 1.0, 2.0, 5.0])
+    monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
+    moments = Moments()
+    for share in (0.0, 0.3, 0.5, 1.0):
+        moments.report(share)
+    assert moments.epochs(2) == [2.0, 3.0]
+    with pytest.raises(StopIteration):
+        moments.reached(1.1)
