@@ -230,7 +230,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(saved, made, monkey
 
     whole = saved.read_bytes()
     monkeypatch.setattr(os, step, full)
-    with pytest.raises(InputError, match="cannot write .*No space left"):
+    with pytest.raises(InputError, match=r"cannot write .*No space left"):
         made("pca", "column", "dual").save(saved)
     assert list(saved.parent.iterdir()) == [saved]
     assert saved.read_bytes() == whole
