@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, TICK, named, patterns_of, schedule, train
 
-from deepfsi.hardware.patterns.timing import usual_tolerance
+from deepfsi.hardware.patterns.timing import Gates, usual_tolerance
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import prepare
 from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.gates import Frames, Windows, find_lateness
 
 FLUX = 1e7
 DARK = 100.0
@@ -20,13 +21,13 @@ def lamp(tmp_path):
     patterns = patterns_of(tmp_path / "patterns")
     prepare(tmp_path / "run", tmp_path / "patterns", named(SCENES))
 
-    def record(late: float, burst: float = 0.0) -> None:
+    def record(late: float, burst: float = 0.0, rate: float = 0.0) -> None:
         manifest, rng = patterns.manifest, np.random.default_rng(0)
-        begins = train(manifest, SCENES, jitter=0)
+        begins = train(manifest, SCENES, rate, jitter=0)
         rates = np.zeros(len(manifest.frames))
         rates[[0, -2]] = FLUX
         rates[manifest.shown] = FLUX * patterns.fractions.mean(axis=1)
-        starts, lengths = begins.ravel(), np.tile(manifest.picture_s, SCENES)
+        starts, lengths = begins.ravel(), (1 + rate) * np.tile(manifest.picture_s, SCENES)
         many = rng.poisson(np.tile(rates, SCENES) * lengths)
         photons = np.repeat(starts, many) + np.repeat(lengths, many) * rng.random(many.sum())
         span = starts[-1] + lengths[-1]
@@ -42,13 +43,13 @@ def lamp(tmp_path):
     return tmp_path / "run", record
 
 
-@pytest.mark.parametrize("late", [0.0, 1e-6, 5e-6])
-def test_a_late_trigger_gives_no_dark_counts(lamp, late):
+@pytest.mark.parametrize(("late", "rate"), [(0, 0), (1e-6, 0), (5e-6, 0), (5e-6, -0.01), (0, 0.01)])
+def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
     """At 1 µs and 1e7 photons/s there were thousands a second."""
     folder, record = lamp
-    record(late)
+    record(late, rate=rate)
     counts = count(folder)
-    seconds = 2 * SCENES * (DWELL - 3e-5)
+    seconds = 2 * SCENES * ((1 + rate) * DWELL - 3e-5)
     assert counts.off_rate.mean() == pytest.approx(DARK, abs=5 * np.sqrt(DARK / seconds))
     assert counts.dark_rate[0] == pytest.approx(counts.off_rate.mean())
     assert counts.on_rate.mean() == pytest.approx(FLUX, rel=5 / np.sqrt(FLUX * seconds))
@@ -59,6 +60,23 @@ def test_a_late_trigger_gives_no_dark_counts(lamp, late):
         photons = FLUX * late * (SCENES - 1)  # the brightest is left out
         assert said == pytest.approx(late, rel=6 / np.sqrt(photons), abs=5e-8)
         assert "--exposure" not in str(faults[0])  # gates end long before their frames
+
+
+def test_stray_light_alone_is_no_late_trigger():
+    """In none of 1000 recordings of 20 scenes, at 1e5 counts/s in the dark."""
+    manifest = schedule([1000] * 4)
+    found = Frames(np.zeros((1, 8)), np.ones(1, bool), manifest.picture_s, 1e-5, 0.0, np.inf, [])
+    windows = Windows.of(manifest, Gates(2e-5, np.full(4, 5e-4), 1), found)
+    seconds = np.tile(windows.length, (20, 1))
+    rates = np.where(windows.frame == 1, 1e5, 1e6)
+    rng = np.random.default_rng(2)
+    for _ in range(1000):
+        assert not find_lateness(windows, rng.poisson(rates * seconds), seconds)
+    rates[windows.guards[0]] += 1e5  # 1 µs of light: 19 photons more, 4 of their standard errors
+    late = [bool(find_lateness(windows, rng.poisson(rates * seconds), seconds)) for _ in range(50)]
+    assert sum(late) < 10
+    rates[windows.guards[0]] += 4e5
+    assert find_lateness(windows, rng.poisson(rates * seconds), seconds)
 
 
 def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
