@@ -141,6 +141,29 @@ def test_training_draws_what_the_scanner_does(kind):
         assert torch.allclose(drawn.variance(light, read)[job], (power / gain**2).float().double())
 
 
+@pytest.mark.parametrize("kind", ["poisson", "camera"])
+def test_training_follows_mean_light_and_time(kind):
+    """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""
+    gain, dark = 50.0, 30.0
+    noisy = FeatureNoise.of(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
+    read = readouts(*constraints.combine(RAILS[:, :2].unsqueeze(0)))
+    read = read._replace(time=read.time.clone().requires_grad_())
+    scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
+    mean, light = (
+        (each @ scene).expand(DRAWS, 1, 2).clone().requires_grad_()
+        for each in constraints.combine(RAILS[:, :2].unsqueeze(0))
+    )
+    noisy.counted(mean, light, read).square().sum().backward()
+    for mask in range(2):
+        by_mean, by_light = mean.grad[:, 0, mask], light.grad[:, 0, mask]
+        for found, wanted in ((by_mean, 2 * mean[0, 0, mask].item()), (by_light, 1 / gain)):
+            assert abs(found.mean() - wanted) <= 5 * float(found.std()) / math.sqrt(DRAWS)
+        if kind == "camera":
+            slope, error = 1 / gain, 5 * float(by_light.std()) / math.sqrt(DRAWS)
+            by_time = float(read.time.grad[0, 0, mask]) / DRAWS  # through d = D t
+            assert abs(by_time - slope * dark / gain) <= error * dark / gain
+
+
 @pytest.mark.parametrize("dark", [-1.0, math.nan, math.inf])
 def test_impossible_dark_counts_are_refused(dark):
     with pytest.raises(InputError, match="give 0 or more"):

@@ -328,3 +328,22 @@ def test_photons_of_another_shape_or_kind_are_one_line(photons, match, noise):
         with pytest.raises(InputError, match=match) as error:
             see(photons)
         assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: Scanner.from_rails(torch.ones(3, 64)), r"rails of shape \(3, 64\) and type"),
+        (lambda: Scanner.from_rails(torch.ones(2, 3, 64).numpy()), "rails of ndarray cannot"),
+        (lambda: Scanner.from_rails(torch.ones(3, 3, 64)), "3 rails were given"),
+        (lambda: Scanner.from_rails(torch.ones(2, 3, 64).int()), "torch.int32"),
+        (lambda: Scanner(torch.ones(2, 3, 64)), "give Scanner.from_rails"),
+        (lambda: Learned(torch.ones(64), "column"), r"a start of shape \(64,\)"),
+        (lambda: Learned([[1.0]], "column"), "a start of list"),
+        (lambda: Learned(-torch.ones(3, 64), "column", "single"), "negative entries"),
+    ],
+)
+def test_masks_of_another_shape_or_kind_are_one_line(make, match):
+    with pytest.raises(InputError, match=match) as error:
+        make()
+    assert "\n" not in str(error.value)

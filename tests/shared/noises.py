@@ -20,3 +20,8 @@ def saturating(rates: Tensor, generator: torch.Generator | None = None) -> Tenso
 def exact(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """Exact counts, whose draws have no gradient."""
     return torch.poisson(rates, generator)
+
+
+def offset(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Photon noise on an offset that is far above it."""
+    return photons(rates, generator) + 1e7

@@ -9,7 +9,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan
-from shared.noises import exact, photons, saturating
+from shared.noises import exact, offset, photons, saturating
 from shared.trials import small, train_trials
 
 CAMERA = {"noise": "camera", "sigma": 50.0, "dark": 2e4}
@@ -79,6 +79,14 @@ def test_a_noise_may_be_for_tests_alone(digits):
     assert result.noise == "shared.noises:exact"
     error = math.sqrt(2 * 0.25 / (3 * len(digits.x_test)))
     assert abs(result.accuracy - wanted.accuracy) < 5 * error
+
+
+@pytest.mark.parametrize("scale", ["each", "common"])
+@pytest.mark.parametrize("design", ["pca", "deepfsi"])
+def test_an_offset_of_the_counts_is_no_feature(digits, design, scale):
+    how = {"rails": "single", "epochs": 12, "masks": 12, "hidden": (40, 128), "scale": scale}
+    one = quick(digits, design, noise=offset, photons=1e6, **how)
+    assert evaluate(one, digits, 1e6, noise=offset, draws=1)[0].accuracy > 0.6
 
 
 def test_a_seed_repeats(digits):

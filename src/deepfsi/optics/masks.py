@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from deepfsi.errors import InputError
 from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, separate
 from deepfsi.optics.grey_levels import quantise
 
@@ -17,6 +18,9 @@ class Fixed(nn.Module):
 
     def __init__(self, rails: Tensor) -> None:
         super().__init__()
+        _check_tensor(rails, "rails", 3, "(2 or 1, masks, pixels)")
+        if rails.shape[-3] not in (1, 2):
+            raise InputError(f"{rails.shape[-3]} rails were given: give 2, or 1 of frames")
         difference, total = combine(rails)
         self.register_buffer("difference", difference)
         self.register_buffer("total", None if total is difference else total)
@@ -55,6 +59,9 @@ class Learned(nn.Module):
     def __init__(self, start: Tensor, light: Light, rails: Rails = "dual", levels: int = 0) -> None:
         super().__init__()
         check_light(light, rails)
+        _check_tensor(start, "a start", 2, "(masks, pixels)")
+        if rails == "single" and bool((start < 0).any()):
+            raise InputError("a start of a single rail has negative entries: give 0 or more")
         self.light, self.rails, self.levels = light, rails, levels
         *replicas, masks, _ = start.shape
         if light == "column":
@@ -129,6 +136,17 @@ class Learned(nn.Module):
             count = 2 * masks if self.rails == "dual" else masks
             return self.weight.new_full((1, masks), 1 / count)
         return self.dwell.flatten(-2).softmax(dim=-1).view_as(self.dwell)
+
+
+def _check_tensor(given: Any, what: str, axes: int, shape: str) -> None:
+    """Raise `InputError` unless a tensor of real numbers has so many axes or more."""
+    if not isinstance(given, Tensor) or not given.is_floating_point() or given.ndim < axes:
+        found = tuple(given.shape) if isinstance(given, Tensor) else type(given).__name__
+        kind = f" and type {given.dtype}" if isinstance(given, Tensor) else ""
+        raise InputError(
+            f"{what} of {'shape ' * bool(kind)}{found}{kind} cannot be used: give a tensor of real "
+            f"numbers {shape}"
+        )
 
 
 def pair(difference: Tensor, total: Tensor) -> Tensor:

@@ -51,7 +51,7 @@ def check_noise(name: str) -> str:
 
 def check_dark(dark: float, noise: str) -> float:
     """Return dark counts of a detector in an exposure, or raise `InputError`."""
-    if not (math.isfinite(dark) and dark >= 0):
+    if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):
         raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")
     if dark and noise != "camera":
         raise InputError(f'dark counts are not of {noise} noise: give `noise="camera"` with them')

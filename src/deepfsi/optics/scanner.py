@@ -53,6 +53,8 @@ class Scanner(nn.Module):
         dark: float = 0.0,
     ) -> None:
         super().__init__()
+        if isinstance(masks, Tensor):
+            raise InputError("masks were given as a tensor: give Scanner.from_rails(rails)")
         self.masks = masks
         self.noise, self._own = resolve(noise)
         self.sigma, self.dark = sigma, check_dark(dark, self.noise)
