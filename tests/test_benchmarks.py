@@ -263,3 +263,11 @@ def test_light_for_a_calibration_is_tabled(capsys):
     for row in rows:
         assert int(row[3]) >= 23
         assert float(row[4]) < 0.2
+
+
+@pytest.mark.slow
+def test_growth_is_measured(capsys):
+    benchmark("growth").main(["records", "classes", "--most", "1"])
+    printed = capsys.readouterr().out
+    assert "| 100 | " in printed
+    assert "\n| 2 | 4 | " in printed

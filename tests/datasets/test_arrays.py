@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from dataset_samples import X, Y, numbers, refused, scenes
 
-from deepfsi.datasets import from_arrays, load_dataset
+from deepfsi.datasets import arrays, from_arrays, load_dataset
 from deepfsi.datasets.arrays import draw_stratified
 from deepfsi.errors import InputError
 
@@ -313,3 +313,12 @@ def test_no_pickle_is_ever_opened(tmp_path):
     with pytest.raises(InputError):
         load_dataset(tmp_path / "trap.npz")
     assert not (tmp_path / "sprung").exists()
+
+
+def test_arrays_that_memory_does_not_hold_are_refused_before_they_are_copied(monkeypatch):
+    x, y = np.full((20, 4, 5), 9, np.uint8), np.arange(20) % 2
+    monkeypatch.setattr(arrays, "free_memory", lambda: 8 * x.size - 1)
+    with pytest.raises(InputError, match=r"20 scenes of \(4, 5\) values need .* GB are free"):
+        from_arrays(x, y)
+    monkeypatch.setattr(arrays, "free_memory", lambda: 8 * x.size)
+    assert from_arrays(x, y).pixels == 20

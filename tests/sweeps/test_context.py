@@ -5,10 +5,12 @@ import pytest
 import torch
 
 from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan
-from deepfsi.training.learning import train
+from deepfsi.training import loop
+from deepfsi.training.learning import learn, train
 from deepfsi.training.loop import footprint
 from deepfsi.training.training_set import TrainingSet
 from shared.trials import small, train_trials
@@ -98,3 +100,20 @@ def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
     trials = plan(small(designs=("custom", "pca"), masks=5), digits, matrix)
     assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
     assert len(train_trials(trials, digits, tmp_path, matrix=matrix)) == len(trials)
+
+
+def test_what_does_not_fit_the_memory_is_refused_before_any_work(digits, monkeypatch):
+    """By a training alone, and by a sweep for all its processes."""
+    trials = plan(small(designs="deepfsi", masks=6, photons=(1e2, 1e3)), digits)
+    sweep = SweepContext(digits, 0, "cpu")
+    need = footprint(sweep.training_set, [trials[0].job])
+    held = sweep.training_set.full.nbytes
+    monkeypatch.setattr(loop, "free_memory", lambda: need - held - 1)
+    with pytest.raises(InputError, match=r"1437 scenes of 64 pixels.*GB are free: give fewer"):
+        learn(digits, photons=1e3, masks=6)
+    with pytest.raises(InputError, match=r"6 masks and 1 processes need"):
+        sweep.batches(trials[:1])
+    monkeypatch.setattr(loop, "free_memory", lambda: need - held)
+    assert len(sweep.batches(trials[:1])) == 1
+    with pytest.raises(InputError, match=r"2 processes.*fewer `workers`"):
+        sweep.batches(trials, workers=2)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from deepfsi.datasets.dataset import Dataset, Labels, Reflectance
 from deepfsi.datasets.values import Values, grey, measure, reflectance
 from deepfsi.errors import InputError
+from deepfsi.memory import check_memory, free_memory
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -32,6 +33,9 @@ class Options(NamedTuple):
 
 SPLIT_MINIMUM = 5
 """Scenes of a class at least where a test part is drawn: a fifth of fewer may be none."""
+
+SCENE_BYTES = 8
+"""Bytes for each value of a scene while a data set is made: two copies of 32 bits."""
 
 COLOURS = (1, 3, 4)
 """Values of a pixel in an array of colours: grey, RGB, RGB with transparency."""
@@ -186,6 +190,13 @@ def _scenes(
             f"{name}: a scene has shape {shapes[0]} in x but {shapes[-1]} in x_test; bring both "
             "to one shape"
         )
+    count = sum(len(part) for part in given.values())
+    check_memory(
+        SCENE_BYTES * sum(part.size for part in given.values()),
+        free_memory(),
+        f"{name}: {count} scenes of {shapes[0]} values",
+        "give fewer or smaller ones",
+    )
     levels = measure(given, white)
     words = levels.words[0].upper() + levels.words[1:]
     ready = [reflectance(part, levels) for part in given.values()]

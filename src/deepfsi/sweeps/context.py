@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import psutil
 import torch
 
 from deepfsi.datasets import Dataset
@@ -20,7 +19,7 @@ from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import record_of
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.learning import Diverged, train
-from deepfsi.training.loop import footprint
+from deepfsi.training.loop import check_fits, footprint, memory_for
 from deepfsi.training.training_set import Matrices, TrainingSet
 
 MASKS_AT_ONCE = 2048
@@ -75,8 +74,16 @@ class SweepContext:
         return self.training_set.device
 
     def batches(self, trials: Sequence[Trial], workers: int = 1) -> list[Batch]:
-        """Trials to be trained together, the longest work first, in the free memory."""
-        return self.batches_within(trials, _memory(self.processor) / workers)
+        """Trials to be trained together, the longest work first, in the free memory.
+
+        `InputError` where one of them alone takes more than all that is free.
+        """
+        limit = MEMORY * memory_for(self.processor) / workers
+        found = self.batches_within(trials, limit)
+        for batch in found:
+            if len(batch) == 1:
+                check_fits(self.training_set, [batch[0].job], min(workers, len(found)))
+        return found
 
     def batches_within(self, trials: Sequence[Trial], limit: float) -> list[Batch]:
         """Trials to be trained together, the longest work first.
@@ -162,13 +169,6 @@ class SweepContext:
             design = design.with_classifier(trial.job.training.classifier)
         validation = _tested(trial, design, self.parts) if self.held_out else []
         return record_of(trial, design, validation, _tested(trial, design, self.data))
-
-
-def _memory(device: torch.device) -> float:
-    """Bytes that may be planned for on a device."""
-    if device.type == "cuda":
-        return MEMORY * torch.cuda.mem_get_info(device)[0]
-    return MEMORY * psutil.virtual_memory().available
 
 
 def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:

@@ -39,7 +39,7 @@ from deepfsi.training.job import (
     own_rails,
     training_for,
 )
-from deepfsi.training.loop import Classifier, optimise
+from deepfsi.training.loop import Classifier, check_fits, optimise
 from deepfsi.training.training_set import TrainingSet
 
 OWN_DEFAULT = ("lr", "scale", "start")
@@ -198,6 +198,7 @@ def train(
     began = time.perf_counter()
     device = training_set.device
     first = check_jobs(jobs, training_set.data, device, matrix)
+    check_fits(training_set, jobs)
     own_noise = own_noise or resolve(first.noise)[1]
     if own_noise is not None:
         try_own(own_noise, first.code.learned)

@@ -22,6 +22,7 @@ from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.own import Given, OwnClassifier, make, seeded
 from deepfsi.errors import InputError
+from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
@@ -205,6 +206,31 @@ def _threads(elements: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
+    """Raise `InputError` where training jobs together would take more memory than is free.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    jobs : sequence of Job
+    processes : int
+        That train as much at one time; each has scenes of its own.
+    """
+    scenes, pixels = training_set.full.shape
+    held = training_set.full.nbytes
+    check_memory(
+        footprint(training_set, jobs) * processes - held,
+        memory_for(training_set.device),
+        f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
+        "give fewer or smaller scenes (`size`), fewer `masks` or fewer `workers`",
+    )
+
+
+def memory_for(device: torch.device) -> float:
+    """Bytes that are free on a device."""
+    return float(torch.cuda.mem_get_info(device)[0]) if device.type == "cuda" else free_memory()
 
 
 def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
