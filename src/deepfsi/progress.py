@@ -47,6 +47,10 @@ class Report:
         span = self.end - self.begin
         return Report(self.show, self.begin + begin * span, self.begin + end * span)
 
+    def parts(self, count: int) -> list["Report"]:
+        """Reports of equal parts of this task, one after another."""
+        return [self.part(i / count, (i + 1) / count) for i in range(count)]
+
 
 SILENT = Report()
 """Shows nothing."""

@@ -122,7 +122,8 @@ class Experiment:
         recipes = self.recipes(quick, trials)
         data = self._data(recipes)
         compared, points, records = list[Results](), list[Point](), list[dict[str, Any]]()
-        for name, recipe in recipes.items():
+        spans = report.parts(len(recipes) + (self.measure is not None))
+        for (name, recipe), span in zip(recipes.items(), spans, strict=False):
             part, own = compare(
                 recipe,
                 data[name],
@@ -130,17 +131,16 @@ class Experiment:
                 command=command,
                 device=device,
                 workers=Workers(workers, ray),
-                report=report,
+                report=span,
             )
             split = {"data": recipe.data, "split": recipe.split} if recipe.split else {}
-            where = {"recipe": name, **split}
             compared.append(part)
-            points += [point.model_copy(update=where) for point in part.points]
+            points += [p.model_copy(update={"recipe": name, **split}) for p in part.points]
             records += own
         results = compared[0].with_points(points)
         if self.measure:
-            first, designs = data[next(iter(data))], folder / "designs"
-            extra = self.measure(results, first, designs, workers, report)
+            first, designs = next(iter(data.values())), folder / "designs"
+            extra = self.measure(results, first, designs, workers, spans[-1])
             results = results.model_copy(update={"extra": extra})
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results

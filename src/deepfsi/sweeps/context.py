@@ -139,9 +139,8 @@ class SweepContext:
         """
         parts = self.batches_within(batch, math.inf)
         if len(parts) > 1:
-            spans = [report.part(i / len(parts), (i + 1) / len(parts)) for i in range(len(parts))]
-            halves = zip(parts, spans, strict=True)
-            return [done for part, span in halves for done in self.train(part, span)]
+            each = zip(parts, report.parts(len(parts)), strict=True)
+            return [done for part, span in each for done in self.train(part, span)]
         own = self.matrix if batch[0].job.design == "custom" else None
         learning, testing = report.part(0.0, TRAINING_SHARE), report.part(TRAINING_SHARE, 1.0)
         try:
