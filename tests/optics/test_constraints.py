@@ -2,6 +2,7 @@
 
 import copy
 import math
+import re
 
 import pytest
 import torch
@@ -286,6 +287,17 @@ def test_check_refuses_more_light_than_there_is(light, rails):
     check(fitted, light)
     with pytest.raises(InputError, match=f"breaks the {light} constraint"):
         check(fitted * 1.001, light)
+
+
+@every_optics
+def test_too_bright_a_matrix_is_told_by_which_factor(light, rails):
+    fitted = fit(torch.rand(4, 9, generator=generator()) + 0.1, light, rails)
+    bright = 7.3 * fitted
+    with pytest.raises(InputError, match=r"is 7\.3 times as bright") as caught:
+        check(bright, light)
+    factor = float(re.search("divide it by ([0-9.e+]+)", str(caught.value))[1])
+    check(bright / factor, light)
+    assert factor < 7.3 * 1.001
 
 
 @every_optics

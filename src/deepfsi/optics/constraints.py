@@ -10,6 +10,7 @@ A set of masks is its *rails*: an array (..., 2, m, N) of M⁺ and M⁻ for sign
 M⁺ − M⁻ (which gives the mean of a feature) and the total M⁺ + M⁻ (which gives its photon noise).
 """
 
+import math
 from typing import Literal, get_args
 
 import torch
@@ -132,13 +133,19 @@ def check(rails: Tensor, light: Light) -> Tensor:
         raise InputError(
             'the matrix has negative entries: use `rails="dual"`, or give frames of 0 or more'
         )
-    over = excess(rails, light)
-    if over > SLACK:
+    factor = 1 + excess(rails, light)
+    if factor > 1 + SLACK:
         raise InputError(
-            f"the matrix breaks the {light} constraint by {over:.3g} of its limit: scale it down, "
-            "or choose another constraint with `light`"
+            f"the matrix is {factor:.4g} times as bright as {light} allows, and breaks the {light} "
+            f"constraint: divide it by {_above(factor):.4g}, or choose another with `light`"
         )
     return rails
+
+
+def _above(factor: float) -> float:
+    """Least number of four digits that is at least the factor."""
+    step = 10.0 ** (math.floor(math.log10(factor)) - 3)
+    return math.ceil(factor / step) * step
 
 
 def combine(rails: Tensor) -> tuple[Tensor, Tensor]:
