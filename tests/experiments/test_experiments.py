@@ -2,14 +2,15 @@
 
 import csv
 import itertools
+import json
 import shutil
 
+import numpy as np
 import pytest
 
 from deepfsi import experiments
 from deepfsi.errors import InputError
 from deepfsi.experiments import experiment
-from deepfsi.experiments.camera import claims as camera_study
 from deepfsi.experiments.mnist import accuracy as mnist
 from shared.experiments import ALL, EVERY, run_all
 from shared.results import a_point, some_results
@@ -76,6 +77,14 @@ def test_experiments_share_what_they_train(done):
     assert len(made) < records
 
 
+@pytest.mark.slow
+def test_every_training_goes_to_the_device(two):
+    tests = json.loads((two / "hardware.json").read_text())["extra"]["tests"]
+    assert {np.shape(test["rates"]) for test in tests} == {(2, 2, 10)}
+    assert any(test["rates"][0] != test["rates"][1] for test in tests)
+    assert all(0.1 <= test["commonest"] <= 1 for test in tests)
+
+
 def test_a_folder_without_experiments_is_refused(tmp_path):
     with pytest.raises(InputError, match="deepfsi reproduce"):
         experiments.page(tmp_path)
@@ -90,8 +99,7 @@ def test_an_unknown_experiment_is_one_clear_line():
 @pytest.mark.parametrize("each", ALL, ids=lambda each: each.name)
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_recipe_is_whole_and_takes_a_number_of_trials(each, quick):
-    fewest = 1 if each is camera_study.EXPERIMENT else 3  # one design each goes to the device
-    assert all(recipe.trials >= fewest for recipe in each.recipes(quick).values())
+    assert all(recipe.trials >= 3 for recipe in each.recipes(quick).values())
     assert all(recipe.trials == 2 for recipe in each.recipes(quick, trials=2).values())
 
 

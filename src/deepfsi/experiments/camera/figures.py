@@ -20,6 +20,12 @@ from deepfsi.errors import InputError
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes
 
+MARKS = "stray light as bright as a scene, or the true budget"
+"""Words for the dotted lines among what the laboratory varies."""
+
+DOTTED: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+"""Looks of those lines."""
+
 BESIDE = 0.028
 """Shift of published values to the right of ours, share of the axis."""
 
@@ -77,7 +83,7 @@ def exposure_figure(
     if flux is not None:
         to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
         top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
-        top.set_xlabel("photons on the device Φ")
+        top.set_xlabel("photons Φ of a mean scene on the device")
         top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
         top.xaxis.set_minor_locator(NullLocator())
         top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
@@ -154,8 +160,8 @@ def effects_figure(
 ) -> Figure:
     """Accuracy against what the laboratory varies: a column for each effect.
 
-    A row for each exposure, the longest on top. Values are on a logarithmic axis, and 0 stands
-    at its left end.
+    A row for each exposure, the longest on top. Values are on a logarithmic axis; 0 stands apart
+    at its left end, behind a break of the axis.
 
     Parameters
     ----------
@@ -183,19 +189,21 @@ def effects_figure(
         keys |= _effect_lines(ax, members, [value * unit for value in values], unit)
         mark = {"ambient": flux, "assumed": (flux or 0) * exposure}.get(effect)
         if flux and mark:
-            ax.axvline(mark, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=1)
+            keys[MARKS] = ax.axvline(mark, **DOTTED, zorder=1)
         ax.set_ylim(0, 1)
         ax.grid(axis="y")
         if row == len(exposures) - 1:
             ax.set_xlabel(textwrap.fill(label, 24), fontsize=8)
         if column == 0:
             ax.set_ylabel("accuracy")
-            ax.set_title(f"{exposure:g} s")
+            photons = "" if flux is None else f", {style.photons_text(flux * exposure)} photons"
+            ax.set_title(f"exposure {exposure:g} s{photons}")
+    keys = {word: keys[word] for word in sorted(keys, key=lambda word: word == MARKS)}
     figure.legend(
         list(keys.values()),
         list(keys),
         loc="outside lower center",
-        ncols=len(keys),
+        ncols=-(-len(keys) // 2),
         frameon=False,
         fontsize=8,
         handlelength=2.6,
@@ -285,6 +293,8 @@ def _effect_lines(
     ends = ticks[0] or ground, ticks[-1] or ground
     margin = 10 ** (0.06 * max(np.log10(ends[1] / ends[0]), 0.5))
     ax.set_xlim(ends[0] / margin, ends[1] * margin)
+    if ticks[0] == 0:
+        _break_axis(ax, float(np.sqrt(ground * lit[0])))
     at = [*([ground] if ticks[0] == 0 else []), *_apart(lit)]
     ax.xaxis.set_major_locator(FixedLocator(at))
     ax.xaxis.set_minor_locator(NullLocator())
@@ -293,6 +303,15 @@ def _effect_lines(
     )
     ax.tick_params(labelsize=style.SMALL)
     return lines
+
+
+def _break_axis(ax: Axes, place: float) -> None:
+    """Two strokes on the horizontal axis: what is left of them is not on its scale."""
+    looks: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 5}
+    ax.plot([place], [0], "s", color=style.PAPER, markersize=5, **looks)
+    for shift in (0.94, 1 / 0.94):
+        stroke = [(-0.4, -1), (0.4, 1)]
+        ax.plot([place * shift], [0], marker=stroke, color=style.MUTED, markersize=8, **looks)
 
 
 def _apart(values: Sequence[float]) -> list[float]:

@@ -69,8 +69,14 @@ REPEATS = 10
 DEVICE = find_device("dlp7000")
 """The micromirror device of the paper."""
 
+OURS = "deepfsi"
+"""Name of DeepFSI with equal dwells among the tests."""
+
 FREE = "deepfsi-free-dwell"
 """Name of DeepFSI with dwells of its own among the tests."""
+
+LABELS = {OURS: "DeepFSI, equal dwell", FREE: "DeepFSI, free dwell"}
+"""Names of the two in figures, tables and claims; all others have their own."""
 
 LAB = CAMERAS["pmt"].model_copy(
     update={
@@ -95,7 +101,7 @@ EFFECTS: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True)
 class DigitTest:
-    """Success rates of one design with the ten digits of every draw.
+    """Success rates of one design, trained several times, with the ten digits of every draw.
 
     Attributes
     ----------
@@ -110,8 +116,10 @@ class DigitTest:
     value : float
         Of the effect, in its unit.
     exposure_s : float
-    rates : sequence, shape (draws, digits)
+    rates : sequence, shape (trainings, draws, digits)
         Share of the exposures that are classified rightly.
+    commonest : float
+        Share of the answers that are the class that a training answers most, mean over trainings.
     """
 
     design: str
@@ -122,16 +130,33 @@ class DigitTest:
     effect: str
     value: float
     exposure_s: float
-    rates: Sequence[Sequence[float]]
+    rates: Sequence[Sequence[Sequence[float]]]
+    commonest: float
 
     @property
     def by_draw(self) -> np.ndarray:
-        """Accuracy of each draw of the digits."""
-        return np.mean(self.rates, axis=1)
+        """Accuracy of each draw of the digits, mean over trainings."""
+        return np.mean(self.rates, axis=(0, 2))
+
+    @property
+    def by_training(self) -> np.ndarray:
+        """Accuracy of each training, mean over draws."""
+        return np.mean(self.rates, axis=(1, 2))
+
+    @property
+    def by_digit(self) -> np.ndarray:
+        """Success rates (draws, digits), mean over trainings."""
+        return np.mean(self.rates, axis=0)
+
+    @property
+    def single(self) -> np.ndarray:
+        """Success rates (trainings x draws, digits): each row one experiment as the paper's."""
+        rates = np.asarray(self.rates)
+        return rates.reshape(-1, rates.shape[-1])
 
     @property
     def accuracy(self) -> Difference:
-        """Mean over draws, with its error."""
+        """Mean over draws, with its error; the error covers draws of digits, not trainings."""
         return of_trials(self.by_draw.tolist())
 
     def less(self, other: "DigitTest") -> Difference:
@@ -375,7 +400,7 @@ def measure(
                 seen.round(3).tolist(),
                 list(data.classes),
             ),
-            frame=done["deepfsi"].frame,
+            frame=done[OURS].frame,
             tests=[test for name in groups for test in done[name].tests],
             times=[done[name].time for name in groups],
         )
@@ -383,39 +408,55 @@ def measure(
 
 
 def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
-    """Tests of one design, trained for several budgets."""
+    """Tests of one design, trained for several budgets and several times for each."""
     name, points = group
-    label = "DeepFSI, free dwell" if name == FREE else points[0].label
     tests: list[DigitTest] = []
-    mounted_by_masks: dict[bytes, MountedDesign] = {}  # fixed masks are the same at every budget
+    mounted_by_masks: dict[bytes, MountedDesign] = {}  # fixed masks are the same in every training
     for point in points:
-        design = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
-        masks = design.rails.numpy().tobytes()
-        if masks not in mounted_by_masks:
-            mounted_by_masks[masks] = mount(design, laboratory.images)
-        mounted = mounted_by_masks[masks]
-        mounted = replace(mounted, design=design.as_shown(*mounted.patterns.realised))
+        mounted = [
+            _mounted(
+                Design.load(laboratory.designs / f"{key}.safetensors"), laboratory, mounted_by_masks
+            )
+            for key in point.keys
+        ]
         for effect, value, camera, exposure in _conditions(point.photons):
-            rng = np.random.default_rng([0, len(tests)])
-            classes = classify(mounted, camera, exposure, rng)
-            right = classes.reshape(*laboratory.truth.shape, REPEATS) == laboratory.truth[..., None]
+            rates, commonest = [], []
+            for training, each in enumerate(mounted):
+                rng = np.random.default_rng([training, len(tests)])
+                classes = classify(each, camera, exposure, rng)
+                classes = classes.reshape(*laboratory.truth.shape, REPEATS)
+                commonest.append(np.bincount(classes.ravel()).max() / classes.size)
+                rates.append((classes == laboratory.truth[..., None]).mean(axis=-1).tolist())
             tests.append(
                 DigitTest(
                     design=name,
-                    label=label,
+                    label=LABELS.get(name, point.label),
                     specific=point.specific,
                     masks=point.masks,
                     assumed=point.photons,
                     effect=effect,
                     value=value,
                     exposure_s=exposure,
-                    rates=right.mean(axis=-1).tolist(),
+                    rates=rates,
+                    commonest=float(np.mean(commonest)),
                 )
             )
         if point.photons == ASSUMED:
-            time = RunTime(name, label, *run_time(design, laboratory.images[:1]))
-            frame = base64.b64encode(_first_frame(mounted.patterns).tobytes()).decode()
+            made = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
+            label = LABELS.get(name, point.label)
+            time = RunTime(name, label, *run_time(made, laboratory.images[:1]))
+            frame = base64.b64encode(_first_frame(mounted[0].patterns).tobytes()).decode()
     return DesignResult(tests, time, frame)
+
+
+def _mounted(
+    design: Design, laboratory: Laboratory, known: dict[bytes, MountedDesign]
+) -> MountedDesign:
+    """A design on the device; what one with the same masks was mounted for before serves again."""
+    masks = design.rails.numpy().tobytes()
+    if masks not in known:
+        known[masks] = mount(design, laboratory.images)
+    return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))
 
 
 def _conditions(assumed: float) -> Iterator[tuple[str, float, Camera, float]]:
