@@ -24,6 +24,7 @@ from deepfsi.hardware.patterns.sequence import (
 )
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
+from deepfsi.hardware.recording.alignment import Counter
 from deepfsi.hardware.recording.counting import count
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
@@ -84,6 +85,28 @@ def train(
     begins = np.arange(scenes) * pictures.sum() + (1 + drift) * (np.cumsum(gaps) - gaps[0])
     starts = (1 + drift) * offset + begins[:, None] + np.cumsum(pictures) - pictures
     return starts + rng.uniform(-jitter, jitter, starts.shape)
+
+
+def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> Counter:
+    """Photons as a detector would count them: 1e6/s at all ON, 1e3/s at all OFF."""
+    rng = np.random.default_rng(seed)
+    rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6
+    rates[:, [0, -2]], rates[:, [1, -1]] = 1e6, 1e3
+    length = np.append(
+        np.diff(starts, axis=1), manifest.picture_s[-1] * np.ones((len(starts), 1)), 1
+    )
+    edges = np.concatenate([starts, starts + length], axis=1)
+    edges = np.stack([starts, starts + length], axis=-1).ravel()
+    rate = np.stack([rates, np.zeros_like(rates)], axis=-1).ravel() + 1e3
+    total = np.concatenate([[0.0], np.cumsum(np.diff(edges) * rate[:-1])])
+
+    def counter(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        def until(t: np.ndarray) -> np.ndarray:
+            return np.interp(t, edges, total)
+
+        return rng.poisson(until(end) - until(begin))
+
+    return counter
 
 
 @dataclass

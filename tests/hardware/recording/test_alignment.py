@@ -4,36 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from recording_samples import JITTER, many, schedule, train, troubles, unseen
+from recording_samples import JITTER, lamp, many, schedule, train, troubles, unseen
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.hardware.recording.alignment import Counter, align, find_steps
+from deepfsi.hardware.recording.alignment import align, find_steps
 
 EQUAL = schedule([1000] * 16)
 FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 1900])
-
-
-def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> Counter:
-    """Photons as a detector would count them: 1e6/s at all ON, 1e3/s at all OFF."""
-    rng = np.random.default_rng(seed)
-    rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6
-    rates[:, [0, -2]], rates[:, [1, -1]] = 1e6, 1e3
-    length = np.append(
-        np.diff(starts, axis=1), manifest.picture_s[-1] * np.ones((len(starts), 1)), 1
-    )
-    edges = np.concatenate([starts, starts + length], axis=1)
-    edges = np.stack([starts, starts + length], axis=-1).ravel()
-    rate = np.stack([rates, np.zeros_like(rates)], axis=-1).ravel() + 1e3
-    total = np.concatenate([[0.0], np.cumsum(np.diff(edges) * rate[:-1])])
-
-    def counter(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-        def until(t: np.ndarray) -> np.ndarray:
-            return np.interp(t, edges, total)
-
-        return rng.poisson(until(end) - until(begin))
-
-    return counter
 
 
 def right_or_lost(found: np.ndarray, true: np.ndarray) -> np.ndarray:

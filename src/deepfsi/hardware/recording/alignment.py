@@ -192,7 +192,8 @@ def _find_doubts(passes: list[Pass], markers: Markers) -> set[int]:
 
     These are passes that lack half of their markers, or the first or last, or have a marker beside
     them that could be of one of their frames, and all passes that follow or precede them without a
-    pause that is long enough to tell.
+    pause that is long enough to tell. Of a cut file the last pass is one too: nothing says how many
+    markers it should have, and they may be of two passes.
     """
     schedule = markers.schedule
     spare = spare_times(passes, markers.times)
@@ -205,6 +206,7 @@ def _find_doubts(passes: list[Pass], markers: Markers) -> set[int]:
         slots = np.concatenate([begins[place] - beyond, ends[place] + beyond - schedule.step])
         beside = np.abs(spare[:, None] - slots) < 4 * schedule.tolerance
         whole = each.places[0] >= 0 and each.places[-1] >= 0 and each.matched > schedule.frames / 2
+        whole = whole and not (markers.cut and place == len(passes) - 1)
         fits = schedule.locks and each.matched >= 0.75 * schedule.frames
         if not fits and (beside.any() or not whole):
             doubts.add(place)
