@@ -5,6 +5,7 @@ import math
 import pytest
 
 from conftest import PHOTONS, generator, light_on, quick, same
+from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
@@ -115,13 +116,16 @@ def test_what_goes_not_together_is_refused(digits, settings, match):
 def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):
     recipe = small(
         designs="pca", photons=1e4, masks=4, noise=["camera", "shared.noises:saturating"],
-        test_noise=["camera", "poisson", "shared.noises:exact"], sigma=2.0, dark=50.0,
+        test_noise=["camera", "poisson", "shared.noises:exact"], sigma=2.0, dark=5e3,
     )  # fmt: skip
     trials = plan(recipe, digits)
     assert {trial.job.noise for trial in trials} == {"camera", "shared.noises:saturating"}
-    assert all(trial.job.dark == 50.0 and trial.source_hash for trial in trials)
+    assert all(trial.job.dark == 5e3 and trial.source_hash for trial in trials)
     records = train_trials(trials, digits, tmp_path)
     assert [test["noise"] for test in records[0]["test"]] == list(recipe.test_noise)
+    made = Design.load(tmp_path / f"designs/{records[0]['design']}.safetensors")
+    [alone] = evaluate(made, digits, 1e4, noise="camera", sigma=2.0, dark=5e3, draws=1)
+    assert records[0]["test"][0]["confusion"] == alone.confusion
     plain = plan(small(designs="pca", photons=1e4, masks=4), digits)
     assert not any(trial.source_hash for trial in plain)
 
