@@ -214,6 +214,12 @@ def test_the_version_is_printed(done):
 
 
 @pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize("numbers", ["", ",", "1e3,,1e4", "1e3,"])
+def test_an_empty_place_in_a_list_is_not_passed_over(refuse, tmp_path, numbers):
+    assert "empty place" in refuse("compare", f"--photons={numbers}", "-o", tmp_path / "out")
+
+
+@pytest.mark.usefixtures("no_training")
 @pytest.mark.parametrize("number", ["inf", "-inf", "nan"])
 @pytest.mark.parametrize(
     "command",

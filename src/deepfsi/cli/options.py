@@ -156,11 +156,13 @@ def words(text: str | None) -> list[str] | None:
 
 def numbers(option: str, text: str | None, whole: bool = False) -> list[Any] | None:
     """Numbers of an option, separated by commas, or `InputError`; None where it is not given."""
-    parts = words(text)
-    if parts is None:
+    if text is None:
         return None
-    if not parts:
-        raise InputError(f"--{option} is empty: give one number or more, separated by commas")
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise InputError(
+            f"--{option} {text!r} has an empty place: give one number or more, separated by commas"
+        )
     return [(whole_number if whole else number)(option, part) for part in parts]
 
 
