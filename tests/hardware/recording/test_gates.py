@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, TICK, named, patterns_of, schedule, train
 
+from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.timing import Gates, usual_tolerance
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.hardware.recording.acquisition import prepare
+from deepfsi.hardware.recording.acquisition import gates_of, prepare
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.gates import Frames, Windows, find_lateness
 
@@ -96,3 +97,12 @@ def test_a_flash_in_one_pass_is_no_late_trigger(lamp):
 def test_what_a_marker_may_be_off_follows_the_shortest_frame():
     assert usual_tolerance(schedule([1000] * 4)) == 1e-5
     assert usual_tolerance(schedule([1000, 44])) == pytest.approx(4.4e-6)
+
+
+def test_settling_leaves_something_of_frames_before_their_guard():
+    manifest = schedule([3000] * 4)
+    assert gates_of(named(1), manifest, 4e-3, 9.85e-4).settle_s == 9.85e-4
+    with pytest.raises(
+        InputError, match=r"leaves nothing of the all-ON .* give less than 0\.00099"
+    ):
+        gates_of(named(1), manifest, 4e-3, 9.95e-4)
