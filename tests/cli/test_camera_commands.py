@@ -1,9 +1,11 @@
 """The camera on the command line: what it prints, and one clear line for bad input."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -249,6 +251,14 @@ def test_a_large_recording_is_asked_for(done, refuse, lab, patterns, tmp_path, m
     assert not (tmp_path / "run").exists()
     monkeypatch.setattr("deepfsi.cli.camera.MOST_EVENTS", 1e3)
     assert "--yes" in refuse(*words, "--flux", 1e6)
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    answers = iter([False, True])
+    monkeypatch.setattr(typer, "confirm", lambda question, err: next(answers))
+    assert "--yes" in refuse(*words, "--flux", 1e6)
+    done(*words, "--flux", 1e6)
+    assert next(answers, "asked twice") == "asked twice"
+    monkeypatch.undo()
+    words[words.index("-o") + 1] = tmp_path / "other"
     done(*words, "--flux", 1e6, "--yes")
 
 

@@ -116,7 +116,7 @@ def test_dotted_lines_and_axes_are_explained(finding):
     captions = [picture.caption for picture in finding.pictures]
     assert "Dotted line: chance" in captions[0]
     effects = next(caption for caption in captions if "one effect at a time" in caption)
-    assert "Dotted lines: stray light as bright as a mean scene" in effects
+    assert "Dotted lines: ambient light as bright as a mean scene" in effects
     assert "logarithmic" in effects
 
 

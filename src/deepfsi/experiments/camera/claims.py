@@ -54,7 +54,7 @@ BRIGHT = tuple(exposure for exposure in EXPOSURES if exposure >= 1e-3)
 """Exposures at which DeepFSI is to be first, seconds."""
 
 AXES = {
-    "ambient": "stray light on the whole device (photons/s)",
+    "ambient": "ambient light on the whole device (photons/s)",
     "dark": "dark counts (1/s)",
     "dead_time_s": "dead time of the counter (s)",
     "assumed": "budget assumed in training (photons)",
@@ -255,10 +255,11 @@ def _effects_picture(measures: Measures) -> Picture:
     points = [_point(test) for test in measures.tests if test.exposure_s in SWEPT]
     return Picture(
         effects_figure(points, AXES, flux=FLUX),
-        "What the laboratory could not vary, one effect at a time; no one corrects for stray "
+        "What the laboratory could not vary, one effect at a time; no one corrects for ambient "
         "light or dead time. Axes are logarithmic; where a value of 0 is shown, it stands apart at "
-        f"the left end. Dotted lines: stray light as bright as a mean scene ({photons_text(FLUX)} "
-        "photons/s), and the budget that the exposure gives, so that training assumed the truth.",
+        "the left end. Dotted lines: ambient light as bright as a mean scene "
+        f"({photons_text(FLUX)} photons/s), and the budget that the exposure gives, so that "
+        "training assumed the truth.",
         "Accuracy against ambient light, dark counts, dead time and assumed budget.",
     )
 

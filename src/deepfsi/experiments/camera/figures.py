@@ -20,7 +20,7 @@ from deepfsi.errors import InputError
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes
 
-MARKS = "stray light as bright as a scene, or the true budget"
+MARKS = "ambient light as bright as a scene, or the true budget"
 """Words for the dotted lines among what the laboratory varies."""
 
 DOTTED: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
