@@ -206,7 +206,7 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
     done("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)
 
 
-def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, tmp_path):
+def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, tmp_path):
     device = ["--device", "64x64", "--dwell", "1ms"]
     done("dmd", "export", "hadamard", "--size", "16x16", *device, "-o", tmp_path / "p")
     done("camera", "spots", "--size", "16x16", "--side", 1, "-o", tmp_path / "spots")
@@ -225,6 +225,11 @@ def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, tmp_path):
     words = ["camera", "calibrate", tmp_path / "run", "--spots", tmp_path / "spots"]
     out = done(*words, "-o", tmp_path / "c", "--json")
     assert any("times the light" in doubt for doubt in json.loads(out)["warnings"])
+    code, out, errors = call(*words, "-o", tmp_path / "c")
+    assert code == 0
+    assert "of 25 spots" in out
+    assert errors.startswith("deepfsi: warning: ")
+    assert "times the light" in errors
 
 
 def test_patterns_of_devices_by_size_have_times_of_their_own(done, refuse, lab, tmp_path):
