@@ -130,13 +130,13 @@ def _found(compared: Comparison) -> str:
 
 
 def _falling(compared: Comparison) -> list[str]:
-    """Sentences on designs that read less where there is more light, and why."""
+    """Sentences on designs that read less with more light as they answer one class: why."""
     said = []
     for name, label in compared.labels.items():
         tests = [compared.at[(name, exposure)] for exposure in sorted(EXPOSURES)]
         most = max(tests, key=lambda test: test.accuracy.mean)
         last = tests[-1]
-        if most.less(last).low > 0:
+        if most.less(last).low > 0 and last.commonest > most.commonest:
             said.append(
                 f" {label} falls from {most.accuracy.mean:.3f} at {most.exposure_s:g} s to "
                 f"{last.accuracy.mean:.3f} at {last.exposure_s:g} s, for its network was trained "
@@ -246,7 +246,7 @@ def _digits_picture(compared: Comparison, digits: Sequence[str]) -> Picture:
     }
     return Picture(
         digits_figure(panels, list(compared.labels.values()), digits),
-        "Success rate of each digit, mean over draws.",
+        "Success rate of each digit, mean over trainings and draws.",
         "Success rate of each digit and design for four exposures.",
     )
 
