@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from conftest import FIXED, synthetic
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.codes import hadamard_masks, mask_count, sensing_matrix
+from deepfsi.training.training_set import TrainingSet
 
 
 def sequencies(mask: np.ndarray) -> tuple[int, int]:
@@ -210,6 +212,27 @@ def test_a_design_refuses_a_count_that_it_cannot_have(digits, design, masks):
 
 def test_a_whole_count_may_be_a_float(digits):
     assert sensing_matrix("truncated-hadamard", 7.0, digits).shape == (7, 64)
+
+
+def test_few_components_of_large_scenes_need_no_matrix_of_all_pixels(digits, monkeypatch):
+    """They are those of all components, and take memory by the pixels, not by their square."""
+    whole = codes.principal_components(digits.x_train, 64)
+    monkeypatch.setattr(codes, "FULL_BASIS_PIXELS", 16)
+    few = codes.principal_components(digits.x_train, 6)
+    np.testing.assert_allclose(few, whole[:6], atol=1e-9)
+    training_set = TrainingSet(digits, "cpu")
+    np.testing.assert_allclose(training_set.matrix("pca", 3, 0), whole[:3], atol=1e-9)
+    assert {matrix.shape for matrix in training_set.matrices.values()} == {(3, 64)}
+    monkeypatch.setattr(codes, "FULL_BASIS_PIXELS", 2048)
+    x = np.random.default_rng(0).random((40, 64 * 64), dtype=np.float32)
+    tracemalloc.start()
+    try:
+        rows = codes.principal_components(x, 4)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert rows.shape == (4, 64 * 64)
+    assert most < 20 * x.nbytes < 8 * x.shape[1] ** 2
 
 
 @pytest.mark.parametrize("design", FIXED)

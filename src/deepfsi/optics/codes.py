@@ -14,6 +14,10 @@ import scipy.linalg
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError, check_known
 
+FULL_BASIS_PIXELS = 2048
+"""Pixels up to which all principal components are computed at once, which takes their cube; of
+larger scenes only those that are asked for."""
+
 
 @dataclass(frozen=True)
 class Code:
@@ -198,11 +202,10 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     pixels = x.shape[1]
     varying = np.flatnonzero(np.ptp(x, axis=0))
     mean = x[:, varying].mean(axis=0, dtype=np.float64)
-    scatter = np.zeros((len(varying), len(varying)))
-    for chunk in np.array_split(x[:, varying], -(-len(x) // 8192)):
-        centred = chunk - mean
-        scatter += centred.T @ centred
-    power, directions = scipy.linalg.eigh(scatter)
+    if FULL_BASIS_PIXELS < len(varying) > 4 * masks < len(x):
+        power, directions = _leading(x[:, varying], mean, masks)
+    else:
+        power, directions = scipy.linalg.eigh(_scatter(x[:, varying], mean))
     known = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
     rows = np.zeros((min(masks, int(known.sum())), pixels))
     rows[:, varying] = directions[:, known].T[::-1][:masks]
@@ -214,6 +217,40 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     rest = basis[:, : masks - len(rows)].T
     rest = rest * np.sign(rest[np.arange(len(rest)), np.abs(rest).argmax(axis=1)])[:, None]
     return np.concatenate([rows, rest])
+
+
+def _scatter(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Scatter matrix (N, N) of scenes (n, N) about their mean."""
+    scatter = np.zeros((x.shape[1], x.shape[1]))
+    for chunk in np.array_split(x, -(-len(x) // 8192)):
+        centred = chunk - mean
+        scatter += centred.T @ centred
+    return scatter
+
+
+def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest eigenvalues of the scatter matrix, rising, and their vectors (N, count).
+
+    The matrix itself, N² numbers, is not made: it is applied to vectors, chunk by chunk.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    def applied(vectors: np.ndarray) -> np.ndarray:
+        total = np.zeros((x.shape[1], vectors.shape[1]))
+        for chunk in np.array_split(x, -(-len(x) // 512)):
+            centred = chunk - mean
+            total += centred.T @ (centred @ vectors)
+        return total
+
+    scatter = LinearOperator(
+        (x.shape[1], x.shape[1]),
+        matvec=lambda vector: applied(vector.reshape(-1, 1))[:, 0],
+        matmat=applied,
+        dtype=np.float64,
+    )
+    start = np.random.default_rng(0).normal(size=x.shape[1])
+    power, directions = eigsh(scatter, k=count, v0=start)
+    return power, directions
 
 
 def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:

@@ -73,7 +73,7 @@ class TrainingSet:
 
     def prepare(self, name: str) -> None:
         """Compute what the trainings of a design share, so that processes need not each do it."""
-        if name == "pca":
+        if name == "pca" and self.data.pixels <= codes.FULL_BASIS_PIXELS:
             self.matrix(name, 1, 0)
 
     def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
@@ -82,7 +82,8 @@ class TrainingSet:
         Parameters as for `codes.sensing_matrix`.
         """
         codes.check_count(name, masks, self.data)
-        whole = self.data.pixels if name == "pca" else masks
+        all_at_once = name == "pca" and self.data.pixels <= codes.FULL_BASIS_PIXELS
+        whole = self.data.pixels if all_at_once else masks
         key = (name, whole, seed if name == "random" else 0)
         if key not in self.matrices:
             self.matrices[key] = codes.sensing_matrix(name, whole, self.data, seed)
