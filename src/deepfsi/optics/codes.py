@@ -238,8 +238,8 @@ def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, n
     def applied(vectors: np.ndarray) -> np.ndarray:
         total = np.zeros((x.shape[1], vectors.shape[1]))
         for chunk in np.array_split(x, -(-len(x) // 512)):
-            centred = chunk - mean
-            total += centred.T @ (centred @ vectors)
+            about_mean = chunk - mean
+            total += about_mean.T @ (about_mean @ vectors)
         return total
 
     scatter = LinearOperator(
