@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.trial import plan
 
 PAGE = (Path(__file__).parent.parent / "docs/own-parts.md").read_text()
 MODULE, *BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -28,5 +29,5 @@ def test_the_page_on_parts_of_ones_own(tmp_path, monkeypatch, done):
     for line in LINES:
         done(*shlex.split(line)[1:], *(["--epochs", "1"] if " design " in line else []))
     for table in TABLES:
-        assert Recipe(**tomllib.loads(table))
+        assert plan(Recipe(**tomllib.loads(table), designs="pca"), names["data"])
     sys.modules.pop("mynets")

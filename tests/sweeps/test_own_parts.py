@@ -16,7 +16,8 @@ CNN = "shared.networks:Cnn"
 
 def recipe(**changes) -> Recipe:
     training = {"epochs": 1, "classifier": ["mlp", CNN], **changes.pop("training", {})}
-    return small(designs="pca", photons=[1e3, 1e4], masks=4, training=training, **changes)
+    settings = {"designs": "pca", "photons": [1e3, 1e4], "masks": 4, **changes}
+    return small(training=training, **settings)
 
 
 def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
@@ -36,6 +37,18 @@ def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
     again = train_trials(plan(recipe(draws=2), digits), digits, tmp_path)
     assert [record["design"] for record in again] == [record["design"] for record in records]
     assert all(record["test"][0]["draws"] == 2 for record in again)
+
+
+def test_settings_of_one_kind_of_classifier_are_not_those_of_the_other(digits):
+    own = {"hidden": [[8], [16]], "classifier_arguments": {"width": 3}}
+    trials = plan(recipe(photons=1e3, training=own), digits)
+    found = [
+        (each.classifier, each.hidden, each.classifier_arguments)
+        for each in (trial.job.training for trial in trials)
+    ]
+    assert found == [("mlp", (8,), {}), ("mlp", (16,), {}), (CNN, (40, 128), {"width": 3})]
+    with pytest.raises(InputError, match="are of the usual classifier"):
+        plan(recipe(training={**own, "classifier": CNN}), digits)
 
 
 def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypatch):

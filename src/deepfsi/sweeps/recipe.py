@@ -23,7 +23,7 @@ from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.noise import check_noise
 from deepfsi.sweeps.workers import Resources
-from deepfsi.training.job import Levels, TrainingNoise, TrainingSettings, training_for
+from deepfsi.training.job import MLP, Levels, TrainingNoise, TrainingSettings, training_for
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""
@@ -63,6 +63,9 @@ RATIOS_OR_MASKS = "give ratios or masks, not both"
 
 MASK_SETTINGS = ("start", "mask_lr", "precision")
 """Settings of the training that only learned masks have."""
+
+MLP_SETTINGS, OWN_SETTINGS = ("hidden", "dropout"), ("classifier_arguments",)
+"""Settings of the training that only the usual classifier has, and those of one's own."""
 
 
 def axis(value: Any) -> Any:
@@ -204,9 +207,13 @@ class Recipe(BaseModel):
         """Every setting of the training of a design, with a name where there are several."""
         axes = self.training_axes(design)
         several = [name for name, values in axes.items() if len(values) > 1]
+        both = len({value == MLP for value in axes.get("classifier", ())}) > 1
         for values in product(*axes.values()):
             chosen = dict(zip(axes, values, strict=True))
-            variant = ", ".join(f"{name} {chosen[name]}" for name in several)
+            if both:  # settings of the other kind of classifier are left out
+                for name in MLP_SETTINGS if chosen["classifier"] != MLP else OWN_SETTINGS:
+                    chosen.pop(name, None)
+            variant = ", ".join(f"{name} {chosen[name]}" for name in several if name in chosen)
             yield variant, training_for(design, **chosen)
 
     def train_noises(self, noise: str) -> tuple[str, ...]:
