@@ -204,6 +204,20 @@ def test_a_design_whose_header_is_nested_deeply_is_damaged(refuse, file, tmp_pat
     assert "deep.safetensors is not a whole" in refuse("evaluate", bad, "--photons", "1e3")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "camera simulate patterns --scene images --flux 1e6 --exposure 1ms -o OUT --seed=-1",
+        "dmd export FILE -o OUT --selection random --seed=-1",
+        "data export digits -o OUT --seed=-1",
+        "camera spots -o OUT --size 99999999999",
+        "camera spots -o OUT --size 8x8x8",
+    ],
+)
+def test_absurd_numbers_are_one_line(refuse, tmp_path, file, words):
+    refuse(*words.replace("OUT", str(tmp_path / "out")).replace("FILE", str(file)).split())
+
+
 @pytest.mark.parametrize("words", [[], ["camera"], ["dmd"], ["data"]])
 def test_without_a_command_its_help_is_printed(done, words):
     assert f"Usage: deepfsi {' '.join(words)}".strip() in " ".join(done(*words).split())
@@ -211,6 +225,19 @@ def test_without_a_command_its_help_is_printed(done, words):
 
 def test_the_version_is_printed(done):
     assert done("--version") == f"deepfsi {deepfsi.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "design --photons 1e3 --masks 2 -o OUT.safetensors --epochs",
+        "compare -o OUT --epochs",
+        "evaluate FILE --photons 1e3 --draws",
+    ],
+)
+def test_work_without_an_end_is_refused(refuse, tmp_path, file, words):
+    line = words.replace("OUT", str(tmp_path / "out")).replace("FILE", str(file))
+    assert str(10**22) in refuse(*line.split(), 10**22)
 
 
 @pytest.mark.usefixtures("no_training")

@@ -50,7 +50,7 @@ def camera_simulate(
     ] = "pmt",
     settle: options.Settle = None,
     repeats: options.Repeats = None,
-    seed: Annotated[int, typer.Option(help="repeats exactly")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="repeats exactly")] = 0,
     yes: Annotated[bool, typer.Option("--yes", help="write a large file without asking")] = False,
     as_json: options.Json = False,
 ) -> None:

@@ -42,7 +42,7 @@ def dmd_export(
     selection: Annotated[
         str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
     ] = "ordered",
-    seed: Annotated[int, typer.Option(help="of a random selection")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="of a random selection")] = 0,
     kind: Annotated[
         str, typer.Option("--format", help="npy or raw (packed bits), or png (one a frame)")
     ] = "npy",

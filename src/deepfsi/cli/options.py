@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 MOST_INPUTS = 64
 """Inputs of a photon counter at most."""
 
+MOST_PIXELS = 10_000
+"""Pixels of a side of an image."""
+
 Data = Annotated[
     str,
     typer.Option(
@@ -221,8 +224,12 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     sides = text.lower().split("x")
-    if not all(side.isdecimal() and int(side) > 0 for side in sides) or len(sides) > 2:
-        raise InputError(f"--size {text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32")
+    sound = all(side.isdecimal() and 0 < int(side) <= MOST_PIXELS for side in sides)
+    if not sound or len(sides) > 2:
+        raise InputError(
+            f"--size {text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32, of at most "
+            f"{MOST_PIXELS} pixels each"
+        )
     return int(sides[0]), int(sides[-1])
 
 

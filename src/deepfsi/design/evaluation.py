@@ -17,6 +17,9 @@ from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import wilson
 
+MOST_DRAWS = 10_000
+"""Noise draws of each scene in one test: enough for any interval, and an end in sight."""
+
 COVERS = "test images and noise draws, for this one trained design (Wilson, images as the trials)"
 
 
@@ -186,8 +189,8 @@ def check_draws(draws: int, seed: int) -> None:
     """Raise `InputError` unless so many noise draws can be had from that seed."""
     if not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
-    if not isinstance(draws, int) or draws < 1:
-        raise InputError(f"{draws} noise draws are not allowed: give at least 1")
+    if not isinstance(draws, int) or not 1 <= draws <= MOST_DRAWS:
+        raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")
 
 
 def _result(

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.imports import PATTERN
 from deepfsi.optics import codes
@@ -171,7 +172,7 @@ class Recipe(BaseModel):
     validation: int | None = Field(
         None, ge=0, description="training scenes held out to choose on; a sixth unless given"
     )
-    draws: int = Field(3, ge=1, description="noise draws of each test scene")
+    draws: int = Field(3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
     test_photons: Axis[Budget] = Field(
         (), description="budgets of the tests; that of the training unless given"
     )

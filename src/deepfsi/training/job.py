@@ -31,6 +31,9 @@ Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻�
 """
 
 
+MOST_EPOCHS = 100_000
+"""Epochs of one training: far more than any has needed, and fewer than never end."""
+
 LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Above 0, finite."""
 
@@ -64,7 +67,7 @@ class TrainingSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    epochs: int = Field(40, ge=1)
+    epochs: int = Field(40, ge=1, le=MOST_EPOCHS)
     batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
     lr: LearningRate = Field(1e-2, description="peak of the one-cycle schedule")
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
