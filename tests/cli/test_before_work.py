@@ -87,6 +87,7 @@ OUTPUTS = [
     *("data export digits", "camera spots", "dmd export FILE"),
     "camera simulate patterns --scene images --flux 1e7 --exposure 1ms",
     "camera calibrate run --spots spots",
+    "camera prepare FILE --scenes images",
 ]
 """Commands that write a folder."""
 
@@ -152,6 +153,7 @@ MISSING = [
     "camera classify none.safetensors run",
     "camera image none",
     "camera inspect none.ptu",
+    "camera prepare none --scenes none -o run",
 ]
 """Commands whose input is not there."""
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepfsi.cli import common, options
+from deepfsi.cli import common, options, paths
 
 if TYPE_CHECKING:
     from deepfsi.hardware.recording.acquisition import Scene
@@ -39,6 +39,8 @@ def camera_prepare(
 
     Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
     """
+    paths.check_there(patterns, "a folder of patterns")
+    paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.recording.acquisition import plan_acquisition, prepare
 
