@@ -1,5 +1,6 @@
 """Commands of the camera: virtual and real acquisitions, photon files, calibration."""
 
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,9 +11,12 @@ from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from deepfsi.hardware.patterns.sequence import Patterns
     from deepfsi.hardware.ptu.reader import Contents
     from deepfsi.hardware.recording.counts import Counts
+    from deepfsi.hardware.recording.faults import Fault
     from deepfsi.hardware.virtual.camera import Camera
 
 SMALL_DRIFT = 1e-3
@@ -131,7 +135,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         "whole": int(counts.valid.sum()),
         "exposure_s": counts.exposure_s,
         "photons_counted": int(counts.counts.sum()),
-        "photons": float(counts.photons),
+        "photons": [None if math.isnan(each) else each for each in counts.photons.tolist()],
         "dark_rate": counts.dark_rate.tolist(),
         "drift": counts.drift,
         "inputs": [each + 1 for each in counts.inputs],
@@ -142,13 +146,13 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         common.print_json("camera.count", {**summary, "faults": faults, **measured})
         return
     for fault in counts.faults:
-        print(f"marker {fault}")
+        print(_named(fault))
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
         f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
-        f"{common.budget(counts.photons)} photons an exposure, dark "
-        f"{', '.join(f'{rate:.4g}' for rate in sorted(set(summary['dark_rate'])))} counts/s\n"
+        f"{_span(counts.photons)} photons an exposure, dark "
+        f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
         f"clocks: frames last {_share(counts.drift)} than planned\n"
         f"counts: {folder / 'counts.npz'}"
     )
@@ -175,6 +179,8 @@ def camera_classify(
     """
     paths.check_design(file)
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
+    import numpy as np
+
     from deepfsi.design.artifact import Design
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.counts import read_counts
@@ -183,42 +189,59 @@ def camera_classify(
     counts = read_counts(folder)
     _check_shown(file, patterns)
     made = Design.load(file, trust=trust).as_shown(*patterns.realised)
-    probabilities = made.classify(made.readouts(counts.signal()), photons or counts.photons)
+    usable = counts.valid & ~counts.spoilt[:, None]
+    if not usable.any():
+        raise InputError(
+            f"{folder} has no exposure that can be classified ({counts.faults[0]}): record again"
+        )
+    budgets = np.where(np.isfinite(counts.photons), photons or counts.photons, 1.0)
+    probabilities = made.classify(made.readouts(counts.signal()), budgets[:, None])
     scenes: list[dict[str, Any]] = []
-    for scene, chances, whole in zip(acquisition.scenes, probabilities, counts.valid, strict=True):
-        guesses = [made.classes[k] for k in chances[whole].argmax(axis=-1)]
-        mean = chances[whole].mean(axis=0) if whole.any() else None
+    for place, scene in enumerate(acquisition.scenes):
+        chances = probabilities[place][usable[place]]
+        mean = chances.mean(axis=0) if len(chances) else None
         scenes.append(
             {
                 "scene": scene.name,
                 "label": scene.label,
                 "class": None if mean is None else made.classes[mean.argmax()],
                 "probability": None if mean is None else float(mean.max()),
-                "exposures": len(guesses),
-                "guesses": guesses,
+                "photons": None if mean is None else float(budgets[place]),
+                "exposures": len(chances),
+                "guesses": [made.classes[k] for k in chances.argmax(axis=-1)],
+                "faults": [str(fault) for fault in counts.faults_of(place)],
             }
         )
     if as_json:
-        common.print_json(
-            "camera.classify", {"photons": float(photons or counts.photons), "scenes": scenes}
-        )
+        common.print_json("camera.classify", {"scenes": scenes})
         return
+    _print_classes(f"{made.name}, {made.masks} masks", scenes, counts)
+
+
+def _print_classes(title: str, scenes: list[dict[str, Any]], counts: "Counts") -> None:
     rows = [
         (
             str(s["scene"]),
-            str(s["class"] or "no whole exposure"),
+            str(s["class"] or "none"),
             f"{s['probability']:.3f}" if s["probability"] is not None else "",
             f"{s['guesses'].count(s['class'])} of {len(s['guesses'])}" if s["guesses"] else "",
             str(s["label"] or ""),
+            ", ".join(sorted({fault.kind for fault in counts.faults_of(place)})),
         )
-        for s in scenes
+        for place, s in enumerate(scenes)
     ]
-    heads = ("scene", "class", "mean probability", "of its exposures", "labelled")
-    common.print_table(f"{made.name}, {made.masks} masks", heads, rows)
+    heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "faults")
+    common.print_table(title, heads, rows)
+    for fault in counts.faults:
+        print(_named(fault))
     known = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
     if known:
         right = sum(guess == label for guess, label in known)
         print(f"right: {right} of {len(known)} exposures")
+
+
+def _named(fault: "Fault") -> str:
+    return f"{'marker' if fault.of_markers else 'light'} {fault}"
 
 
 @camera.command("image")
@@ -385,6 +408,14 @@ def _camera(text: str) -> "Camera":
         raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
     with as_input_error():
         return Camera.model_validate(common.read_toml(text, Path(text)))
+
+
+def _span(values: "np.ndarray") -> str:
+    """The numbers among some, from the least to the largest."""
+    import numpy as np
+
+    ends = [f"{end:.4g}" for end in (np.nanmin(values), np.nanmax(values))]
+    return " to ".join(dict.fromkeys(ends))
 
 
 def _check_shown(file: Path, patterns: "Patterns") -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepfsi.cli import common, options, paths
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.folder import DesignRails
@@ -93,13 +93,23 @@ def _rails(file: Path, size: str | None) -> "DesignRails":
         )
     paths.check_design(file)
     from deepfsi.design.artifact import Design
+    from deepfsi.hardware.patterns.sequence import Brightness
 
     made = Design.load(file)
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     made.exposure.check_fixed()
-    content, reflectance = file.read_bytes(), made.summed_reflectance
-    return DesignRails(made.rails.numpy(), made.light, made.image_shape, reflectance, content)
+    known = made.info.get("brightness")
+    with as_input_error(str(file)):
+        brightness = None if known is None else Brightness.model_validate(known)
+    return DesignRails(
+        made.rails.numpy(),
+        made.light,
+        made.image_shape,
+        made.summed_reflectance,
+        file.read_bytes(),
+        brightness,
+    )
 
 
 @dmd.command("check")

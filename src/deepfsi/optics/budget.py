@@ -42,6 +42,27 @@ def summed_reflectance(x: np.ndarray) -> float:
     return float(x.sum(axis=1, dtype=np.float64).mean())
 
 
+def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
+    """By how much scenes (n, N) of some classes differ in summed reflectance.
+
+    Returns
+    -------
+    dict or None
+        The fields of `hardware.patterns.sequence.Brightness`; None if a class is all black.
+    """
+    sums = x.sum(axis=1, dtype=np.float64)
+    groups = [sums[labels == label] for label in np.unique(labels)]
+    means = np.array([group.mean() for group in groups])
+    if not means.min() > 0:
+        return None
+    return {
+        "low": float(sums.min() / sums.mean()),
+        "high": float(sums.max() / sums.mean()),
+        "between": float(means.max() / means.min()),
+        "within": max(float(g.std() / mean) for g, mean in zip(groups, means, strict=True)),
+    }
+
+
 def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:
     """Expected photons per pixel, λ = Φ x / s.
 

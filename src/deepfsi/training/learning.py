@@ -18,6 +18,7 @@ from deepfsi.design.memory import Memory
 from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
+from deepfsi.optics.budget import brightness
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.features import (
     CHUNK,
@@ -357,6 +358,7 @@ def provenance(
         "job": job.model_dump(mode="json"),
         "data": Memory.of(data).model_dump(mode="json"),
         "preprocessing": data.preprocessing,
+        "brightness": brightness(data.x_train, data.y_train),
         "deepfsi": version("deepfsi"),
         "torch": torch.__version__,
         "device": device.type,

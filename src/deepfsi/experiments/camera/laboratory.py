@@ -478,7 +478,7 @@ def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
         began = time.perf_counter()
         counts = count(run)
         shown = design.as_shown(*read_acquisition(run)[1].realised)
-        shown.classify(shown.readouts(counts.signal()), counts.photons)
+        shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
         seconds = time.perf_counter() - began
         return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size
 

@@ -44,6 +44,8 @@ class DesignRails:
         s, mean summed reflectance of the training scenes.
     file : bytes, optional
         The design's file, to be kept beside the frames.
+    brightness : Brightness, optional
+        By how much training scenes differ in it.
     """
 
     rails: np.ndarray
@@ -51,6 +53,7 @@ class DesignRails:
     image_shape: tuple[int, ...]
     summed_reflectance: float
     file: bytes | None = None
+    brightness: sequence.Brightness | None = None
 
 
 def export_patterns(
@@ -97,6 +100,7 @@ def export_patterns(
             light=design.light,
             dimmed=counted.dimmed,
             summed_reflectance=float(design.summed_reflectance),
+            brightness=design.brightness,
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,

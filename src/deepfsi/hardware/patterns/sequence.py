@@ -308,6 +308,27 @@ class Frame(BaseModel):
         return f"mask {self.mask}" + ("" if self.rail == "both" else f", {self.rail}")
 
 
+class Brightness(BaseModel):
+    """Summed reflectance of the training scenes, as a share of its mean.
+
+    Attributes
+    ----------
+    low, high : float
+        Of the dimmest and the brightest scene.
+    between : float
+        Mean of the brightest class over that of the dimmest.
+    within : float
+        Largest standard deviation within a class, as a share of the class's mean.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    low: float = Field(ge=0, le=1, allow_inf_nan=False)
+    high: float = Field(ge=1, allow_inf_nan=False)
+    between: float = Field(ge=1)
+    within: float = Field(ge=0, allow_inf_nan=False)
+
+
 class Manifest(BaseModel):
     """A folder of patterns: device, frames in the order in which they are shown, provenance.
 
@@ -320,6 +341,8 @@ class Manifest(BaseModel):
         (`column`): each exposure then gives this share of its counts.
     summed_reflectance : float
         s, the training scenes' mean summed reflectance.
+    brightness : Brightness or None
+        By how much scenes differ from it, where that is known.
     seed : int
         Of the random selection.
     sha256 : str or None
@@ -338,6 +361,7 @@ class Manifest(BaseModel):
     light: str
     dimmed: float = Field(gt=0, le=1)
     summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
+    brightness: Brightness | None = None
     selection: Selection
     seed: int = 0
     format: Format

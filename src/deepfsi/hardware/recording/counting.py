@@ -10,18 +10,23 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header, read_header
-from deepfsi.hardware.ptu.reader import count_gates
-from deepfsi.hardware.recording.acquisition import gates_of, read_acquisition
+from deepfsi.hardware.ptu.reader import inspect
+from deepfsi.hardware.recording.acquisition import Acquisition, gates_of, read_acquisition
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.gates import (
+    FrameParts,
     Windows,
     check_gates,
+    count_overlapping,
+    find_frame_parts,
     find_frames,
     find_lateness,
     in_ticks,
 )
+from deepfsi.hardware.recording.light import Light, find_light
+from deepfsi.hardware.recording.sentinels import PARTS, Seen
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
@@ -76,20 +81,22 @@ def count(
     check_gates(header, gates, manifest, frames)
     windows = Windows.of(manifest, gates, frames)
     whole, faults = frames.whole, frames.faults
-    opens = frames.starts_s[whole][:, windows.frame] + windows.offset
-    closes = np.minimum(opens + windows.length, frames.until_s)
-    found, seconds = _count_windows(
-        header, opens, closes, acquisition.inputs, report.part(0.4, 1.0)
+    starts, parts = frames.starts_s[whole], find_frame_parts(frames, gates.settle_s, PARTS)
+    (found, seconds), parted = _count_windows(
+        header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
     fits = _show_ends(header, photons[..., 0], spent)
-    faults += [_shifted(scene) for scene in np.flatnonzero(whole)[~fits].tolist()]
+    lost = np.flatnonzero(whole)[~fits]
+    faults += [_shifted(scene) for scene in lost.tolist()]
     faults += find_lateness(windows, found[fits, :, 0], seconds[fits])
     whole[whole] = fits
-    spent = np.where(spent > 0, spent, np.nan)
-    rates = photons[fits] / spent[fits, :, None]
+    light = find_light(_see(parts, parted, fits, whole, acquisition.inputs), manifest, lost)
+    _check_lit(header, acquisition, light)
+    rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
-    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, exposure)
+    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, light, exposure)
+    faults += light.faults
     counts = replace(counts, drift=frames.drift, inputs=acquisition.inputs, faults=tuple(faults))
     counts.save(Path(folder), recorded)
     return counts
@@ -111,23 +118,83 @@ def _check_ticks(header: Header, gates: Gates) -> None:
 
 
 def _count_windows(
-    header: Header, opens: np.ndarray, closes: np.ndarray, inputs: tuple[int, ...], report: Report
-) -> tuple[np.ndarray, np.ndarray]:
+    header: Header,
+    frames_s: np.ndarray,
+    until_s: float,
+    sets: tuple[Windows | FrameParts, ...],
+    inputs: tuple[int, ...],
+    report: Report,
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g).
 
-    Where two clocks and a marker's jitter make a window reach into the next it ends there. One
-    whose frame's start is not known is not open.
+    For each set of windows, of passes whose frames start at `frames_s` (S, F), and none later than
+    `until_s`. Where two clocks and a marker's jitter make a window reach into the next of its set
+    it ends there. One whose frame's start is not known is not open.
     """
-    tick_s, known = header.tick_s, np.isfinite(opens).ravel()
-    starts = in_ticks(opens.ravel()[known], tick_s)
-    stops = in_ticks(closes.ravel()[known], tick_s)
-    starts = np.minimum(np.minimum.accumulate(starts[::-1])[::-1], stops.max(initial=0))
-    stops[:-1] = np.minimum(stops[:-1], starts[1:])
-    found = np.zeros((opens.size, len(inputs)), np.int64)
-    seconds = np.zeros(opens.size)
-    found[known] = count_gates(header.path, starts, stops, inputs, report)
-    seconds[known] = (stops - starts) * tick_s
-    return found.reshape(*opens.shape, len(inputs)), seconds.reshape(opens.shape)
+    tick_s, edges, places, shapes = header.tick_s, [], [], []
+    for each in sets:
+        opens = frames_s[:, each.frame] + each.offset
+        closes = np.minimum(opens + each.length, until_s)
+        known = np.isfinite(opens).ravel()
+        starts = in_ticks(opens.ravel()[known], tick_s)
+        stops = in_ticks(closes.ravel()[known], tick_s)
+        starts = np.minimum(np.minimum.accumulate(starts[::-1])[::-1], stops.max(initial=0))
+        stops[:-1] = np.minimum(stops[:-1], starts[1:])
+        edges.append(np.stack([starts, stops]))
+        places.append(known)
+        shapes.append(opens.shape)
+    every = np.concatenate(edges, axis=1)
+    photons = np.split(
+        count_overlapping(header.path, every[0], every[1], inputs, report),
+        np.cumsum([each.shape[1] for each in edges])[:-1],
+    )
+    out = []
+    for shape, known, (starts, stops), counted in zip(shapes, places, edges, photons, strict=True):
+        found = np.zeros((known.size, len(inputs)), np.int64)
+        seconds = np.zeros(known.size)
+        found[known] = counted
+        seconds[known] = (stops - starts) * tick_s
+        out.append((found.reshape(*shape, len(inputs)), seconds.reshape(shape)))
+    return out
+
+
+def _see(
+    parts: FrameParts,
+    parted: tuple[np.ndarray, np.ndarray],
+    fits: np.ndarray,
+    whole: np.ndarray,
+    inputs: tuple[int, ...],
+) -> list[Seen]:
+    """Photons of each input in the parts of frames, of the passes that fit."""
+    photons, seconds = (each[fits] for each in parted)
+    frames = len(parts.middles)
+    on, off = (0, frames - 2), (1, frames - 1)
+    shape = len(photons), *parts.middles.shape
+    return [
+        Seen(
+            photons[..., column].reshape(shape),
+            seconds.reshape(shape),
+            parts.middles,
+            np.flatnonzero(whole),
+            *((on, off) if column == 0 else (off, on)),
+            f" on input {each + 1}" if len(inputs) > 1 else "",
+        )
+        for column, each in enumerate(inputs)
+    ]
+
+
+def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
+    """Raise `InputError` if no pass has light, saying which inputs have photons."""
+    if light.lit.any():
+        return
+    contents = inspect(header.path)
+    seen = ", ".join(f"{n} on input {k + 1}" for k, n in sorted(contents.photons.items()))
+    asked = " and ".join(str(each + 1) for each in acquisition.inputs)
+    raise InputError(
+        f"{header.path} has no light on input {asked}: no all-ON frame is brighter than the "
+        f"all-OFF ones. The file holds {seen or 'no'} photons: give the input that the detector is "
+        "wired to, or switch on the lamp"
+    )
 
 
 def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.ndarray:
@@ -158,6 +225,7 @@ def _assemble(
     whole: np.ndarray,
     found: np.ndarray,
     rates: np.ndarray,
+    light: Light,
     exposure_s: float,
 ) -> Counts:
     """Counts of windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
@@ -172,15 +240,15 @@ def _assemble(
     on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
     on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
     on_rate[whole], off_rate[whole] = on[:, 0], off[:, 0]
-    dark = np.full(rails, off[:, 0].mean())
-    if manifest.two_arm:
-        dark[1] = on[:, 1].mean()
+    flux, dark = np.full(scenes, np.nan), np.zeros((scenes, rails))
+    flux[whole], dark[whole] = light.flux, light.dark_rate  # of one arm, or of both
     return Counts(
         counts=counts,
         valid=np.repeat(whole[:, None], gates.repeats, axis=1),
         gate_s=gates.length_s,
         on_rate=on_rate,
         off_rate=off_rate,
+        flux=flux,
         dark_rate=dark,
         exposure_s=exposure_s,
         settle_s=gates.settle_s,

@@ -28,7 +28,7 @@ from deepfsi.hardware.recording.acquisition import (
     read_acquisition,
     read_limited,
 )
-from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.faults import SPOILING, Fault
 
 LARGEST_COUNTS = 2**27
 """Bytes of counts.npz at most."""
@@ -62,9 +62,12 @@ class Counts:
         For how long each mask's frame is counted, seconds.
     on_rate, off_rate : array, shape (S,)
         Counts/s of the first input in all-ON and all-OFF frames; NaN where a scene is not valid.
-    dark_rate : array, shape (rails,)
-        Counts/s of the input that reads each rail, when no mirror sends it light: means over
-        scenes, of all-OFF frames, or of all-ON ones for the second arm.
+    flux : array, shape (S,)
+        Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two changes
+        of the lamp. NaN where a scene is not valid.
+    dark_rate : array, shape (S, rails)
+        Counts/s of the input that reads each rail, when no mirror sends it light: of all-OFF
+        frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree.
     exposure_s : float
         Total exposure, seconds.
     settle_s : float
@@ -84,6 +87,7 @@ class Counts:
     gate_s: np.ndarray
     on_rate: np.ndarray
     off_rate: np.ndarray
+    flux: np.ndarray
     dark_rate: np.ndarray
     exposure_s: float
     settle_s: float
@@ -94,25 +98,33 @@ class Counts:
 
     @property
     def background(self) -> np.ndarray:
-        """Dark counts that each readout is expected to hold, float64 (rails, m)."""
-        return self.dark_rate[:, None] * self.lengths_s
+        """Dark counts that each readout is expected to hold, float64 (S, rails, m)."""
+        return self.dark_rate[..., None] * self.lengths_s
 
     def signal(self) -> np.ndarray:
         """Counts less the background, float64 (S, R, rails, m)."""
-        return self.counts - self.background * self.valid[..., None, None]
+        return self.counts - self.background[:, None] * self.valid[..., None, None]
 
     @property
-    def flux(self) -> float:
-        """Counts/s of the scenes' light with all mirrors ON, mean over valid scenes."""
-        return float(np.nanmean(self.on_rate - self.off_rate))
-
-    @property
-    def photons(self) -> float:
-        """Budget Φ of an exposure, estimated from the all-ON frames: flux times exposure.
+    def photons(self) -> np.ndarray:
+        """Budget Φ of an exposure of each scene (S,): flux times exposure.
 
         In counts: the detector's efficiency is part of it.
         """
         return self.flux * self.exposure_s
+
+    def faults_of(self, scene: int) -> tuple[Fault, ...]:
+        """Faults of a scene, and those of the whole recording."""
+        return tuple(fault for fault in self.faults if fault.scene in (scene, None))
+
+    @property
+    def spoilt(self) -> np.ndarray:
+        """Scenes (S,), bool, whose counts have no meaning: the light was not what it should be."""
+        out = np.zeros(len(self.valid), bool)
+        for fault in self.faults:
+            if fault.kind in SPOILING:
+                out[slice(None) if fault.scene is None else fault.scene] = True
+        return out
 
     def save(self, folder: Path, acquisition: Acquisition) -> None:
         """Write counts.npz to the folder of the acquisition that was counted."""
@@ -167,7 +179,8 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
                 "gate_s": ("<f8", (len(manifest.shown),)),
                 "on_rate": ("<f8", (scenes,)),
                 "off_rate": ("<f8", (scenes,)),
-                "dark_rate": ("<f8", (rails,)),
+                "flux": ("<f8", (scenes,)),
+                "dark_rate": ("<f8", (scenes, rails)),
                 "lengths_s": ("<f8", (rails, masks)),
             }
             arrays = {name: _member(archive, name, *kind) for name, kind in kinds.items()}

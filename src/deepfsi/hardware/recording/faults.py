@@ -1,4 +1,4 @@
-"""Faults of a recording: markers that are missing, late or extra, and frames that are lost."""
+"""Faults of a recording: of its markers and its light, and how those of markers are named."""
 
 from collections.abc import Iterator
 from typing import Literal
@@ -23,15 +23,22 @@ MOST_FAULTS = 10_000
 """Faults of a recording at most; one with more is refused."""
 
 
+SPOILING = ("dark", "unsteady", "brighter", "flicker")
+"""Faults of the light that leave a scene's counts without a meaning."""
+
+
 class Fault(BaseModel):
-    """Fault of a recording's markers.
+    """Fault of a recording's markers or of its light.
 
     Attributes
     ----------
-    kind : {"missing", "extra", "late", "lost"}
-        `missing`: the marker is restored from its neighbours and the schedule. `extra`: it is
-        dropped. `late`, or early: replaced by the schedule's time. `lost`: the frame's time is not
-        known, or of the whole pass.
+    kind : str
+        Of markers. `missing`: the marker is restored from its neighbours and the schedule. `extra`:
+        it is dropped. `late`, or early: replaced by the schedule's time. `lost`: the time of the
+        frame, or of the whole pass, is not known.
+        Of the light. `dark`: there is none. `unsteady`: it changed within the pass. `brighter`: a
+        mask sends more than all mirrors ON. `flicker`: it has a rhythm, in all passes. `level`: it
+        is of another brightness from this scene on. `background`: so are the dark frames.
     scene, frame : int or None
         Which, from 0; None where no pass or no one frame is meant.
     detail : str
@@ -40,7 +47,10 @@ class Fault(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: Literal["missing", "extra", "late", "lost"]
+    kind: Literal[
+        "missing", "extra", "late", "lost",
+        "dark", "unsteady", "brighter", "flicker", "level", "background",
+    ]  # fmt: skip
     scene: int | None
     frame: int | None
     detail: str
@@ -49,6 +59,11 @@ class Fault(BaseModel):
         places = {"scene": self.scene, "frame": self.frame}
         where = [f" {name} {place}" for name, place in places.items() if place is not None]
         return f"{self.kind}{','.join(where)}: {self.detail}"
+
+    @property
+    def of_markers(self) -> bool:
+        """True for a fault of the markers, False for one of the light."""
+        return self.kind in ("missing", "extra", "late", "lost")
 
 
 def name_faults(

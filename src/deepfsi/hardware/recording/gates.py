@@ -6,7 +6,9 @@ windows other than gates end a *guard*, the tolerance of the markers, before the
 guard of the all-OFF frames is counted by itself: light in it tells by how much markers are late.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +22,10 @@ from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS, Counter, align
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.passes import MOST_DRIFT
-from deepfsi.progress import Report
+from deepfsi.progress import SILENT, Report
+
+GUARD_SHARE = 0.5
+"""Share of a frame after settling that a guard takes at most, where it is cut in parts."""
 
 
 @dataclass(frozen=True)
@@ -271,6 +276,68 @@ def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) ->
             "trigger, or count a shorter --exposure"
         )
     return (Fault(kind="late", scene=None, frame=None, detail=detail),)
+
+
+@dataclass(frozen=True)
+class FrameParts:
+    """Equal parts of each frame of a pass, between settling and guard.
+
+    Attributes
+    ----------
+    frame : array, shape (F K,)
+        Of each part.
+    offset, length : arrays, shape (F K,)
+        When a part begins after its frame's start, and for how long, seconds.
+    middles : array, shape (F, K)
+        Middle of each part after the start of the pass, seconds.
+    """
+
+    frame: np.ndarray
+    offset: np.ndarray
+    length: np.ndarray
+    middles: np.ndarray
+
+
+def find_frame_parts(found: Frames, settle_s: float, number: int) -> FrameParts:
+    """Parts of the frames of a recording.
+
+    Parameters
+    ----------
+    found : Frames
+    settle_s : float
+        Time before the first part of a frame, seconds; less than every frame.
+    number : int
+        K, parts of a frame.
+    """
+    pictures = found.pictures_s
+    rest = pictures - settle_s
+    each = np.maximum(rest - np.minimum(found.tolerance_s, GUARD_SHARE * rest), 0.0) / number
+    offset = settle_s + each[:, None] * np.arange(number)
+    starts = np.cumsum(pictures) - pictures
+    middles = starts[:, None] + offset + each[:, None] / 2
+    frame = np.repeat(np.arange(len(pictures)), number)
+    return FrameParts(frame, offset.ravel(), np.repeat(each, number), middles)
+
+
+def count_overlapping(
+    path: Path,
+    starts: np.ndarray,
+    stops: np.ndarray,
+    inputs: Sequence[int],
+    report: Report = SILENT,
+) -> np.ndarray:
+    """Photons (n, inputs) in windows that may overlap, in any order. Parameters as `count_gates`.
+
+    Parameters
+    ----------
+    starts, stops : integer arrays, shape (n,)
+        Ticks.
+    """
+    edges = np.stack([starts, stops])
+    unique, places = np.unique(edges, return_inverse=True)
+    found = count_gates(path, unique[:-1], unique[1:], inputs, report)
+    before = np.pad(np.cumsum(found, axis=0), ((1, 0), (0, 0)))[places.reshape(edges.shape)]
+    return np.asarray(before[1] - before[0])
 
 
 def in_ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:

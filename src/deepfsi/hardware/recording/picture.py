@@ -34,7 +34,8 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     """
     acquisition, patterns = read_acquisition(folder)
     counts = load_counts(Path(folder), acquisition, patterns.manifest)
-    budget = counts.photons if acquisition.flux is None else acquisition.flux * counts.exposure_s
+    flux = np.nanmean(counts.flux) if acquisition.flux is None else acquisition.flux
+    budget = float(flux * counts.exposure_s)
     if not budget > 0:
         raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")
     valid = np.asarray(counts.valid.any(axis=1))

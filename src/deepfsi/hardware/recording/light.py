@@ -1,0 +1,179 @@
+"""Light of an acquisition: its faults, and the flux and background of each scene.
+
+The flux of a scene is the mean over the passes between two changes of the lamp, not its own: scenes
+differ in brightness, and a dim one is to stay dim. What a scene's brightness may be is known from
+the training scenes (`Brightness`). Where the all-ON rates change by more, the light did.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from deepfsi.hardware.patterns.sequence import Brightness, Manifest
+from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.levels import Row, find_parts
+from deepfsi.hardware.recording.sentinels import (
+    HARMLESS,
+    LAWS,
+    Background,
+    Checked,
+    Seen,
+    check_light,
+)
+from deepfsi.hardware.recording.tails import FALSE_ALARMS
+
+SPREAD_SIGMAS = 5.0
+"""Standard deviations by which scenes of one class may differ from their mean."""
+
+LEAST_FOR_DECAY = 5
+"""Passes that a steady rise or fall is fitted to at least."""
+
+RANGE_SLACK = 1.25
+"""Range of brightness that new scenes may fill, as a multiple of the training scenes' (in log)."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light of the passes that were recorded.
+
+    Attributes
+    ----------
+    flux : array, shape (P,)
+        Counts/s of the scenes' light with all mirrors ON, mean over the passes that agree with
+        each.
+    dark_rate : array, shape (P, arms)
+        Counts/s of each input without light.
+    lit : array, shape (P,)
+        bool; passes with light.
+    faults : tuple of Fault
+    """
+
+    flux: np.ndarray
+    dark_rate: np.ndarray
+    lit: np.ndarray
+    faults: tuple[Fault, ...]
+
+
+def find_light(arms: list[Seen], manifest: Manifest, lost: np.ndarray) -> Light:
+    """Light of an acquisition.
+
+    Parameters
+    ----------
+    arms : list of Seen
+        What each input saw; the first one tells the flux.
+    manifest : Manifest
+        Of the patterns that were shown.
+    lost : array of int
+        Scenes whose first and last frames did not look like all ON and all OFF.
+    """
+    chance = FALSE_ALARMS / len(arms)
+    checked = [check_light(seen, manifest, lost, chance) for seen in arms]
+    faults = [fault for each in checked for fault in each.faults]
+    flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
+    for seen, each in zip(arms, checked, strict=True):
+        faults += _name_backgrounds(seen, each.background)
+    faults += changes
+    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
+    rates = np.stack([each.background.rate for each in checked], axis=1)
+    lit = np.logical_and.reduce([each.lit for each in checked])
+    return Light(flux, rates, lit, tuple(faults))
+
+
+def _find_flux(
+    seen: Seen, checked: Checked, brightness: Brightness | None, chance: float
+) -> tuple[np.ndarray, list[Fault]]:
+    """Flux (P,) and the faults of its changes, from passes whose light was steady if any was."""
+    used = checked.sound if checked.sound.any() else checked.lit
+    if not used.any():
+        return np.zeros(len(used)), []
+    on, on_s = seen.together(seen.bright)
+    used = used & (on_s > 0)
+    rate = checked.background.rate
+    error = rate**2 / np.maximum(checked.background.photons, 1)
+    counts = on - rate * on_s
+    row = Row(counts[used], on[used] + error[used] * on_s[used] ** 2, on_s[used])
+    parts, places = [slice(0, int(used.sum()))], np.flatnonzero(used)
+    if brightness is not None:
+        parts = find_parts(row, _Spread(brightness), chance)
+        line = _fit_decay(row, parts, brightness)
+        if line is not None:
+            share = line[-1] / line[0]
+            detail = (
+                f"all ON {'rises' if share > 1 else 'falls'} steadily, to {share:.3g} times its "
+                "first brightness: each scene has a budget of its own"
+            )
+            fault = Fault(kind="level", scene=None, frame=None, detail=detail)
+            return np.interp(np.arange(len(used)), places, line), [fault]
+    starts = [0, *(int(places[part.start]) for part in parts[1:]), len(used)]
+    flux = np.concatenate(
+        [
+            np.full(b - a, _mean(row, part))
+            for (a, b), part in zip(pairwise(starts), parts, strict=True)
+        ]
+    )
+    scenes = seen.scenes[places]
+    faults = [_name_step(row, scenes, one, other) for one, other in pairwise(parts)]
+    return flux, faults
+
+
+def _mean(row: Row, part: slice) -> float:
+    """Rate of passes together, counts/s."""
+    return float(row.counts[part].sum() / row.seconds[part].sum())
+
+
+def _fit_decay(row: Row, parts: list[slice], brightness: Brightness) -> np.ndarray | None:
+    """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
+    passes = len(row.counts)
+    if passes < LEAST_FOR_DECAY or not (row.counts > 0).all():
+        return None
+    logs, when = np.log(row.counts / row.seconds), np.arange(passes) - (passes - 1) / 2
+    line = logs.mean() + when * ((logs @ when) / (when @ when))
+    change = abs(float(line[-1] - line[0]))
+    noise = brightness.within**2 + float((row.variances / row.counts**2).mean())
+    error = np.sqrt(noise / (when @ when)) * (passes - 1)
+    # Two classes one after the other are a step, and the line through it is half as much longer.
+    sound = 1.5 * np.log(brightness.between) + SPREAD_SIGMAS * error + HARMLESS
+    if len(parts) == 1 and change <= sound:
+        return None
+    steps = np.concatenate([np.full(part.stop - part.start, _mean(row, part)) for part in parts])
+    free = max(passes - 2 * len(parts) + 1, 1)
+    by_line = float(((logs - line) ** 2).sum()) / (passes - 2)
+    by_steps = float(((logs - np.log(steps)) ** 2).sum()) / free
+    return np.asarray(np.exp(line)) if by_line < by_steps else None
+
+
+def _name_step(row: Row, scenes: np.ndarray, before: slice, after: slice) -> Fault:
+    first, last = scenes[after.start], scenes[after.stop - 1]
+    some = f"scenes {first} to {last}" if last > first else "this scene"
+    detail = (
+        f"all ON is {_mean(row, after) / max(_mean(row, before), 1e-300):.3g} times as bright as "
+        f"before, and scenes do not differ so much: {some} have a budget of their own"
+    )
+    return Fault(kind="level", scene=int(first), frame=None, detail=detail)
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Ratio by which the mean brightness of two groups of scenes may differ."""
+
+    brightness: Brightness
+
+    def __call__(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        known = self.brightness
+        noise = SPREAD_SIGMAS * known.within * np.sqrt(1 / one + 1 / other)
+        most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
+        return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
+
+
+def _name_backgrounds(seen: Seen, background: Background) -> list[Fault]:
+    """Changes of the background; counts are rid of each scene's own."""
+    faults, rate = [], background.rate
+    for part in background.parts[1:]:
+        detail = (
+            f"dark frames{seen.name} have {rate[part.start]:.4g} counts/s, and "
+            f"{rate[part.start - 1]:.4g} before: the background is that of scenes from here on"
+        )
+        scene = int(seen.scenes[part.start])
+        faults.append(Fault(kind="background", scene=scene, frame=None, detail=detail))
+    return faults

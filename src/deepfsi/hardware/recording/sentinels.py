@@ -1,0 +1,366 @@
+"""Light of each pass checked against physics, by its all-ON and all-OFF frames and within frames.
+
+- ON is brighter than OFF, or there is no light.
+- Both ON frames of a pass are equally bright, and both OFF frames: the scene is the same.
+- Within a frame the light is steady: the mask is the same.
+- No mask sends more light than all mirrors ON.
+- Light has no rhythm.
+
+Each law is tested with exact chances, `tails.FALSE_ALARMS` for all passes and laws together. What
+is below `HARMLESS` is left alone, however certain it is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.flicker import find_flicker
+from deepfsi.hardware.recording.levels import Row, find_parts
+from deepfsi.hardware.recording.tails import EXCESS, excess_chance
+
+PARTS = 8
+"""Parts of each frame that are counted by themselves."""
+
+LAWS = 8
+"""Tests that share `FALSE_ALARMS`: the laws above (two for a rhythm), levels and backgrounds."""
+
+HARMLESS = 0.05
+"""Change of a light that is left alone, as a share of it."""
+
+HARMLESS_DARK = 0.02
+"""Change of the background that is left alone, as a share of the light with all mirrors ON."""
+
+RESTLESS_SHARE = 0.1
+"""Share of passes in which the light must be unsteady for the others to be in doubt."""
+
+LOOKED_AT_SIGMAS = 3.0
+"""Standard errors below which a part of a frame is not worth an exact test."""
+
+_SPLITS = np.array(
+    [
+        (np.arange(PARTS) >= first) & (np.arange(PARTS) < stop)
+        for first in range(PARTS)
+        for stop in range(first + 1, PARTS + 1)
+        if stop - first < PARTS and (first == 0 or stop < PARTS)
+    ],
+    float,
+)
+"""Parts of a frame that are held against its others, each way."""
+
+_NAMED_FRAMES = 5
+"""Frames that a fault lists at most."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Photons of one input in equal parts of each frame of the passes that were recorded.
+
+    Attributes
+    ----------
+    photons, seconds : arrays, shape (P, F, K)
+        Photons, and how long each part was open: 0 where a frame's time is not known.
+    middles : array, shape (F, K)
+        Times of the parts after the start of their pass, seconds.
+    scenes : array, shape (P,)
+        Scene of each pass.
+    bright, dark : tuple of int
+        Places of the two frames that send this input all light, and of those that send it none.
+    name : str
+        What to call the input in a fault; empty if there is but one.
+    """
+
+    photons: np.ndarray
+    seconds: np.ndarray
+    middles: np.ndarray
+    scenes: np.ndarray
+    bright: tuple[int, int]
+    dark: tuple[int, int]
+    name: str
+
+    def of(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Photons and seconds of some frames, each (P, frames)."""
+        places = list(frames)
+        return self.photons[:, places].sum(axis=2), self.seconds[:, places].sum(axis=2)
+
+    def together(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Photons and seconds of some frames together, each (P,)."""
+        photons, seconds = self.of(frames)
+        return photons.sum(axis=1), seconds.sum(axis=1)
+
+
+@dataclass(frozen=True)
+class Background:
+    """Counts of an input without light, from the passes that agree with each.
+
+    Attributes
+    ----------
+    photons, seconds : arrays, shape (P,)
+        Of all-OFF frames; for the second of two arms, of all-ON ones.
+    parts : list of slice
+        Passes that agree with each other.
+    """
+
+    photons: np.ndarray
+    seconds: np.ndarray
+    parts: list[slice]
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Counts/s, (P,)."""
+        return self.photons / np.where(self.seconds > 0, self.seconds, 1.0)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Findings on the light of one input.
+
+    Attributes
+    ----------
+    lit : array, shape (P,)
+        bool; passes with light.
+    sound : array, shape (P,)
+        bool; those of them in which it was steady, and no frame brighter than all ON.
+    """
+
+    background: Background
+    lit: np.ndarray
+    sound: np.ndarray
+    faults: tuple[Fault, ...]
+
+
+def check_light(seen: Seen, manifest: Manifest, lost: np.ndarray, chance: float) -> Checked:
+    """Check the light that one input saw.
+
+    Parameters
+    ----------
+    seen : Seen
+    manifest : Manifest
+        Of the patterns that were shown.
+    lost : array of int
+        Scenes of other passes, whose bright and dark frames did not look so.
+    chance : float
+        Of any fault if all is well.
+    """
+    each = chance / LAWS
+    background = find_background(seen, each)
+    lit = _find_lit(seen, background, each)
+    drift = _find_drifts(seen, background, each)
+    restless = _find_restless(seen, background, each)
+    brighter = _find_brighter(seen, each)
+    rhythm = _find_rhythm(seen, manifest, each)
+    faults = list(rhythm)
+    sound = lit.copy()
+    for place, scene in enumerate(seen.scenes.tolist()):
+        if not lit[place]:
+            faults.append(_name_dark(seen, place, scene))
+            continue
+        if brighter[place].any():
+            faults.append(_name_brighter(seen, manifest, place, brighter[place]))
+            sound[place] = False
+        unsteady = drift[place].any() or restless[place].any()
+        if unsteady and not rhythm:
+            why = (drift[place], restless[place])
+            faults.append(_name_unsteady(seen, manifest, place, *why))
+        sound[place] &= not unsteady
+    if not rhythm:
+        faults += _find_restless_lamp(seen, lit, sound, lost)
+    return Checked(background, lit, sound, tuple(faults))
+
+
+def _find_restless_lamp(
+    seen: Seen, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
+) -> list[Fault]:
+    """Fault of the whole recording if the light was wrong in many of its passes.
+
+    One disturbance may reach into two passes that follow each other.
+    """
+    wrong = np.concatenate([seen.scenes[lit & ~sound], lost])
+    passes = np.count_nonzero(lit) + len(lost)
+    if len(wrong) < max(2, RESTLESS_SHARE * passes) or np.ptp(wrong) < 2:
+        return []
+    detail = (
+        f"the light was unsteady in {len(wrong)} of {passes} passes, so it may have "
+        "been in others: use a steady lamp, and keep stray light out"
+    )
+    return [Fault(kind="flicker", scene=None, frame=None, detail=detail)]
+
+
+def find_background(seen: Seen, chance: float) -> Background:
+    """Background of each pass: that of its own dark frames and of its neighbours that agree."""
+    photons, seconds = seen.together(seen.dark)
+    tolerated = HARMLESS_DARK * _usual_light(seen)
+    usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
+    ratio = 1 + tolerated / usual
+
+    def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.full(np.shape(one), ratio)
+
+    parts = find_parts(Row(photons, photons, seconds), allowed, chance)
+    pooled, pooled_s = photons.astype(np.float64), seconds.copy()
+    for part in parts:
+        pooled[part], pooled_s[part] = photons[part].sum(), seconds[part].sum()
+    return Background(pooled, pooled_s, parts)
+
+
+def _usual_light(seen: Seen) -> float:
+    """Median over passes of the rate with all light less that with none, counts/s."""
+    (on, on_s), (off, off_s) = seen.together(seen.bright), seen.together(seen.dark)
+    known = (on_s > 0) & (off_s > 0)
+    if not known.any():
+        return 0.0
+    return max(0.0, float(np.median(on[known] / on_s[known] - off[known] / off_s[known])))
+
+
+def _find_lit(seen: Seen, background: Background, chance: float) -> np.ndarray:
+    """Passes (P,) whose bright frames, alone or with the masks', are brighter than the dark."""
+    masks = [k for k in range(seen.photons.shape[1]) if k not in seen.dark]
+    lit = np.zeros(len(seen.scenes), bool)
+    for frames in (seen.bright, masks):
+        photons, seconds = seen.together(frames)
+        chances = excess_chance(photons, seconds, background.photons, background.seconds)
+        lit |= chances * 2 * len(lit) <= chance
+    return lit
+
+
+def _find_drifts(seen: Seen, background: Background, chance: float) -> np.ndarray:
+    """Passes whose two bright frames, or two dark ones, differ: (P, 2)."""
+    on, on_s = seen.together(seen.bright)
+    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
+    out = np.zeros((len(on), 2), bool)
+    floor = (background.photons + 1) / np.where(background.seconds > 0, background.seconds, 1.0)
+    for column, (frames, ratio) in enumerate(
+        ((seen.bright, 1 + HARMLESS), (seen.dark, 1 + HARMLESS_DARK * light / floor))
+    ):
+        photons, seconds = seen.of(frames)
+        for one, other in ((0, 1), (1, 0)):
+            chances = excess_chance(
+                photons[:, one], seconds[:, one], photons[:, other], seconds[:, other], ratio
+            )
+            out[:, column] |= chances * 2 * len(on) <= chance
+    return out
+
+
+def _find_restless(seen: Seen, background: Background, chance: float) -> np.ndarray:
+    """Frames (P, F) in which the light is not steady."""
+    whole, whole_s = seen.photons.sum(axis=2), seen.seconds.sum(axis=2)
+    out = np.zeros(whole.shape, bool)
+    on, on_s = seen.together(seen.bright)
+    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
+    rate = (whole + 1) / np.where(whole_s > 0, whole_s, np.inf)
+    ratio = 1 + np.maximum(HARMLESS, HARMLESS_DARK * light[:, None] / np.maximum(rate, 1e-300))
+    ratio = np.where(whole_s > 0, ratio, 1.0)
+    tests = 2 * len(_SPLITS) * whole.size
+    for split in _SPLITS:
+        part, part_s = seen.photons @ split, seen.seconds @ split
+        share = part_s / np.where(whole_s > 0, whole_s, 1.0)
+        noise = np.sqrt(np.maximum(whole * share * (1 - share), 1e-300))
+        far = np.abs(part - whole * share) > LOOKED_AT_SIGMAS * noise
+        own = part[far], part_s[far]
+        rest = (whole - part)[far], (whole_s - part_s)[far]
+        more = excess_chance(*own, *rest, ratio[far])
+        less = excess_chance(*rest, *own, ratio[far])
+        out[far] |= np.minimum(more, less) * tests <= chance
+    return out
+
+
+def _find_brighter(seen: Seen, chance: float) -> np.ndarray:
+    """Masks' frames (P, F) that are brighter than those of their pass with all light."""
+    photons, seconds = seen.photons.sum(axis=2), seen.seconds.sum(axis=2)
+    on, on_s = seen.together(seen.bright)
+    chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], 1 + HARMLESS)
+    out = chances * photons.size <= chance
+    out[:, [*seen.bright, *seen.dark]] = False
+    return out
+
+
+def _find_rhythm(seen: Seen, manifest: Manifest, chance: float) -> tuple[Fault, ...]:
+    """Fault of the whole recording if its light has a rhythm, or varies fast in another way."""
+    found = find_flicker(seen.photons, seen.seconds, seen.middles, chance)
+    if found is not None:
+        frame_s = float(manifest.picture_s[manifest.shown].mean())
+        averaged = min(1.0, 1 / (np.pi * found.hertz * frame_s))
+        if found.amplitude * averaged >= HARMLESS:
+            detail = (
+                f"the light{seen.name} rises and falls by {found.amplitude:.0%} at "
+                f"{found.hertz:.4g} Hz: use a lamp that does not"
+            )
+            return (Fault(kind="flicker", scene=None, frame=None, detail=detail),)
+    photons, seconds = seen.of(seen.bright)
+    known = (seconds > 0).all(axis=1) & (photons.sum(axis=1) > 0)
+    photons, seconds = photons[known].astype(np.float64), seconds[known]
+    if len(photons) < 3:
+        return ()
+    both, share = photons.sum(axis=1), seconds[:, 0] / seconds.sum(axis=1)
+    spread = both * share * (1 - share)
+    off = photons[:, 0] - both * share
+    steps = off**2 / (EXCESS * spread + (HARMLESS * spread) ** 2)
+    left = float(steps.sum() - steps.max())
+    if chi2.sf(left, len(steps) - 1) > chance:
+        return ()
+    size = np.sqrt(max(float((off**2 - EXCESS * spread).mean()), 0.0) / float((spread**2).mean()))
+    detail = (
+        f"the all-{'ON' if seen.bright[0] == 0 else 'OFF'} frames of a pass{seen.name} differ by "
+        f"{size:.0%} (rms over passes), more than their photons' noise: use a steady lamp"
+    )
+    return (Fault(kind="flicker", scene=None, frame=None, detail=detail),)
+
+
+def _name_dark(seen: Seen, place: int, scene: int) -> Fault:
+    (on, on_s), (off, off_s) = (
+        (float(photons[place]), float(seconds[place]))
+        for photons, seconds in (seen.together(seen.bright), seen.together(seen.dark))
+    )
+    detail = (
+        f"no light{seen.name}: {on / max(on_s, 1e-300):.4g} counts/s with all light, "
+        f"{off / max(off_s, 1e-300):.4g} with none"
+    )
+    return Fault(kind="dark", scene=scene, frame=None, detail=detail)
+
+
+def _name_brighter(seen: Seen, manifest: Manifest, place: int, which: np.ndarray) -> Fault:
+    photons, seconds = seen.photons[place].sum(axis=1), seen.seconds[place].sum(axis=1)
+    on, on_s = seen.together(seen.bright)
+    rates = photons / np.where(seconds > 0, seconds, np.inf) * (on_s[place] / max(on[place], 1))
+    frame = int(np.argmax(np.where(which, rates, 0)))
+    detail = (
+        f"{manifest.frames[frame]}{seen.name} is {rates[frame]:.3g} times as bright as all light"
+        f"{_list_frames(which)}: stray light, or a lamp that went down for the all-ON frames, or "
+        "a counter that is blind at this rate"
+    )
+    return Fault(kind="brighter", scene=int(seen.scenes[place]), frame=frame, detail=detail)
+
+
+def _name_unsteady(
+    seen: Seen, manifest: Manifest, place: int, drift: np.ndarray, restless: np.ndarray
+) -> Fault:
+    scene = int(seen.scenes[place])
+    if restless.any():
+        off = seen.photons[place] - seen.photons[place].mean(axis=1, keepdims=True)
+        strength = (off**2).sum(axis=1) / np.maximum(seen.photons[place].sum(axis=1), 1)
+        frame = int(np.argmax(np.where(restless, strength, -1)))
+        parts = ", ".join(map(str, seen.photons[place, frame].tolist()))
+        detail = (
+            f"light{seen.name} changed within {manifest.frames[frame]}: {parts} photons in its "
+            f"parts{_list_frames(restless)}"
+        )
+        return Fault(kind="unsteady", scene=scene, frame=frame, detail=detail)
+    frames = seen.bright if drift[0] else seen.dark
+    one, other = (int(seen.photons[place, frame].sum()) for frame in frames)
+    detail = (
+        f"light{seen.name} changed within the pass: {one} photons in {manifest.frames[frames[0]]} "
+        f"at its start, {other} at its end"
+    )
+    return Fault(kind="unsteady", scene=scene, frame=None, detail=detail)
+
+
+def _list_frames(which: np.ndarray) -> str:
+    """Frames of a fault, if they are several, as an insertion."""
+    places = np.flatnonzero(which).tolist()
+    if len(places) < 2:
+        return ""
+    more = f" and {len(places) - _NAMED_FRAMES} more" if len(places) > _NAMED_FRAMES else ""
+    return f" (frames {', '.join(map(str, places[:_NAMED_FRAMES]))}{more})"
