@@ -1,7 +1,9 @@
 """The camera on the command line: what it prints, and one clear line for bad input."""
 
 import json
+import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.recording import acquisition
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +125,74 @@ def test_a_cut_file_is_inspected_as_far_as_it_goes_and_ends_in_2(call, run, word
 def test_another_design_is_not_taken_for_the_one_that_was_shown(refuse, run, tmp_path, digits):
     quick(digits, light="equal-dwell", seed=1).save(tmp_path / "other.safetensors")
     assert "not the design" in refuse("camera", "classify", tmp_path / "other.safetensors", run)
+
+
+@pytest.fixture
+def other_run(done, made, lab, run, digits, tmp_path):
+    """The acquisition with the photons of another design, shown on the same schedule."""
+    other = quick(digits, "random", light="equal-dwell")
+    other.save(tmp_path / "random.safetensors")
+    words = ["--device", "64x48", "-o", tmp_path / "random"]
+    done("dmd", "export", tmp_path / "random.safetensors", *words)
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    done("camera", "simulate", tmp_path / "random", *words, "-o", tmp_path / "theirs")
+    shutil.copy(tmp_path / "theirs" / "photons.ptu", run / "photons.ptu")
+    done("camera", "count", run)
+    return run
+
+
+def test_counts_of_another_design_are_refused_unless_forced(refuse, done, lab, other_run):
+    words = ["camera", "classify", lab / "design.safetensors", other_run]
+    assert "do not look like what this design was trained for" in refuse(*words)
+    said = json.loads(done(*words, "--force", "--json"))
+    assert said["consistency"]["whole"] < said["consistency"]["false_alarms"]
+    assert any(scene["unsure"] for scene in said["scenes"])
+    text = done(*words, "--force")
+    assert "do not look like" in text
+    assert "unsure" in text
+
+
+def test_a_wrong_budget_is_refused(refuse, done, lab, run):
+    words = ["camera", "classify", lab / "design.safetensors", run]
+    budget = json.loads(done(*words, "--json"))["scenes"][0]["photons"]
+    assert "0.25 times the counts" in refuse(*words, "--photons", 4 * budget)
+
+
+def test_sound_counts_are_classified_with_their_consistency(done, lab, run):
+    said = json.loads(done("camera", "classify", lab / "design.safetensors", run, "--json"))
+    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
+    for scene in said["scenes"]:
+        assert scene["unsure"] == (scene["consistency"] < 0.01)
+
+
+def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
+    """The file is the one that was shown, as far as the manifest knows."""
+    bare = replace(Design.load(lab / "design.safetensors"), distribution=None)
+    patterns = lab / "bare-patterns"
+    bare.save(lab / "bare.safetensors")
+    words = ["--device", "64x48", "-o", patterns]
+    done("dmd", "export", lab / "bare.safetensors", *words)
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    done("camera", "simulate", patterns, *words, "-o", run.parent / "bare")
+    done("camera", "count", run.parent / "bare")
+    words = ["camera", "classify", lab / "bare.safetensors", run.parent / "bare"]
+    assert "not tested" in done(*words)
+    assert json.loads(done(*words, "--json"))["consistency"] is None
+
+
+def test_a_looks_design_says_why_no_run_is_of_it(refuse, run, tmp_path, digits):
+    looks = quick(digits, masks=4, light="free-dwell", rails="single", looks=2)
+    looks.save(tmp_path / "looks.safetensors")
+    assert "chooses dwells" in refuse("camera", "classify", tmp_path / "looks.safetensors", run)
+
+
+def test_patterns_are_read_once(done, lab, run, monkeypatch):
+    read, times = acquisition.read_patterns, []
+    monkeypatch.setattr(
+        acquisition, "read_patterns", lambda *given: times.append(given) or read(*given)
+    )
+    done("camera", "classify", lab / "design.safetensors", run)
+    assert len(times) == 1
 
 
 def test_the_cost_in_time_is_stated(done, lab, tmp_path):

@@ -171,9 +171,15 @@ def camera_classify(
         float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
     ] = None,
     trust: options.Trust = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="classify counts that are not what it was trained for")
+    ] = False,
     as_json: options.Json = False,
 ) -> None:
     """Say the class of each exposure of an acquisition that was counted.
+
+    Counts that do not look like what the design was trained for are refused, and single scenes
+    that do not are unsure.
 
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
@@ -181,41 +187,51 @@ def camera_classify(
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     import numpy as np
 
+    from deepfsi.cli.consistency import check_counts
     from deepfsi.design.artifact import Design
     from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.counts import read_counts
+    from deepfsi.hardware.recording.counts import load_counts
 
     acquisition, patterns = read_acquisition(folder)
-    counts = read_counts(folder)
+    counts = load_counts(folder, acquisition, patterns.manifest)
+    design = Design.load(file, trust=trust)
+    design.exposure.check_fixed()
     _check_shown(file, patterns)
-    made = Design.load(file, trust=trust).as_shown(*patterns.realised)
+    made = design.as_shown(*patterns.realised)
     usable = counts.valid & ~counts.spoilt[:, None]
     if not usable.any():
         raise InputError(
             f"{folder} has no exposure that can be classified ({counts.faults[0]}): record again"
         )
     budgets = np.where(np.isfinite(counts.photons), photons or counts.photons, 1.0)
+    tested = check_counts(made, counts, usable, budgets, force)
     probabilities = made.classify(made.readouts(counts.signal()), budgets[:, None])
-    scenes: list[dict[str, Any]] = []
+    scenes = []
     for place, scene in enumerate(acquisition.scenes):
-        chances = probabilities[place][usable[place]]
-        mean = chances.mean(axis=0) if len(chances) else None
-        scenes.append(
-            {
-                "scene": scene.name,
-                "label": scene.label,
-                "class": None if mean is None else made.classes[mean.argmax()],
-                "probability": None if mean is None else float(mean.max()),
-                "photons": None if mean is None else float(budgets[place]),
-                "exposures": len(chances),
-                "guesses": [made.classes[k] for k in chances.argmax(axis=-1)],
-                "faults": [str(fault) for fault in counts.faults_of(place)],
-            }
-        )
+        about = {
+            "photons": float(budgets[place]) if usable[place].any() else None,
+            "faults": [str(fault) for fault in counts.faults_of(place)],
+            **tested.scenes[place],
+        }
+        guessed = _guessed(probabilities[place][usable[place]], made.classes)
+        scenes.append({"scene": scene.name, "label": scene.label, **guessed, **about})
     if as_json:
-        common.print_json("camera.classify", {"scenes": scenes})
+        common.print_json("camera.classify", {"consistency": tested.summary, "scenes": scenes})
         return
     _print_classes(f"{made.name}, {made.masks} masks", scenes, counts)
+    for remark in tested.remarks:
+        print(remark)
+
+
+def _guessed(chances: "np.ndarray", classes: tuple[str, ...]) -> dict[str, Any]:
+    """Class of a scene from the probabilities (R, C) of its exposures, for JSON."""
+    mean = chances.mean(axis=0) if len(chances) else None
+    return {
+        "class": None if mean is None else classes[mean.argmax()],
+        "probability": None if mean is None else float(mean.max()),
+        "exposures": len(chances),
+        "guesses": [classes[k] for k in chances.argmax(axis=-1)],
+    }
 
 
 def _print_classes(title: str, scenes: list[dict[str, Any]], counts: "Counts") -> None:
@@ -226,11 +242,14 @@ def _print_classes(title: str, scenes: list[dict[str, Any]], counts: "Counts") -
             f"{s['probability']:.3f}" if s["probability"] is not None else "",
             f"{s['guesses'].count(s['class'])} of {len(s['guesses'])}" if s["guesses"] else "",
             str(s["label"] or ""),
-            ", ".join(sorted({fault.kind for fault in counts.faults_of(place)})),
+            ", ".join(
+                sorted({fault.kind for fault in counts.faults_of(place)})
+                + ["unsure"] * bool(s["unsure"])
+            ),
         )
         for place, s in enumerate(scenes)
     ]
-    heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "faults")
+    heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "remarks")
     common.print_table(title, heads, rows)
     for fault in counts.faults:
         print(_named(fault))

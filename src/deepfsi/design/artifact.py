@@ -12,9 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
+from deepfsi.design.calibration import find_distribution, sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
+from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure import Exposure, ExposureKind, FixedDwells
 from deepfsi.design.own import Given, OwnClassifier, make, restored
+from deepfsi.design.readings import check_look, check_readouts
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.optics import constraints
@@ -23,9 +26,6 @@ from deepfsi.optics.constraints import Light
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.scanner import Scanner, subtract
-
-LONGEST_LOOK = 1.05
-"""Longest time of a look over that asked for: frames last whole microseconds."""
 
 
 @dataclass(repr=False)
@@ -54,6 +54,8 @@ class Design:
         Dwells of the masks, and the classifier's inputs.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
+    distribution : ReadoutDistribution, optional
+        Of the readouts of training scenes: what `consistency` tests counts against.
 
     Examples
     --------
@@ -78,6 +80,7 @@ class Design:
     classes: tuple[str, ...]
     exposure: ExposureKind = field(default_factory=FixedDwells)
     info: dict[str, Any] = field(default_factory=dict)
+    distribution: ReadoutDistribution | None = None
 
     def __repr__(self) -> str:
         budget = self.info.get("job", {}).get("photons")
@@ -203,7 +206,7 @@ class Design:
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
-            counts, shown = _look(read, dwell)
+            counts, shown = check_look(read, dwell)
             counted = counted + counts
             return torch.from_numpy(counts / budget).to(dwell), torch.from_numpy(shown).to(dwell)
 
@@ -242,13 +245,58 @@ class Design:
         """
         self.exposure.check_dwell(dwell is not None)
         wanted = (2, self.masks) if len(self.rails) == 2 else (self.masks,)
-        read, budget, shown = _readouts(counts, photons, dwell, wanted)
+        read, budget, shown = check_readouts(counts, photons, dwell, wanted)
         device = self.rails.device
         with torch.no_grad():
             features = subtract(read) if len(self.rails) == 2 else read
             shown = None if shown is None else shown.to(device)
             logits = self.logits(features.to(device), budget.to(device), shown)
         return logits.softmax(dim=-1).cpu().numpy()
+
+    def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
+        """The design with the distribution of the readouts of training scenes.
+
+        Parameters
+        ----------
+        scenes : tensor, shape (n, N)
+        labels : tensor, shape (n,)
+            Their classes, 0 .. C-1.
+        """
+        rows = sample_scenes(len(scenes), len(self.rails) * self.masks)
+        with torch.no_grad():
+            rates = self.rates(self.scanner(), scenes[rows])
+        return replace(self, distribution=find_distribution(rates, labels[rows].cpu().numpy()))
+
+    def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
+        """Consistency of exposures with the training, each of another scene.
+
+        Exposures of one scene are to be added before, counts, photons and background.
+
+        Parameters
+        ----------
+        counts, photons
+            As for `classify`.
+        background : float or array, broadcastable to counts
+            Counts that were subtracted from each readout; 0 unless given.
+
+        Raises
+        ------
+        InputError
+            As for `classify`, or if the design has no `distribution`: one of patches, of several
+            looks or of less than 100 training scenes, and one that was not learned here.
+        """
+        if self.distribution is None:
+            raise InputError(
+                "this design holds no distribution of its training scenes' readouts, so that "
+                "counts cannot be tested: learn a design of fixed dwells from 100 scenes or more"
+            )
+        wanted = (2, self.masks) if len(self.rails) == 2 else (self.masks,)
+        read, budget, _ = check_readouts(counts, photons, None, wanted)
+        if not read.numel():
+            raise InputError("there are no exposures to test: give one or more")
+        dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
+        shape = (*budget.shape[:-1], *self.rails.shape[:2])
+        return self.distribution.test(read.reshape(shape), budget[..., 0], dark.reshape(shape))
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
         """Counts (..., rails, m) of every rail, in the shape that `classify` takes."""
@@ -258,7 +306,7 @@ class Design:
         """Move to a device; returns self."""
         for name in ("rails", "classifier", "mean", "std", "shares", "exposure"):
             setattr(self, name, getattr(self, name).to(device))
-        return self
+        return self  # its distribution stays: counts are tested where they arrive
 
     def quantised(self, levels: int) -> "Design":
         """The design as a device of that many grey levels shows it, dark included (paper: 769).
@@ -266,7 +314,7 @@ class Design:
         Classifier and statistics stay as they are; `TrainingSettings.levels` trains for such a
         device.
         """
-        return replace(self, rails=quantise(self.rails, self.light, levels))
+        return replace(self, rails=quantise(self.rails, self.light, levels), distribution=None)
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
@@ -291,6 +339,7 @@ class Design:
             std=self.std[:masks] / share,
             shares=self.shares[:masks] / share,
             exposure=self.exposure.using(self.used * share),
+            distribution=None,
         )
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
@@ -328,6 +377,7 @@ class Design:
             std=self.std * dimmed,
             shares=self.shares * dimmed,
             exposure=self.exposure.using(self.used / dimmed),
+            distribution=self.distribution and self.distribution.dimmed(dimmed),
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -345,6 +395,7 @@ class Design:
         weights: dict[str, dict[str, Tensor]] = {
             "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
             "exposure": network.state_dict() if network is not None else {},
+            "distribution": self.distribution.tensors if self.distribution else {},
         }
         header = artifact_file.Header(
             exposure=self.exposure.header(),
@@ -411,66 +462,3 @@ class Design:
         inputs = self.exposure.input_count(self.masks)
         own = make(classifier, arguments, inputs, len(self.classes))
         return replace(self, classifier=restored(own, made.weights).to(self.rails.device))
-
-
-def _readouts(
-    counts: Any, photons: Any, dwell: Any, wanted: tuple[int, ...]
-) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked."""
-
-    def tensor(values: Any) -> Tensor:
-        return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
-
-    try:
-        read, budget = tensor(counts), tensor(photons)
-        shown = None if dwell is None else tensor(dwell)
-    except (TypeError, ValueError):
-        raise InputError("counts, photons and dwell must be arrays of numbers") from None
-    if tuple(read.shape[-len(wanted) :]) != wanted:
-        raise InputError(
-            f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
-            f"{', '.join(map(str, wanted))})"
-        )
-    if not bool(torch.isfinite(read).all()):
-        raise InputError("counts hold NaN or infinity: give finite counts")
-    if shown is not None and (
-        shown.shape != read.shape or not bool((torch.isfinite(shown) & (shown >= 0)).all())
-    ):
-        raise InputError(
-            f"dwells of shape {tuple(shown.shape)} do not fit counts of shape "
-            f"{tuple(read.shape)}: give a share of 0 or more for each count"
-        )
-    if not bool((torch.isfinite(budget) & (budget > 0)).all()):
-        raise InputError("photons must be a finite number above 0 for every exposure")
-    try:
-        budget = budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
-    except RuntimeError:
-        raise InputError(
-            f"photons of shape {tuple(budget.shape)} do not fit counts of shape "
-            f"{tuple(read.shape)}: give one number, or one for each exposure"
-        ) from None
-    return read, budget, shown
-
-
-def _look(read: Callable[[np.ndarray], Any], dwell: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Counts (m,) of one look of a camera and the dwells (m,) shown, checked."""
-    asked = dwell.cpu().numpy()
-    seen = read(asked.copy())
-    pair = seen if isinstance(seen, tuple) else (seen, asked)
-    try:
-        counts, shown = (np.asarray(part, dtype=float) for part in pair)
-    except (TypeError, ValueError):
-        counts, shown = np.empty(0), asked
-    if not counts.shape == shown.shape == asked.shape:
-        raise InputError(
-            f"a look does not fit this design: return {asked.shape} counts, or a pair of "
-            "counts and shares shown"
-        )
-    if not np.isfinite(counts).all():
-        raise InputError("a look holds NaN or infinity: return finite counts")
-    if not 0 <= shown.sum() <= asked.sum() * LONGEST_LOOK:
-        raise InputError(
-            f"a look that took {shown.sum():.4g} of the exposure was to take "
-            f"{asked.sum():.4g}: show each mask for at most the shares asked"
-        )
-    return counts, shown

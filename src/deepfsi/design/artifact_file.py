@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from deepfsi.design.adaptive import AdaptiveShape
 from deepfsi.design.classifiers import Mlp, Vit, restored
 from deepfsi.design.conditioning import Conditioning
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import STRICT, FixedDwells, PatchExposure
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
@@ -124,7 +125,7 @@ def pack(
     tensors : mapping of tensor
         Those named in `TENSORS`.
     weights : mapping of mapping of tensor
-        State of each network, by part of the design.
+        Of each network, and of the distribution, by part of the design.
     """
     every = dict(tensors)
     for part, state in weights.items():
@@ -185,11 +186,14 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
             **size.model_dump(exclude={"kind"}),
         )
     words = {name: getattr(header, name) for name in WORDS}
-    return {**words, **fields, "exposure": exposure, "classifier": classifier}
+    known = _weights(tensors, "distribution.")
+    distribution = ReadoutDistribution.restored(known, len(rails), masks) if known else None
+    parts = {"exposure": exposure, "classifier": classifier, "distribution": distribution}
+    return {**words, **fields, **parts}
 
 
 def _weights(tensors: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
-    """State of a network among the tensors of a design file."""
+    """Tensors of a part of a design among those of its file."""
     return {key.removeprefix(part): value for key, value in tensors.items() if key.startswith(part)}
 
 

@@ -21,7 +21,7 @@ from deepfsi.optics.noise import check_noise
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
 
-REVISION = 1
+REVISION = 2
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
 BFLOAT16_COUNTS = 2.0**14

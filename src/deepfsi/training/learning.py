@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -330,10 +331,15 @@ def _designs(
         )
         for r, job in enumerate(jobs)
     ]
-    for job, design in zip(jobs, designs, strict=True):
-        if job.training.looks > 1:
+    if schedules:
+        for job, design in zip(jobs, designs, strict=True):
             design.shares = _shares(design, training_set, job)
-    return designs
+        return designs
+    known = [
+        each.calibrated(training_set.full, training_set.labels).distribution
+        for each in designs[: len(rails)]
+    ]
+    return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
 
 
 def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:

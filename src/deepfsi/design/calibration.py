@@ -1,0 +1,122 @@
+"""Calibration of the test of counts: simulated exposures of scenes that a model has not seen."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.design.consistency import CHANCES, COUNTS, ReadoutDistribution
+from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+
+FEWEST_SCENES = 100
+"""Scenes from which on a tail is calibrated."""
+
+MOST_SCENES = 4096
+"""Training scenes that are looked at, at most."""
+
+MOST_NUMBERS = 2**21
+"""Scenes times readouts that are looked at, at most, but for `LEAST_SCENES`."""
+
+LEAST_SCENES = 512
+"""Training scenes that are looked at however many readouts there are."""
+
+FOLDS = 4
+"""Parts of the scenes, each calibrated with the covariance of the others."""
+
+IN_TAIL = 10
+"""Scenes to which a tail's power law is fitted, at least."""
+
+
+def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
+    """Places of the training scenes, of `count`, that are looked at.
+
+    Parameters
+    ----------
+    count : int
+        Training scenes.
+    readouts : int
+        Of a scene.
+    seed : int
+        Of the choice.
+    """
+    most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
+    return np.random.default_rng(seed).permutation(count)[:most]
+
+
+def find_distribution(
+    rates: Tensor, labels: Sequence[int] | np.ndarray, seed: int = 0
+) -> ReadoutDistribution | None:
+    """Distribution of the readouts of training scenes, or None where there are too few scenes.
+
+    Parameters
+    ----------
+    rates : tensor, shape (n, rails, m)
+        Expected counts for a budget of one photon, as from `Design.rates`.
+    labels : array of int, shape (n,)
+    seed : int
+        Of the order of scenes and the noise of the calibration.
+    """
+    every = rates.double().cpu().numpy()
+    lit = every.mean(axis=0) > 0
+    if len(every) < FEWEST_SCENES or not lit.any():
+        return None
+    held = every[:, lit]
+    tails, pairs = _calibrate(held, np.asarray(labels), np.random.default_rng([seed, 12]))
+    model = ReadoutModel.fit(held)
+
+    def spread_out(part: np.ndarray) -> Tensor:
+        whole = np.zeros((*part.shape[:-1], *lit.shape))
+        whole[..., lit] = part
+        return torch.from_numpy(whole).float()
+
+    return ReadoutDistribution(
+        mean=spread_out(model.share * model.total),
+        spread=torch.tensor(model.spread),
+        directions=spread_out(model.directions),
+        rest=spread_out(model.rest),
+        tails=torch.from_numpy(tails).float(),
+        pairs=torch.from_numpy(pairs).float(),
+    )
+
+
+def _calibrate(
+    rates: np.ndarray, labels: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them.
+
+    Each scene is compared with the model of the other folds.
+    """
+    folds = np.array_split(rng.permutation(len(rates)), FOLDS)
+    members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
+    large = [each for each in members if len(each) >= FEWEST_SCENES]
+    couples = [
+        each[: len(each) // 2 * 2].reshape(2, -1) for each in large or [np.arange(len(rates))]
+    ]
+    values = np.empty((2, len(COUNTS), len(rates)))
+    whole = ReadoutModel.fit(rates)
+    models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
+    pairs = np.empty((len(couples), len(COUNTS), len(CHANCES)))
+    for place, counts in enumerate(COUNTS):
+        expected = np.full(len(rates), counts * rates.shape[1])
+        read = rng.poisson(rates * (expected[0] / whole.total)).astype(float)
+        seen = read, expected, np.zeros_like(read)
+        for fold, model in zip(folds, models, strict=True):
+            values[:, place, fold] = model.statistics(*(each[fold] for each in seen))
+        for k, couple in enumerate(couples):
+            likeness = whole.likeness(*([each[part] for each in seen] for part in couple))
+            pairs[k, place] = _tail(np.log(likeness))
+    logs = np.log(np.maximum(values, SMALLEST))
+    every = _tail(logs)
+    worst = np.max([every, *(_tail(logs[..., each]) for each in large)], axis=0)
+    return np.stack([every, worst]), pairs.max(axis=0)
+
+
+def _tail(logs: np.ndarray) -> np.ndarray:
+    """Logarithms (..., chances) that values (..., n) exceed with each of `CHANCES`."""
+    chances = np.array(CHANCES)
+    tail = chances[chances * logs.shape[-1] >= IN_TAIL].min()
+    start = np.quantile(logs, 1 - tail, axis=-1)[..., None]
+    beyond = np.where(logs > start, logs - start, 0).mean(axis=-1, keepdims=True) / tail
+    bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
+    return np.where(chances >= tail, bulk, start + beyond * np.log(tail / chances))

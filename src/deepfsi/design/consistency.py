@@ -1,0 +1,224 @@
+"""Consistency of counts with the scenes that a design was trained for.
+
+The file of a design holds how the readouts of its training scenes are distributed. Two statistics
+compare an exposure with them: its brightness, all counts over those of the mean scene, and its
+pattern, the readouts less their shares of all counts, as the distance from 0 in the metric of the
+scenes' covariance and the photon noise together. Each has a p-value, calibrated on simulated counts
+of scenes that were left out of the covariance, at budgets from hardly a count to far more than any
+camera has. The calibration is of the class that fits worst, so that the rate of false alarms holds
+whatever classes are shown.
+
+Scenes that do not differ by more than photon noise, where two of one class would, are *alike*: then
+they count as one.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+from torch import Tensor
+
+from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+
+UNSURE = 0.01
+"""Rate of false alarms of a single scene: below this p-value it is unsure."""
+
+REFUSED = 0.001
+"""Rate of false alarms of a whole acquisition: below this p-value it is refused."""
+
+COUNTS = tuple(10.0 ** np.arange(-2, 6))
+"""Mean counts of a readout at which tails are calibrated."""
+
+CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
+"""p-values whose statistics are stored; smaller ones are not told apart."""
+
+ROUNDING = 1e-5
+"""Error of a logarithm in the file: what is equal is no further out."""
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Consistency of exposures with the training of a design.
+
+    Attributes
+    ----------
+    exposures : array, shape (...)
+        p-value of each exposure.
+    whole : float
+        p-value of all of them together.
+    alike : float
+        p-value of how little they differ from each other; 1 for one exposure.
+    brightness : float
+        All counts over those that the mean scene has at these budgets.
+    """
+
+    exposures: np.ndarray
+    whole: float
+    alike: float
+    brightness: float
+
+    @property
+    def unsure(self) -> np.ndarray:
+        """True for exposures (...) that are less consistent than all but a share `UNSURE`."""
+        return self.exposures < UNSURE
+
+    @property
+    def refused(self) -> bool:
+        """True if all together are less consistent than all but a share `REFUSED` of sound ones."""
+        return self.whole < REFUSED
+
+
+@dataclass(frozen=True)
+class ReadoutDistribution:
+    """Distribution of the readouts of training scenes, and the tails of the two statistics.
+
+    Attributes
+    ----------
+    mean : tensor, shape (rails, m)
+        Share of the budget that each readout counts, in the mean over scenes.
+    spread : tensor, shape ()
+        Standard deviation of the brightness.
+    directions : tensor, shape (k, rails, m)
+        Patterns of one standard deviation each, along the principal axes of their covariance.
+    rest : tensor, shape (rails, m)
+        Variance of the patterns beyond these.
+    tails : tensor, shape (2, 2, counts, chances)
+        Of all scenes and of the class that fits worst; of brightness and pattern; at each of
+        `COUNTS`: logarithm of the value that is exceeded with each of `CHANCES`.
+    pairs : tensor, shape (counts, chances)
+        The same of the likeness of two scenes, in the class whose scenes are most alike.
+    """
+
+    mean: Tensor
+    spread: Tensor
+    directions: Tensor
+    rest: Tensor
+    tails: Tensor
+    pairs: Tensor
+
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        """Fields by name."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @classmethod
+    def restored(cls, tensors: dict[str, Tensor], rails: int, masks: int) -> "ReadoutDistribution":
+        """Distribution from a design file, or `ValueError` if it holds none.
+
+        Parameters
+        ----------
+        tensors : dict of tensor
+            By name.
+        rails, masks : int
+            Of the design.
+        """
+        axes = len(tensors["directions"])
+        shapes = {
+            "mean": (rails, masks),
+            "spread": (),
+            "directions": (axes, rails, masks),
+            "rest": (rails, masks),
+            "tails": (2, 2, len(COUNTS), len(CHANCES)),
+            "pairs": (len(COUNTS), len(CHANCES)),
+        }
+        if {name: tuple(held.shape) for name, held in tensors.items()} != shapes:
+            raise ValueError("the distribution of the readouts is not of these masks")
+        least = min(float(tensors[name].min()) for name in ("mean", "spread", "rest"))
+        falling = any(bool((tensors[name].diff() < 0).any()) for name in ("tails", "pairs"))
+        if least < 0 or falling or not bool((tensors["mean"] > 0).any()):
+            raise ValueError("the distribution of the readouts is none")
+        return cls(**tensors)
+
+    @property
+    def _model(self) -> ReadoutModel:
+        """Model of the readouts that are lit."""
+        parts = {name: part.double().cpu().numpy() for name, part in self.tensors.items()}
+        lit, total = parts["mean"] > 0, float(parts["mean"].sum())
+        return ReadoutModel(
+            total=total,
+            share=parts["mean"][lit] / total,
+            spread=float(parts["spread"]),
+            directions=parts["directions"][:, lit],
+            rest=parts["rest"][lit],
+        )
+
+    def dimmed(self, factor: float) -> "ReadoutDistribution":
+        """Distribution of readouts that all have so much less light."""
+        return replace(self, mean=self.mean * factor)
+
+    def test(self, counts: ArrayLike, photons: ArrayLike, background: ArrayLike) -> Consistency:
+        """Consistency of exposures of different scenes.
+
+        Parameters
+        ----------
+        counts : array, shape (..., rails, m)
+            Of each readout, less the background.
+        photons : array, shape (...)
+            Budget of each exposure.
+        background : array, broadcastable to counts
+            Counts that were subtracted: they add their own Poisson noise.
+        """
+        model = self._model
+        read = np.asarray(counts, dtype=float)
+        lead = read.shape[:-2]
+        dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
+        budget = np.broadcast_to(np.asarray(photons, dtype=float), lead).reshape(-1)
+        lit = np.asarray(self.mean.cpu() > 0).ravel()
+        read, dark = (each.reshape(len(budget), -1)[:, lit] for each in (read, dark))
+        chances, careful = self._chances(model, read, budget, dark)
+        sums = (each.sum(axis=0)[None] for each in (read, budget, dark))
+        _, together = self._chances(model, *sums)
+        alike = self._alike(model, read, budget, dark)
+        apart = 1.0 if alike < REFUSED else _fisher(careful)
+        whole = min(1.0, 2 * min(apart, float(together[0])))
+        brightness = float(read.sum() / (budget.sum() * model.total))
+        return Consistency(chances.reshape(lead), whole, alike, brightness)
+
+    def _chances(
+        self, model: ReadoutModel, read: np.ndarray, budget: np.ndarray, dark: np.ndarray
+    ) -> np.ndarray:
+        """p-values (2, n) of counts (n, R) of lit readouts, among all and in the worst class."""
+        expected = budget * model.total
+        statistics = model.statistics(read, expected, dark)
+        noise = _mean_counts(expected, dark)
+        brightness, pattern = (
+            [_survival(statistic, noise, tail) for tail in self.tails[:, k].double().cpu().numpy()]
+            for k, statistic in enumerate(statistics)
+        )
+        return np.minimum(1.0, 2 * np.minimum(brightness, pattern))
+
+    def _alike(
+        self, model: ReadoutModel, read: np.ndarray, budget: np.ndarray, dark: np.ndarray
+    ) -> float:
+        """p-value of the likeness of exposures, taken two by two; parameters as of `_chances`."""
+        expected = budget * model.total
+        pairs = len(read) // 2
+        one, other = slice(0, pairs), slice(pairs, 2 * pairs)
+        likeness = model.likeness(
+            *((read[each], expected[each], dark[each]) for each in (one, other))
+        )
+        noise = _mean_counts(expected, dark)
+        fewer = np.minimum(noise[one], noise[other])
+        return _fisher(_survival(likeness, fewer, self.pairs.double().cpu().numpy()))
+
+
+def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
+    """Mean counts (n,) of a readout that have as much noise without background."""
+    return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
+
+
+def _fisher(chances: np.ndarray) -> float:
+    """p-value of independent ones (n,) together; 1 for none."""
+    return float(chi2.sf(-2 * np.log(chances).sum(), 2 * len(chances))) if len(chances) else 1.0
+
+
+def _survival(statistic: np.ndarray, noise: np.ndarray, tail: np.ndarray) -> np.ndarray:
+    """p-values (n,) of a statistic at mean counts of a readout, from the tail (counts, chances)."""
+    place = np.interp(np.log(noise), np.log(COUNTS), np.arange(len(COUNTS)))
+    below = np.minimum(place.astype(int), len(COUNTS) - 2)
+    weight = (place - below)[:, None]
+    levels = (1 - weight) * tail[below] + weight * tail[below + 1]
+    seen = np.log(np.maximum(statistic, SMALLEST)) - ROUNDING
+    logs = [np.interp(*each, np.log(CHANCES)) for each in zip(seen, levels, strict=True)]
+    return np.exp(logs)

@@ -1,0 +1,84 @@
+"""Counts, budgets and dwells as users hand them over, checked."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.errors import InputError
+
+LONGEST_LOOK = 1.05
+"""Longest time of a look over that asked for: frames last whole microseconds."""
+
+
+def check_readouts(
+    counts: Any, photons: Any, dwell: Any, wanted: tuple[int, ...]
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked.
+
+    Parameters
+    ----------
+    counts, photons, dwell
+        As for `Design.classify`; dwell may be None.
+    wanted : tuple of int
+        Shape of one exposure's counts.
+    """
+
+    def tensor(values: Any) -> Tensor:
+        return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
+
+    try:
+        read, budget = tensor(counts), tensor(photons)
+        shown = None if dwell is None else tensor(dwell)
+    except (TypeError, ValueError):
+        raise InputError("counts, photons and dwell must be arrays of numbers") from None
+    if tuple(read.shape[-len(wanted) :]) != wanted:
+        raise InputError(
+            f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
+            f"{', '.join(map(str, wanted))})"
+        )
+    if not bool(torch.isfinite(read).all()):
+        raise InputError("counts hold NaN or infinity: give finite counts")
+    if shown is not None and (
+        shown.shape != read.shape or not bool((torch.isfinite(shown) & (shown >= 0)).all())
+    ):
+        raise InputError(
+            f"dwells of shape {tuple(shown.shape)} do not fit counts of shape "
+            f"{tuple(read.shape)}: give a share of 0 or more for each count"
+        )
+    if not bool((torch.isfinite(budget) & (budget > 0)).all()):
+        raise InputError("photons must be a finite number above 0 for every exposure")
+    try:
+        budget = budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
+    except RuntimeError:
+        raise InputError(
+            f"photons of shape {tuple(budget.shape)} do not fit counts of shape "
+            f"{tuple(read.shape)}: give one number, or one for each exposure"
+        ) from None
+    return read, budget, shown
+
+
+def check_look(read: Callable[[np.ndarray], Any], dwell: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Counts (m,) of one look of a camera and the dwells (m,) shown, checked."""
+    asked = dwell.cpu().numpy()
+    seen = read(asked.copy())
+    pair = seen if isinstance(seen, tuple) else (seen, asked)
+    try:
+        counts, shown = (np.asarray(part, dtype=float) for part in pair)
+    except (TypeError, ValueError):
+        counts, shown = np.empty(0), asked
+    if not counts.shape == shown.shape == asked.shape:
+        raise InputError(
+            f"a look does not fit this design: return {asked.shape} counts, or a pair of "
+            "counts and shares shown"
+        )
+    if not np.isfinite(counts).all():
+        raise InputError("a look holds NaN or infinity: return finite counts")
+    if not 0 <= shown.sum() <= asked.sum() * LONGEST_LOOK:
+        raise InputError(
+            f"a look that took {shown.sum():.4g} of the exposure was to take "
+            f"{asked.sum():.4g}: show each mask for at most the shares asked"
+        )
+    return counts, shown

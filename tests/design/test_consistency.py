@@ -1,0 +1,251 @@
+"""Counts are tested for what a design was trained for: sound ones pass as often as stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import quick
+from deepfsi.datasets import Dataset, from_arrays
+from deepfsi.design.artifact import Design
+from deepfsi.design.calibration import MOST_SCENES, find_distribution, sample_scenes
+from deepfsi.design.consistency import REFUSED, UNSURE
+from deepfsi.errors import InputError
+from shared.design_files import refused, rewrite
+
+READOUTS = (2, 9)
+CLASSES = 5
+
+
+def scenes_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of the budget of readouts (n, 2, m) of random scenes, heavy-tailed, with classes."""
+    fixed, rng = np.random.default_rng(1), np.random.default_rng(seed)
+    means = fixed.gamma(8.0, size=(CLASSES, *READOUTS)) / 8
+    axes = 0.15 * fixed.normal(size=(4, *READOUTS))
+    labels = rng.integers(CLASSES, size=count)
+    along = rng.standard_t(5, size=(count, 4))
+    rates = means[labels] * np.exp(np.tensordot(along, axes, axes=1).clip(-1, 1))
+    rates *= np.exp(0.1 * rng.normal(size=(count, 1, 1)))
+    rates[:, 1, 3] = 0  # a rail that is dark
+    return 0.02 * rates, labels
+
+
+@pytest.fixture(scope="module")
+def known():
+    rates, labels = scenes_of(MOST_SCENES, seed=2)
+    return find_distribution(torch.from_numpy(rates), labels)
+
+
+@pytest.mark.parametrize("dark", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("photons", [30.0, 1e3, 2e4, 5e5, 1e9])
+def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):
+    """Within five sigma of this sample and of the one that calibrates."""
+    rng = np.random.default_rng(3)
+    rates, _ = scenes_of(8000, seed=4)
+    background = dark * 0.01 * photons * rng.random(READOUTS)
+    counts = rng.poisson(rates * photons + background) - background
+    counts[:, 1, 3] = 0
+    found = known.test(counts, np.full(len(counts), photons), background)
+    error = 5 * np.sqrt(UNSURE * (1 / len(counts) + 1 / MOST_SCENES))
+    # counts of one or two take few values, so that fewer may be unsure
+    least = UNSURE - error if photons > 100 else 0.0
+    assert least <= found.unsure.mean() <= UNSURE + error
+
+
+@pytest.mark.parametrize("mixture", ["as trained", "one class", "two classes"])
+def test_sound_acquisitions_are_refused_as_seldom_as_stated(known, mixture):
+    """Of any size, budgets scene by scene, background and classes."""
+    rng = np.random.default_rng(5)
+    rates, labels = scenes_of(20_000, seed=6)
+    trials, alarms, alike = 300, 0, 0
+    for _ in range(trials):
+        some = {"as trained": CLASSES, "one class": 1, "two classes": 2}[mixture]
+        there = np.flatnonzero(np.isin(labels, rng.choice(CLASSES, some, replace=False)))
+        chosen = rates[rng.choice(there, rng.choice([1, 2, 5, 20, 60]), replace=False)]
+        photons = 10 ** rng.uniform(2, 7) * rng.uniform(0.7, 1.4, size=len(chosen))
+        background = np.full(READOUTS, photons.mean() * 10 ** rng.uniform(-5, -2))
+        background[1, 3] = 0
+        counts = rng.poisson(chosen * photons[:, None, None] + background) - background
+        found = known.test(counts, photons, background)
+        alarms += found.refused
+        alike += found.alike < REFUSED
+    most = trials * REFUSED + 5 * np.sqrt(trials * REFUSED)
+    assert alarms <= most
+    assert alike <= most
+
+
+def split(digits: Dataset) -> Dataset:
+    """Digits in another order, 800 of them to test with: the test part has other writers."""
+    x = np.concatenate([digits.x_train, digits.x_test])
+    y = np.concatenate([digits.y_train, digits.y_test])
+    order = np.random.default_rng(0).permutation(len(x))
+    x, y, n = x[order], y[order], len(x) - 800
+    return replace(digits, x_train=x[:n], y_train=y[:n], x_test=x[n:], y_test=y[n:])
+
+
+@pytest.fixture(scope="module")
+def data(digits) -> Dataset:
+    return split(digits)
+
+
+@pytest.fixture(scope="module")
+def design(data) -> Design:
+    return quick(data, masks=16, light="equal-dwell")
+
+
+def rates_of(design: Design, x: np.ndarray) -> np.ndarray:
+    with torch.no_grad():
+        return design.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
+
+
+def whole(design: Design, rates: np.ndarray, photons: float) -> list[bool]:
+    """Verdicts of acquisitions of 40 scenes."""
+    counts = np.random.default_rng(7).poisson(rates * photons)
+    parts = np.split(counts, len(counts) // 40)
+    return [design.consistency(part, photons).refused for part in parts]
+
+
+@pytest.mark.parametrize("photons", [1e2, 1e3, 1e4, 1e5, 1e7])
+def test_held_out_scenes_pass(design, data, photons):
+    rates = rates_of(design, data.x_test)
+    assert not any(whole(design, rates, photons))
+    counts = np.random.default_rng(8).poisson(rates * photons)
+    unsure = design.consistency(counts, photons).unsure.mean()
+    error = 5 * np.sqrt(UNSURE * (1 / len(counts) + 1 / len(data.x_train)))
+    assert unsure <= UNSURE + error
+
+
+@pytest.mark.parametrize(
+    ("fault", "photons"),
+    [
+        ("another design", 1e4),
+        ("half the light", 1e3),
+        ("twice the light", 1e2),
+        ("a frame late", 1e4),
+        ("two frames swapped", 3e5),
+        ("inverted scenes", 1e5),
+        ("rails swapped", 1e4),
+    ],
+)
+def test_what_is_not_trained_for_is_refused(design, data, fault, photons):
+    rates = rates_of(design, data.x_test)
+    flat = rates.reshape(len(rates), -1)
+    if fault == "another design":
+        rates = rates_of(quick(data, "random", masks=16, light="equal-dwell"), data.x_test)
+    elif fault == "inverted scenes":
+        rates = rates_of(design, 1 - data.x_test)
+    elif fault == "a frame late":
+        rates = np.roll(flat, 1, axis=1).reshape(rates.shape)
+    elif fault == "two frames swapped":
+        order = np.arange(flat.shape[1])
+        order[[3, 20]] = order[[20, 3]]
+        rates = flat[:, order].reshape(rates.shape)
+    elif fault == "rails swapped":
+        rates = rates[:, ::-1]
+    else:
+        rates = rates * {"half the light": 0.5, "twice the light": 2.0}[fault]
+    assert all(whole(design, rates, photons))
+
+
+def test_a_uniform_display_is_alike(design, data):
+    rates = rates_of(design, np.full_like(data.x_test, data.x_train.mean()))
+    counts = np.random.default_rng(9).poisson(rates[:40] * 1e6)
+    assert design.consistency(counts, 1e6).alike < REFUSED
+    sound = np.random.default_rng(9).poisson(rates_of(design, data.x_test[:40]) * 1e6)
+    assert design.consistency(sound, 1e6).alike > REFUSED
+
+
+def test_one_scene_shown_often_counts_as_one(design, data):
+    """Its p-values are all the same draw: together they tell no more than one."""
+    rates = rates_of(design, data.x_test)
+    once = design.consistency(rates * 1e7, 1e7).exposures
+    odd = rates[np.flatnonzero((once > 0.01) & (once < 0.03))[0]]
+    counts = np.random.default_rng(10).poisson(np.repeat(odd[None], 40, axis=0) * 1e7)
+    assert not design.consistency(counts, 1e7).refused
+
+
+def test_brightness_is_that_of_the_mean_scene(design, data):
+    rates = rates_of(design, data.x_train)
+    assert design.consistency(rates * 1e5, 1e5).brightness == pytest.approx(1, rel=0.01)
+    assert design.consistency(rates * 3e5, 1e5).brightness == pytest.approx(3, rel=0.01)
+
+
+def test_the_design_file_holds_the_distribution(design, data, tmp_path):
+    path = design.save(tmp_path / "design.safetensors")
+    again = Design.load(path)
+    for name, held in design.distribution.tensors.items():
+        assert torch.equal(getattr(again.distribution, name), held), name
+    bare = replace(design, distribution=None).save(tmp_path / "bare.safetensors")
+    assert Design.load(bare).distribution is None
+    readouts = 2 * design.masks
+    added = 4 * (readouts * (readouts + 2) + 5 * 8 * 11 + 1)
+    assert path.stat().st_size - bare.stat().st_size < added + 1000  # names and places of tensors
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda held: held.pop("distribution.tails"),
+        lambda held: held.update({"distribution.mean": torch.zeros(2, 16)}),
+        lambda held: held.update({"distribution.mean": torch.ones(2, 15)}),
+        lambda held: held.update({"distribution.rest": -torch.ones(2, 16)}),
+        lambda held: held.update({"distribution.pairs": held["distribution.pairs"].flip(-1)}),
+        lambda held: held.update({"distribution.more": torch.ones(1)}),
+        lambda held: held.pop("distribution.directions"),
+    ],
+)
+def test_a_damaged_distribution_is_refused(design, tmp_path, change):
+    path = design.save(tmp_path / "design.safetensors")
+    rewrite(path, lambda header, held: change(held))
+    refused(path)
+
+
+def test_a_dimmed_design_expects_less_light(design, data):
+    shown = design.as_shown(0.1 * design.rails.numpy(), design.image_shape, 0.1)
+    counts = np.random.default_rng(11).poisson(0.1 * rates_of(design, data.x_test[:40]) * 1e6)
+    assert not shown.consistency(counts, 1e6).refused
+    assert shown.consistency(counts, 1e6).brightness == pytest.approx(1, abs=0.1)
+    assert design.consistency(counts, 1e6).refused
+
+
+def test_what_has_no_distribution_says_so(data, design):
+    few = from_arrays(data.x_train[:60].reshape(-1, 8, 8), data.y_train[:60] % 2)
+    small = quick(few, masks=4, batch=32)
+    looks = quick(data, masks=4, light="free-dwell", rails="single", looks=2)
+    for each in (small, looks, design.quantised(3)):
+        assert each.distribution is None
+        with pytest.raises(InputError, match="no distribution"):
+            each.consistency(np.ones((1, *each.rails.shape[:2])), 1e3)
+
+
+def test_designs_of_one_readout_or_of_a_range_are_tested(data):
+    for settings in ({"masks": 1, "rails": "single"}, {"masks": 6, "span": 100.0, "nested": 2}):
+        made = quick(data, light="free-dwell", **settings)
+        rates = made.readouts(rates_of(made, data.x_test[:40]))
+        counts = np.random.default_rng(12).poisson(rates * 1e5)
+        assert not made.consistency(counts, 1e5).refused
+        assert made.consistency(3 * counts, 1e5).refused
+        if "nested" in settings:
+            assert made.first(3).distribution is None
+
+
+def test_a_design_is_calibrated_alike_with_others_and_alone(data):
+    assert len(sample_scenes(10**6, 184)) == MOST_SCENES
+    one, two = (quick(data, "pca", masks=5, seed=seed).distribution for seed in (0, 1))
+    for name, held in one.tensors.items():
+        assert torch.equal(getattr(two, name), held)
+
+
+@pytest.mark.parametrize(
+    ("counts", "photons", "said"),
+    [
+        (np.ones((3, 2, 15)), 1e3, "do not fit"),
+        (np.ones((0, 2, 16)), 1e3, "no exposures"),
+        (np.full((1, 2, 16), np.nan), 1e3, "finite"),
+        (np.ones((1, 2, 16)), 0.0, "photons"),
+    ],
+)
+def test_bad_counts_are_named(design, counts, photons, said):
+    with pytest.raises(InputError, match=said):
+        design.consistency(counts, photons)
