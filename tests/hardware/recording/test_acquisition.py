@@ -46,7 +46,7 @@ def test_bad_files_are_named(run, name, content):
         ({"repeats": 99}, "acquisition.json: 99 repeats do not fit"),
         ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),
         ({"inputs": [1, 1]}, "two arms need two inputs"),
-        ({"inputs": [3]}, "no light on input 4: .* 25764 on input 3 photons"),
+        ({"inputs": [3]}, "no light on input 4: .* 25764 photons on input 3"),
         (
             {"marker_bit": 1},
             "0 frame markers on marker input 0; there are some on 2: give --marker 2",

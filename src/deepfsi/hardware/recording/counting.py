@@ -104,7 +104,10 @@ def count(
 
 def _shifted(scene: int) -> Fault:
     """A scene that is given up since its sentinels are not where they should be."""
-    detail = "its first and last frames are not the brightest and darkest: it may be shifted"
+    detail = (
+        "its first and last frames are not the brightest and darkest: stray light in others, or "
+        "the pass is shifted"
+    )
     return Fault(kind="lost", scene=scene, frame=None, detail=detail)
 
 
@@ -188,11 +191,11 @@ def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
     if light.lit.any():
         return
     contents = inspect(header.path)
-    seen = ", ".join(f"{n} on input {k + 1}" for k, n in sorted(contents.photons.items()))
+    seen = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
     asked = " and ".join(str(each + 1) for each in acquisition.inputs)
     raise InputError(
         f"{header.path} has no light on input {asked}: no all-ON frame is brighter than the "
-        f"all-OFF ones. The file holds {seen or 'no'} photons: give the input that the detector is "
+        f"all-OFF ones. The file holds {seen or 'no photons'}: give the input that the detector is "
         "wired to, or switch on the lamp"
     )
 
