@@ -1,6 +1,7 @@
 """A user's own pictures on the command line: what was done to them is said."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -120,3 +121,32 @@ def test_a_design_of_arrays_asks_for_data(refuse, done, tmp_path):
     assert "note: " not in done(*words, "--data", npz), "they are the same"
     np.savez(npz, x=x[:, ::-1], y=np.arange(60) % 2)
     assert "is not the data that the design was trained on" in done(*words, "--data", npz)
+
+
+def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
+    """At `design`, `evaluate`, `compare` and on its page; --balance is a setting of them."""
+    folder = save_pictures(tmp_path / "leaves", {"ash": 90, "oak": 8, "yew": 8})
+    file, out = tmp_path / "leaves.safetensors", tmp_path / "out"
+    words = ("design", "--data", folder, "--photons", "1e2", "--masks", 3, "--epochs", 2)
+    worst = r"balanced accuracy 0\.\d{3} ± 0\.\d{3}, worst class 0\.\d{3} \((ash|oak|yew)\)"
+    assert re.search(worst, done(*words, "-o", file))
+    tested = json.loads(done("evaluate", file, "--photons", "1e2", "--json"))["results"][0]
+    assert tested["balanced"] == pytest.approx(np.mean(tested["rates"]))
+    table = done("evaluate", file, "--photons", "1e2")
+    assert f"{tested['balanced']:.3f}" in table
+    assert f"{min(tested['rates']):.3f} (" in table
+    done(*words, "--balance", "-o", file)
+    assert Design.load(file).info["job"]["training"]["balance"] is True
+    words = ["--designs", "pca", "--photons", "1e2", "--masks", "2,3", "--epochs", 2]
+    words += ["--workers", 1, "--data", folder, "-o", out, "--balance"]
+    printed = done("compare", *words)
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    [best] = [point for point in results["points"] if point["best"]]
+    told = f"{best['worst']:.3f} ({results['data']['classes'][best['worst_class']]})"
+    assert told in printed
+    assert "chosen on validation data by balanced accuracy" in printed
+    assert results["chosen_by"] == "balanced"
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert told in page
+    assert f"balanced&nbsp;{best['balanced']:.3f}" in page
+    assert "by balanced accuracy" in page

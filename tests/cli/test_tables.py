@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from deepfsi.cli import common
@@ -9,10 +10,10 @@ from deepfsi.cli import common
 WIDTH = 80
 
 
-def lines_of(table: str) -> list[str]:
+def lines_of(printed: str, number: int = 0) -> list[str]:
     """Lines of a table's rows: those between its rule and the first empty line after it."""
-    lines = [line.rstrip() for line in table.splitlines()]
-    [rule] = [number for number, line in enumerate(lines) if set(line.strip()) == {"─"}]
+    lines = [line.rstrip() for line in printed.splitlines()]
+    rule = [place for place, line in enumerate(lines) if set(line.strip()) == {"─"}][number]
     assert max(map(len, lines[rule - 1 :][:2])) <= WIDTH
     return lines[rule + 1 : lines.index("", rule)]
 
@@ -44,6 +45,10 @@ def test_a_comparison_is_sorted_and_has_a_line_for_each_row(done, tmp_path, monk
         re.match(r" (TH|FSI|II) +\d(\.\d+)?e\d +\d+ +0\.\d{3} ± 0\.\d{3} ", row) for row in rows
     )
     assert "TH truncated Hadamard" in printed
+    by_class = lines_of(printed, 1)
+    assert max(map(len, by_class)) <= WIDTH
+    assert [row.split()[:2] for row in by_class] == [row.split()[:2] for row in rows]
+    assert all(re.search(r" 0\.\d{3} ± 0\.\d{3} +0\.\d{3} \(\d\) ", row) for row in by_class)
 
 
 def test_budgets_of_a_test_are_sorted(done, made, tmp_path, monkeypatch):
@@ -52,6 +57,23 @@ def test_budgets_of_a_test_are_sorted(done, made, tmp_path, monkeypatch):
     rows = lines_of(done("evaluate", file, "--photons", "1e4,1e2,31623"))
     assert [row.split()[0] for row in rows] == ["1e2", "1e4", "3.16e4"]
     assert max(map(len, rows)) <= WIDTH
+
+
+def test_long_names_of_classes_are_shortened(done, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    x, y = np.random.default_rng(0).random((60, 9)), np.arange(60) % 2
+    classes = ["a class of a very long name", "another class of a very long name"]
+    data, file = tmp_path / "scenes.npz", tmp_path / "one.safetensors"
+    np.savez(data, x=x, y=np.array(classes)[y])
+    done("design", "--data", data, "--photons", "1e4", "--masks", 3, "--epochs", 1, "-o", file)
+    [row] = lines_of(done("evaluate", file, "--photons", "3.16e4"))
+    assert re.search(r"\((a class of a|another clas)…\)", row)
+    words = ["--data", data, "--designs", "pca,deepfsi", "--photons", "1e4", "--masks", 3]
+    words += ["--noise", "poisson,gaussian", "--light", "column,equal-dwell", "--trials", 1]
+    words += ["--rails", "dual,single", "--epochs", 1, "--workers", 1, "-o", tmp_path / "out"]
+    rows = lines_of(done("compare", *words), 1)
+    assert all(re.search(r"\((a clas|anothe)…\)", row) for row in rows)
+    assert max(map(len, [row, *rows])) <= WIDTH
 
 
 def test_names_of_data_sets_are_whole(done, monkeypatch, tmp_path):

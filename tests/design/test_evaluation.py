@@ -12,6 +12,7 @@ from conftest import PHOTONS, every_design, generator, light_on, quick, syntheti
 from deepfsi.datasets import from_arrays
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
+from deepfsi.statistics.intervals import balanced
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +27,15 @@ def test_accuracy_is_the_trace_of_the_confusion_matrix_whose_rows_are_true_class
         assert result.accuracy == pytest.approx(confusion.trace() / confusion.sum())
         assert (confusion.sum(axis=1) == 2 * np.bincount(digits.y_test)).all()
         assert result.rates == pytest.approx(confusion.diagonal() / confusion.sum(axis=1))
+
+
+def test_balanced_accuracy_is_the_mean_of_the_classes(results, digits):
+    for result in results:
+        assert result.balanced == pytest.approx(np.mean(result.rates))
+        assert 0 <= result.balanced_low <= result.balanced <= result.balanced_high <= 1
+        assert result.rates[result.worst] == min(result.rates)
+        expected = balanced(result.rates, np.bincount(digits.y_test).tolist())
+        assert (result.balanced_low, result.balanced_high) == expected[1:], "draws are no scenes"
 
 
 def test_the_interval_is_wilsons_over_images_and_says_what_it_covers(results):

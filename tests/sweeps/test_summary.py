@@ -10,7 +10,8 @@ from shared.trials import small
 
 def record(photons, masks, seed, validation, test, noise="ml_gauss"):
     result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
-    result["levels"] = 0
+    result |= {"levels": 0, "balanced": 0.4, "balanced_low": 0.2, "balanced_high": 0.6}
+    result["rates"] = [0.4] * 10
     job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
     job["noise"] = noise
     return {
@@ -61,3 +62,42 @@ def test_without_validation_nothing_is_chosen(digits):
     for entry in records:
         entry["validation"] = []
     assert all(point.best for point in summary(digits, records, validation=0))
+
+
+def unlike(entry, balanced, rates=None):
+    """A record whose classes differ in their accuracy."""
+    for tests in (entry["validation"], entry["test"]):
+        for test in tests:
+            test |= {"balanced": balanced, "rates": rates or test["rates"]}
+    return entry
+
+
+def test_balanced_accuracy_has_the_interval_of_accuracy(digits):
+    values = [0.80, 0.83, 0.85, 0.79]
+    records = [unlike(record(1e3, 3, k, 0.8, 0.9), v) for k, v in enumerate(values)]
+    (point,) = summary(digits, records)
+    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    assert point.balanced == pytest.approx(np.mean(values))
+    assert (point.balanced_low, point.balanced_high) == pytest.approx((low, high))
+    (alone,) = summary(digits, records[:1])
+    assert (alone.balanced_low, alone.balanced_high) == (0.2, 0.6)
+
+
+def test_the_worst_class_is_that_of_the_mean_over_trials(digits):
+    """Not the mean of each trial's worst; a class without test scenes has no accuracy."""
+    first, second = ([0.9] * 9 + [None] for _ in range(2))
+    first[3], second[3], first[5], second[6] = 0.5, 0.5, 0.3, 0.3
+    records = [unlike(record(1e3, 3, k, 0.8, 0.9), 0.8, v) for k, v in enumerate((first, second))]
+    (point,) = summary(digits, records)
+    assert (point.worst, point.worst_class) == (pytest.approx(0.5), 3)
+
+
+@pytest.mark.parametrize("balance", [False, True])
+def test_a_balanced_training_is_chosen_by_balanced_accuracy(digits, balance):
+    records = [
+        unlike(record(1e3, 3, 0, 0.8, 0.9), 0.3),
+        unlike(record(1e3, 6, 0, 0.7, 0.9), 0.6),
+    ]
+    training = {"epochs": 2, "balance": balance}
+    best = [p.masks for p in summary(digits, records, training=training) if p.best]
+    assert best == [6 if balance else 3]

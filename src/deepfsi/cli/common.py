@@ -116,7 +116,7 @@ def command_line() -> str:
     return shlex.join(["deepfsi", *sys.argv[1:]])
 
 
-NAME_WIDTH = 20
+NAME_WIDTH = 13
 """Characters of a name in a table, such as that of a class."""
 
 JSON_SCHEMA = 1
@@ -167,9 +167,14 @@ def share(mean: float, low: float, high: float) -> str:
     return f"{mean:.3f} ± {(high - low) / 2:.3f}"
 
 
-def short(name: str) -> str:
+def short(name: str, width: int = NAME_WIDTH) -> str:
     """Beginning of a long name, for a table."""
-    return name if len(name) <= NAME_WIDTH else f"{name[: NAME_WIDTH - 1]}…"
+    return name if len(name) <= width else f"{name[: width - 1]}…"
+
+
+def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
+    """Accuracy of the worst class with its name: 0.083 (oak)."""
+    return f"{rate:.3f} ({short(name, width)})"
 
 
 def print_designs(names: Iterable[str]) -> None:

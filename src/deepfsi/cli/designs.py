@@ -11,6 +11,7 @@ from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
+    from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
 
 
@@ -33,6 +34,7 @@ def design(
     looks: options.Looks = 1,
     classifier: options.Classifier = "mlp",
     epochs: options.Epochs = None,
+    balance: options.Balance = False,
     hold_out: Annotated[
         int, typer.Option(help="last training scenes to leave out, for `deepfsi stop`")
     ] = 0,
@@ -69,7 +71,10 @@ def design(
         print(
             f"{made.name} with {made.masks} masks at {common.budget(result.photons)} photons: test "
             f"accuracy {common.share(result.accuracy, result.low, result.high)}, "
-            f"light throughput {result.throughput:.3f}"
+            f"light throughput {result.throughput:.3f}\n"
+            f"balanced accuracy "
+            f"{common.share(result.balanced, result.balanced_low, result.balanced_high)}, "
+            f"worst class {_worst(result, made.classes)}"
         )
     print(f"saved: {out}")
 
@@ -132,13 +137,14 @@ def evaluate(
         (
             common.budget(r.photons),
             common.share(r.accuracy, r.low, r.high),
-            _worst(r.rates, made.classes),
+            f"{r.balanced:.3f}",
+            _worst(r, made.classes),
             f"{r.throughput:.3f}",
             f"{r.photons * r.throughput / made.masks:.3g}",
         )
         for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy", "worst class", "counted", "counts a mask")
+    heads = ("photons", "accuracy", "balanced", "worst class", "counted", "counts a mask")
     common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
     print(f"± half of the 95 % interval: {results[0].covers}")
 
@@ -250,8 +256,5 @@ def show(
         print(f"trained on: {memory.words}")
 
 
-def _worst(rates: Sequence[float | None], classes: Sequence[str]) -> str:
-    rate, name = min(
-        (rate, name) for rate, name in zip(rates, classes, strict=True) if rate is not None
-    )
-    return f"{rate:.3f} ({common.short(name)})"
+def _worst(result: "Result", classes: Sequence[str]) -> str:
+    return common.worst_class(result.rates[result.worst] or 0.0, classes[result.worst])

@@ -51,6 +51,10 @@ Matrix = Annotated[
         "folder of images, or a TIFF of m pages"
     ),
 ]
+Balance = Annotated[
+    bool,
+    typer.Option("--balance", help="weigh scenes in training so that every class counts alike"),
+]
 Epochs = Annotated[int | None, typer.Option(help="training epochs")]
 TrainNoise = Annotated[
     str | None,
@@ -259,7 +263,10 @@ def job_settings(
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
     lowest, highest = budget_range(options["photons"])
     trained = options["train_noise"] or usual
-    same = ("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs", "classifier")
+    same = (
+        *("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs"),
+        *("classifier", "balance"),
+    )
     settings = {name: options[name] for name in same if options[name] is not None}
     return settings | {
         "design": design,
@@ -313,7 +320,8 @@ def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict
     replaced = {"masks": "ratios", "ratios": "masks"}
     left_out = {replaced[name] for name in given if name in replaced}
     settings = {name: value for name, value in base.items() if name not in left_out} | given
-    epochs = options["epochs"]
-    if epochs is not None and isinstance(settings.setdefault("training", {}), dict):
-        settings["training"] = {**settings["training"], "epochs": epochs}
+    told = {"epochs": options["epochs"], "balance": options.get("balance") or None}
+    told = {name: value for name, value in told.items() if value is not None}
+    if told and isinstance(settings.setdefault("training", {}), dict):
+        settings["training"] = {**settings["training"], **told}
     return settings

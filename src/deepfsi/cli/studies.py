@@ -37,6 +37,7 @@ def compare(
     rails: options.RailsAxis = None,
     trials: options.Trials = None,
     epochs: options.Epochs = None,
+    balance: options.Balance = False,
     matrix: options.Matrix = None,
     recipe: Annotated[
         str | None,
@@ -301,6 +302,10 @@ AXIS_HEADS = {"trained_under": "training", "trained_at": "trained at", "variant"
 """Heads of columns, where they are not the names of the fields."""
 
 
+CROWDED, CROWDED_WIDTH = 3, 7
+"""So many axes leave that many characters of a class's name."""
+
+
 def _axis(name: str, value: Any) -> str:
     if name == "levels":
         return str(value) if value else "any"
@@ -314,10 +319,7 @@ def _print_points(results: "Results") -> None:
     apart = [axis for axis in series_axes(results) if axis not in ("design", "masks")]
     axes = ["noise", *apart]
     axes = [axis for axis in axes if len({str(getattr(point, axis)) for point in best}) > 1]
-    heads = (
-        *("design", "photons", "masks", "accuracy", "counted"),
-        *(AXIS_HEADS.get(axis, axis) for axis in axes),
-    )
+    apart_heads = [AXIS_HEADS.get(axis, axis) for axis in axes]
     best.sort(key=lambda p: (p.photons, -p.accuracy))
     rows = [
         (
@@ -330,9 +332,26 @@ def _print_points(results: "Results") -> None:
         )
         for p in best
     ]
+    heads = ("design", "photons", "masks", "accuracy", "counted", *apart_heads)
     common.print_table(results.title, heads, rows)
+    width = common.NAME_WIDTH if len(axes) < CROWDED else CROWDED_WIDTH
+    common.print_table(
+        "each class counting alike",
+        ("design", "photons", "balanced", "worst class", *apart_heads),
+        [
+            (
+                *(p.label, common.budget(p.photons)),
+                common.share(p.balanced, p.balanced_low, p.balanced_high),
+                common.worst_class(p.worst, results.data.classes[p.worst_class], width),
+                *(_axis(axis, getattr(p, axis)) for axis in axes),
+            )
+            for p in best
+        ],
+    )
     common.print_designs(p.design for p in best)
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
+    print("balanced: mean of the classes' accuracies, each class counting alike")
     print("counted: share of the budget that reaches a detector")
     if results.chosen_on == "validation":
-        print("mask counts were chosen on validation data; the table is of test data")
+        measure = " by balanced accuracy" if results.chosen_by == "balanced" else ""
+        print(f"mask counts were chosen on validation data{measure}; the table is of test data")

@@ -15,7 +15,7 @@ from deepfsi.optics.budget import check_budget
 from deepfsi.optics.noise import OwnNoise
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
-from deepfsi.statistics.intervals import wilson
+from deepfsi.statistics.intervals import balanced, wilson, worst_of
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
@@ -39,6 +39,9 @@ class Result:
         What the interval covers.
     images, draws : int
         Scenes, and independent noise draws of each.
+    balanced, balanced_low, balanced_high : float
+        Mean of the classes' accuracies, and its 95 % interval over test images
+        (`statistics.intervals.balanced`).
     rates : list of float or None
         Accuracy of each class (recall); None where the test has no scene of it.
     confusion : list of list of int
@@ -67,10 +70,18 @@ class Result:
     covers: str
     images: int
     draws: int
+    balanced: float
+    balanced_low: float
+    balanced_high: float
     rates: list[float | None]
     confusion: list[list[int]]
     throughput: float
     photons_per_mask: list[float]
+
+    @property
+    def worst(self) -> int:
+        """Place of the class with the lowest accuracy."""
+        return worst_of(self.rates)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -199,6 +210,8 @@ def _result(
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
+    rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)]
+    mean, lower, upper = balanced(rates, (confusion.sum(axis=1) // draws).tolist())
     return Result(
         photons=budget,
         noise=noise,
@@ -208,7 +221,10 @@ def _result(
         covers=COVERS,
         images=images,
         draws=draws,
-        rates=[float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(confusion)],
+        balanced=mean,
+        balanced_low=lower,
+        balanced_high=upper,
+        rates=rates,
         confusion=confusion.tolist(),
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],

@@ -204,6 +204,13 @@ class Recipe(BaseModel):
             axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         return axes
 
+    @property
+    def balances(self) -> bool:
+        """True if any training weighs its classes: validation then goes by balanced accuracy."""
+        return any(
+            True in axes.get("balance", ()) for axes in (self.training, *self.tuned.values())
+        )
+
     def trainings(self, design: str) -> Iterator[tuple[str, TrainingSettings]]:
         """Every setting of the training of a design, with a name where there are several."""
         axes = self.training_axes(design)

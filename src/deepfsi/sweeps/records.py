@@ -162,6 +162,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "accuracy": test["accuracy"],
                     "low": test["low"],
                     "high": test["high"],
+                    "balanced": test["balanced"],
                     "throughput": test["throughput"],
                     "seconds": record["info"]["seconds"],
                 }

@@ -58,11 +58,18 @@ class Point(Frozen):
     ratio : float
         m / N.
     validation : float or None
-        Mean accuracy on validation data, if any was held out.
+        Mean accuracy on validation data, if any was held out; balanced accuracy where a recipe
+        balances its training.
     accuracy, low, high : float
         Mean over trials, and its 95 % interval.
     covers : str
         What the interval covers.
+    balanced, balanced_low, balanced_high : float
+        Mean of the classes' accuracies, and its 95 % interval, which covers the same.
+    worst : float
+        Lowest accuracy of a class, in the mean over trials.
+    worst_class : int
+        Place of that class among those of the data.
     throughput : float
         Share of the budget that reaches a detector.
     seconds : float
@@ -99,6 +106,11 @@ class Point(Frozen):
     low: float
     high: float
     covers: str
+    balanced: float
+    balanced_low: float
+    balanced_high: float
+    worst: float
+    worst_class: int
     throughput: float
     seconds: float
     accuracies: tuple[float, ...]
@@ -142,6 +154,8 @@ class Results(Frozen):
         Its settings.
     chosen_on : {"validation", "nothing"}
         Data that mask counts were chosen on.
+    chosen_by : {"accuracy", "balanced"}
+        Accuracy that they were chosen by.
     extra : dict
         Further numbers of an experiment.
     """
@@ -153,6 +167,7 @@ class Results(Frozen):
     data: Data
     provenance: Provenance
     chosen_on: str
+    chosen_by: str = "accuracy"
     points: Annotated[tuple[Point, ...], AfterValidator(_some)]
     extra: dict[str, Any] = {}
 

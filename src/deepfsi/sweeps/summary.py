@@ -13,6 +13,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import COVERS
 from deepfsi.optics import codes
 from deepfsi.statistics.differences import of_trials
+from deepfsi.statistics.intervals import worst_of
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -64,8 +65,9 @@ def summarise(
             trained = (*(job[axis] for axis in TRAINED), record["trial"]["variant"])
             key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
             groups[key].append((record, index))
+    measure = "balanced" if recipe.balances else "accuracy"
     points = [
-        point(dict(zip(AXES, key, strict=True)), members, data.pixels)
+        point(dict(zip(AXES, key, strict=True)), members, data.pixels, measure)
         for key, members in groups.items()
     ]
     chosen = defaultdict(list)
@@ -83,6 +85,7 @@ def summarise(
         data=facts_of(data, held_out),
         provenance=provenance_of(records, seconds),
         chosen_on="validation" if held_out else "nothing",
+        chosen_by=measure,
         points=tuple(points),
     )
 
@@ -116,7 +119,10 @@ def provenance_of(records: Sequence[Mapping[str, Any]], seconds: float) -> Prove
 
 
 def point(
-    axes: Mapping[str, Any], members: Sequence[tuple[Mapping[str, Any], int]], pixels: int
+    axes: Mapping[str, Any],
+    members: Sequence[tuple[Mapping[str, Any], int]],
+    pixels: int,
+    chosen_by: str = "accuracy",
 ) -> Point:
     """One point of a summary: trials averaged.
 
@@ -128,14 +134,14 @@ def point(
         Records, each with the place of the test in it that belongs here.
     pixels : int
         N, of one mask.
+    chosen_by : {"accuracy", "balanced"}
+        What mask counts are chosen by on validation data.
     """
     tests = [record["test"][index] for record, index in members]
-    accuracy = np.array([test["accuracy"] for test in tests])
-    if len(tests) > 1:
-        low, high = of_trials(accuracy.tolist()).interval()
-        covers = f"training seeds (Student's t over {len(tests)} trials)"
-    else:
-        low, high, covers = tests[0]["low"], tests[0]["high"], COVERS
+    accuracy, low, high = _over_trials(tests, "accuracy", "low", "high")
+    balanced, lower, upper = _over_trials(tests, "balanced", "balanced_low", "balanced_high")
+    several = f"training seeds (Student's t over {len(tests)} trials)"
+    rates = _mean_rates(tests)
     validated = [record["validation"][index] for record, index in members if record["validation"]]
     code = codes.DESIGNS[axes["design"]]
     return Point(
@@ -146,14 +152,34 @@ def point(
         learned=code.learned,
         ratio=axes["masks"] / pixels,
         trials=len(tests),
-        validation=float(np.mean([v["accuracy"] for v in validated])) if validated else None,
-        accuracy=float(accuracy.mean()),
-        low=max(low, 0.0),
-        high=min(high, 1.0),
-        covers=covers,
+        validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
+        accuracy=accuracy,
+        low=low,
+        high=high,
+        covers=several if len(tests) > 1 else COVERS,
+        balanced=balanced,
+        balanced_low=lower,
+        balanced_high=upper,
+        worst=rates[worst_of(rates)] or 0.0,
+        worst_class=worst_of(rates),
         throughput=float(np.mean([test["throughput"] for test in tests])),
         seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
-        accuracies=tuple(float(value) for value in accuracy),
+        accuracies=tuple(float(test["accuracy"]) for test in tests),
         keys=tuple(record["design"] for record, _ in members),
         best=True,
     )
+
+
+def _over_trials(
+    tests: Sequence[Mapping[str, Any]], measure: str, low: str, high: str
+) -> tuple[float, float, float]:
+    """Mean of a measure, and its interval: over trials, of a single one over its test images."""
+    values = [float(test[measure]) for test in tests]
+    ends = (tests[0][low], tests[0][high]) if len(tests) == 1 else of_trials(values).interval()
+    return float(np.mean(values)), max(ends[0], 0.0), min(ends[1], 1.0)
+
+
+def _mean_rates(tests: Sequence[Mapping[str, Any]]) -> list[float | None]:
+    """Accuracy of each class, in the mean over trials; None where the test has no scene of it."""
+    each = zip(*(test["rates"] for test in tests), strict=True)
+    return [None if None in rates else float(np.mean(rates)) for rates in each]

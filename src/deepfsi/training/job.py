@@ -85,6 +85,9 @@ class TrainingSettings(BaseModel):
     decay: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
     )
+    balance: bool = Field(
+        False, description="weigh scenes so that every class counts alike in the loss"
+    )
     start: Start = Field("pca", description="design that learned masks start from")
     precision: Precision = "auto"
     levels: Levels = Field(

@@ -77,6 +77,7 @@ def learn(
     dropout: float = 0.0,
     scale: Scale | None = None,
     decay: float = 0.0,
+    balance: bool = False,
     start: str | None = None,
     precision: Precision = "auto",
     classifier: Given = MLP,
@@ -125,6 +126,8 @@ def learn(
         Widths of the classifier's hidden layers.
     dropout, decay : float
         Of the classifier: probability, and decoupled weight decay.
+    balance : bool
+        Weigh training scenes so that every class counts alike, however few scenes it has.
     scale : {"each", "common"}, optional
         Whether each feature has a standard deviation of its own; common, or what was tuned for the
         design unless given.

@@ -82,6 +82,7 @@ def optimise(
     batch = batch_of(settings, len(labels))
     streams = seed_streams(jobs, noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, choose)
+    weights = training_set.class_weights if settings.balance else None
 
     def shuffle() -> None:
         for stream in streams:
@@ -89,7 +90,8 @@ def optimise(
 
     def loss(step: int) -> Tensor:
         logits = classify(features.at(step))
-        return _loss(logits, side_by_side([each.labels(step) for each in streams])) / batch
+        truth = side_by_side([each.labels(step) for each in streams])
+        return _loss(logits, truth, weights) / batch
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:
@@ -181,13 +183,18 @@ def _networks(
     return classifiers(job.masks + 2 * settings.conditioned), []
 
 
-def _loss(logits: Tensor, labels: Tensor) -> Tensor:
-    """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K looks."""
+def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
+    """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K looks.
+
+    Scenes have the weights (C,) of their classes, if there are any.
+    """
     looks = len(logits) // len(labels)
     if looks == 1:
-        return functional.cross_entropy(logits.flatten(0, 1), labels.flatten(), reduction="sum")
+        return functional.cross_entropy(
+            logits.flatten(0, 1), labels.flatten(), weights, reduction="sum"
+        )
     truth = labels.repeat(looks, 1).flatten()
-    each = functional.cross_entropy(logits.flatten(0, 1), truth, reduction="none")
+    each = functional.cross_entropy(logits.flatten(0, 1), truth, weights, reduction="none")
     *early, last = each.view(looks, -1).sum(dim=1)
     return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 

@@ -71,6 +71,13 @@ class TrainingSet:
             self._centred[key] = centred[:, pixels].to(kind)
         return self._centred[key]
 
+    @cached_property
+    def class_weights(self) -> Tensor:
+        """Weight (C,) of each class's scenes with which all classes count alike; 1 in the mean."""
+        sizes = torch.bincount(self.labels, minlength=len(self.data.classes)).float()
+        present = (sizes > 0).sum()
+        return len(self.labels) / (present * sizes.clamp(min=1))
+
     def prepare(self, name: str) -> None:
         """Compute what the trainings of a design share, so that processes need not each do it."""
         if name == "pca" and self.data.pixels <= codes.FULL_BASIS_PIXELS:

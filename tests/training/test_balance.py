@@ -1,0 +1,76 @@
+"""Balanced training: every class counts alike, however few scenes it has."""
+
+import numpy as np
+import pytest
+import torch
+from torch.nn import functional
+
+from conftest import PHOTONS, quick, same
+from deepfsi.datasets import from_arrays
+from deepfsi.design.evaluation import evaluate
+from deepfsi.training.training_set import TrainingSet
+
+LOOKS = {"looks": 2, "light": "free-dwell", "rails": "single", "noise": "poisson", "batch": 30}
+
+
+def unbalanced(counts=(300, 6, 5)):
+    """Classes of bright quarters under strong noise; the first has nearly all training scenes."""
+    rng = np.random.default_rng(1)
+
+    def scenes(sizes):
+        labels = np.repeat(np.arange(len(sizes)), sizes)
+        x = 0.6 * rng.random((len(labels), 4, 4))
+        for place, label in enumerate(labels):
+            row, column = divmod(int(label), 2)
+            x[place, 2 * row : 2 * row + 2, 2 * column : 2 * column + 2] += 0.25
+        return x, labels
+
+    x, y = scenes(counts)
+    return from_arrays(x, y, *scenes([60] * len(counts)), name="unbalanced")
+
+
+def test_all_classes_together_weigh_alike_and_scenes_one_in_the_mean():
+    data = unbalanced((40, 7, 3))
+    training = TrainingSet(data, "cpu")
+    weights = training.class_weights
+    each = torch.bincount(training.labels) * weights
+    assert each.tolist() == pytest.approx([len(training.labels) / 3] * 3)
+    assert weights[training.labels].mean() == pytest.approx(1)
+
+
+def test_the_weighted_loss_is_that_of_scenes_repeated():
+    """Scenes of two rare classes, shown two and four times: what weights 1, 2 and 4 are for."""
+    labels = torch.tensor([0] * 8 + [1] * 4 + [2] * 2)
+    logits = torch.randn(len(labels), 3, generator=torch.Generator().manual_seed(0))
+    often = torch.tensor([1, 2, 4])[labels]
+    repeated = functional.cross_entropy(
+        logits.repeat_interleave(often, dim=0), labels.repeat_interleave(often)
+    )
+    pixels = np.random.default_rng(0).random((len(labels), 2, 2))
+    data = from_arrays(pixels, labels.numpy(), pixels, labels.numpy())
+    weights = TrainingSet(data, "cpu").class_weights
+    weighted = functional.cross_entropy(logits, labels, weights, reduction="sum") / len(labels)
+    assert weighted.item() == pytest.approx(repeated.item(), rel=1e-6)
+
+
+@pytest.mark.parametrize("settings", [{}, {"precision": "bfloat16"}, LOOKS])
+def test_where_classes_are_of_one_size_nothing_changes(settings):
+    x, labels = np.random.default_rng(2).random((90, 4, 4)), np.arange(90) % 3
+    data = from_arrays(x, labels, x[:9], labels[:9])
+    assert same(quick(data, masks=3, **settings), quick(data, masks=3, balance=True, **settings))
+
+
+@pytest.mark.parametrize("settings", [{}, LOOKS], ids=["one look", "two looks"])
+def test_it_finds_the_rare_classes(settings):
+    """Without it nearly every scene is given the common class."""
+    data = unbalanced()
+    plain, balanced = (
+        evaluate(
+            quick(data, masks=4, epochs=30, balance=balance, **{"batch": 30, **settings}),
+            data,
+            PHOTONS,
+        )[0]
+        for balance in (False, True)
+    )
+    assert balanced.balanced > plain.balanced + 0.15
+    assert balanced.rates[balanced.worst] > plain.rates[plain.worst] + 0.15
