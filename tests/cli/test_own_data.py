@@ -2,6 +2,9 @@
 
 import json
 import re
+import shlex
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,3 +153,54 @@ def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
     assert told in page
     assert f"balanced&nbsp;{best['balanced']:.3f}" in page
     assert "by balanced accuracy" in page
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
+SMALL = {"32x32": "8x8", "dlp7000": "64x48", "[32, 32]": "[8, 8]", "[1e4, 1e5]": "[1e5]"}
+"""What the lines of the docs are made smaller by, besides fewer masks in the comparison."""
+
+
+def of_docs(page, begin, end="```"):
+    """Block of a page that begins so, with small sizes."""
+    block = begin + page.split(begin, 1)[1].split(end, 1)[0]
+    for large, small in SMALL.items():
+        block = block.replace(large, small)
+    return block
+
+
+@pytest.mark.slow
+def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path, monkeypatch):
+    """By the lines of docs/data.md, in order: 16 bits, unequal classes, a network of one's own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    save_pictures(tmp_path / "my-pictures", {"ash": 200, "oak": 24, "yew": 20}, side=16)
+    page = (DOCS / "data.md").read_text(encoding="utf-8")
+    network = PYTHON.findall((DOCS / "own-parts.md").read_text(encoding="utf-8"))[0]
+    (tmp_path / "mynets.py").write_text(network, encoding="utf-8")
+    recipe = of_docs(page, 'data = "my-pictures"').replace("[10, 20]", "[6]")
+    (tmp_path / "mine.toml").write_text(recipe, encoding="utf-8")
+    lines = of_docs(page, "deepfsi compare --recipe mine.toml").splitlines()
+    compare, design, *rest, classify = (shlex.split(line)[1:] for line in lines)
+
+    printed = done(*compare, "--epochs", 3, "--workers", 1)
+    assert "classifier mynets:Cnn" in printed
+    assert "by balanced accuracy" in printed
+    report = (tmp_path / "runs" / "mine" / "report.html").read_text(encoding="utf-8")
+    assert "mynets:Cnn" in report
+    assert "worst&nbsp;" in report
+
+    printed = done(*design, "--epochs", 20)
+    assert "divided by 4095 (12 bits)" in printed
+    assert "worst class" in printed
+    for line in rest:
+        done(*line)
+    assert "--trust" in refuse(*classify[:-1])
+    scenes = json.loads(done(*classify, "--json"))["scenes"]
+    assert len(scenes) == 9
+    assert {scene["label"] for scene in scenes} == {"ash", "oak", "yew"}
+    said = done(*classify)
+    sys.modules.pop("mynets")
+    right, exposures = map(int, re.search(r"right: (\d+) of (\d+) exposures", said).groups())
+    assert exposures >= 9
+    assert right >= 0.8 * exposures
