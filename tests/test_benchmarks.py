@@ -6,12 +6,13 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from conftest import generator
+from conftest import generator, quick
 from deepfsi.design.classifiers import Mlp
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.noise import attach_gradient
@@ -271,3 +272,30 @@ def test_growth_is_measured(capsys):
     printed = capsys.readouterr().out
     assert "| 100 | " in printed
     assert "\n| 2 | 4 | " in printed
+
+
+def test_the_faults_of_the_table_of_power_are_what_they_are_called(digits):
+    """Mean light stays where only frames or pictures are moved; one rail of light is as another."""
+    module = benchmark("consistency")
+    design = quick(digits, masks=8, light="equal-dwell")
+    known = module.faults(digits, design, design)
+    sound = known.pop(module.SOUND)
+    assert np.array_equal(known["another design's photons"], sound)
+    for moved in ("two frames swapped", "all frames one late"):
+        assert np.array_equal(np.sort(known[moved].reshape(len(sound), -1)), flat(sound))
+        assert not np.array_equal(known[moved], sound)
+    assert np.count_nonzero((known["two frames swapped"] != sound).any(axis=0)) == 2
+    stray = known["stray light in a quarter of the frames"] - sound
+    assert np.count_nonzero(stray.max(axis=0) > 0) == 4
+    assert known["half the light"].sum() == pytest.approx(sound.sum() / 2)
+    assert known["scenes uniform"].std(axis=0).max() < 1e-9
+    both = known["scenes inverted"] + sound
+    assert both.std(axis=0).max() < 1e-6
+    x = digits.x_test[:2].reshape(-1, 8, 8)
+    assert np.array_equal(module.shifted(x)[:, :, 4:], x[:, :, :4])
+    assert module.halved(x).sum() == pytest.approx(x.sum() / 4)
+    assert module.halved(x)[:, 2:6, 2:6].sum() == pytest.approx(x.sum() / 4)
+
+
+def flat(rates: np.ndarray) -> np.ndarray:
+    return np.sort(rates.reshape(len(rates), -1))

@@ -266,6 +266,8 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     assert design.info["data"]["hash"] == digits.hash
     again = Design.load(design.save(tmp_path / "mine.safetensors"), classifier=network)
     assert np.allclose(again.classify(counts, 1e5), mine, atol=1e-5)
+    assert not again.consistency(counts[:40], 1e5).refused
+    assert again.consistency(counts[:40].flip(1), 1e5).refused
 
 
 def test_a_loop_of_ones_own_is_checked(digits):

@@ -60,7 +60,7 @@ def design_of(
         Job(design="custom", masks=masks, photons=budget, **told), scenes, device, 0.0
     )
     del info["job"]["training"], info["seconds"]  # they are not known
-    return Design(
+    design = Design(
         name="custom",
         rails=constraints.check(rails, light),
         classifier=_copy(classifier, masks, len(scenes.classes)).to(device),
@@ -73,6 +73,8 @@ def design_of(
         classes=scenes.classes,
         info=info,
     )
+    train = torch.from_numpy(scenes.x_train).to(rails), torch.from_numpy(scenes.y_train)
+    return design.calibrated(*train)
 
 
 def _rails(scanner: Scanner, data: Dataset) -> Tensor:
