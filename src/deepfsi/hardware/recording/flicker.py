@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from deepfsi.hardware.recording.tails import EXCESS
 
@@ -89,7 +89,7 @@ def find_flicker(
     total, strongest, count, size = found
     many = count >= 3
     left = np.where(many, total - strongest, total)
-    chances = chi2.sf(left, np.maximum(2 * (count - many), 1)) * len(tried)
+    chances = chdtrc(np.maximum(2 * (count - many), 1), left) * len(tried)
     best = int(np.argmin(chances))
     if not (count[best] and chances[best] <= chance):
         return None

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.faults import Fault
@@ -299,7 +299,7 @@ def _find_rhythm(seen: Seen, manifest: Manifest, chance: float) -> tuple[Fault, 
     off = photons[:, 0] - both * share
     steps = off**2 / (EXCESS * spread + (HARMLESS * spread) ** 2)
     left = float(steps.sum() - steps.max())
-    if chi2.sf(left, len(steps) - 1) > chance:
+    if chdtrc(len(steps) - 1, left) > chance:
         return ()
     size = np.sqrt(max(float((off**2 - EXCESS * spread).mean()), 0.0) / float((spread**2).mean()))
     detail = (
