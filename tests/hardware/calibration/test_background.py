@@ -24,6 +24,7 @@ def patterns_of(frames, on, rails):
         dimmed=1,
         summed_reflectance=1,
         selection="ordered",
+        mirrors_sha256="0" * 64,
         format="npy",
         frames=tuple(
             Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=100, sha256=sha256)

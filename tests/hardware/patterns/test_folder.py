@@ -19,7 +19,12 @@ from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import (
+    check_patterns,
+    hash_mirrors,
+    read_frames,
+    read_patterns,
+)
 from deepfsi.hardware.patterns.mirrors import make_frames, unpack
 from deepfsi.hardware.patterns.sequence import DEVICES, Device, find_device
 from deepfsi.optics import constraints
@@ -251,6 +256,9 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     wrong = shown.on.copy()
     wrong[4, 7] += 1 if wrong[4, 7] < shown.manifest.grid.mirrors else -1
     np.save(path, wrong)
+    with pytest.raises(InputError, match=r"mirrors\.npy was changed"):
+        read_patterns(tmp_path / "p")
+    change(tmp_path / "p", mirrors_sha256=hash_mirrors(wrong), sha256=None)
     with pytest.raises(InputError, match=r"frame 6 of .*\(mask 2, plus\) does not show"):
         check_patterns(tmp_path / "p")
     wrong[4, 7] = shown.manifest.grid.mirrors + 1
@@ -267,6 +275,16 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     np.save(path, np.array([{}], dtype=object))
     with pytest.raises(InputError, match="uint32 numbers"):
         read_patterns(tmp_path / "p")
+
+
+@every_format
+def test_changed_frames_are_not_shown(tmp_path, form):
+    """Who shows or simulates frames compares each with its hash, as `dmd check` does."""
+    export(tmp_path / "p", format=form)
+    damage(tmp_path / "p", form, 3)
+    frames = read_frames(tmp_path / "p")
+    with pytest.raises(InputError, match=r"frame 3 of .* is not what was exported"):
+        list(frames)
 
 
 def test_another_design_beside_the_frames_is_found(tmp_path):

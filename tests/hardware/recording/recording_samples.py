@@ -60,6 +60,7 @@ def schedule(pictures: list[int], sentinel: int = 1000) -> Manifest:
         dimmed=1,
         summed_reflectance=1,
         selection="ordered",
+        mirrors_sha256="0" * 64,
         format="npy",
         frames=(*ends, *masks, *ends),
     )

@@ -4,6 +4,7 @@ import json
 from hashlib import sha256
 from pathlib import Path
 
+import numpy as np
 import pytest
 import recording_samples
 from hypothesis import given
@@ -78,6 +79,15 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path):
         prepare(tmp_path / "other", tmp_path / "none", named(1))
     assert not (tmp_path / "other").exists()
     assert list(tmp_path.iterdir()) == [run.folder]
+
+
+def test_changed_mirror_counts_are_refused(run):
+    """Rows in another order would give wrong pictures and classes without a word."""
+    path = run.folder / "patterns" / "mirrors.npy"
+    np.save(path, np.load(path)[::-1])
+    for read in (count, read_counts, reconstruct):
+        with pytest.raises(InputError, match=r"mirrors\.npy was changed after it was written"):
+            read(run.folder)
 
 
 FILES = (

@@ -105,6 +105,7 @@ def export_patterns(
             seed=settings.seed,
             format=settings.format,
             design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
+            mirrors_sha256=hash_mirrors(counted.on),
             frames=_list_frames(counted, pictures, settings.sentinel_us, hashes),
         )
         return _write(draft, sequence.Patterns(manifest, counted.on), design.file)
@@ -167,15 +168,38 @@ def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
             f"{counts} has cells with more than their {manifest.grid.mirrors} mirrors: export the "
             "patterns again"
         )
+    if hash_mirrors(on) != manifest.mirrors_sha256:
+        raise InputError(
+            f"{counts} was changed after it was written: export the patterns again, or copy it "
+            "from the patterns that were shown"
+        )
     return sequence.Patterns(manifest, on.astype(np.uint32, copy=False))
+
+
+def hash_mirrors(on: np.ndarray) -> str:
+    """Hash of mirror counts (f, N), as a manifest holds it."""
+    return sha256(np.ascontiguousarray(on, "<u4").data).hexdigest()
 
 
 def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
     """Packed frames of a folder in their order, one at a time: uint8 (rows, bytes of a row).
 
-    Raises `InputError` if a frame is missing or damaged so that it cannot be read.
+    Raises `InputError` naming the first frame that is missing or not what was exported.
     """
-    yield from frame_files.load_frames(Path(folder), read_patterns(folder).manifest)
+    folder = Path(folder)
+    yield from _load_frames(folder, read_patterns(folder).manifest)
+
+
+def _load_frames(folder: Path, manifest: sequence.Manifest) -> Iterator[np.ndarray]:
+    """Packed frames of a folder in their order, each compared with its hash."""
+    for place, packed in enumerate(frame_files.load_frames(folder, manifest)):
+        frame = manifest.frames[place]
+        if sha256(packed.data).hexdigest() != frame.sha256:
+            raise InputError(
+                f"frame {place} of {folder} ({frame}) is not what was exported: export the "
+                "patterns again"
+            )
+        yield packed
 
 
 def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> sequence.Patterns:
@@ -187,11 +211,9 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
     patterns = read_patterns(folder)
     manifest, grid = patterns.manifest, patterns.manifest.grid
     masks = iter(patterns.on)
-    for place, packed in enumerate(frame_files.load_frames(folder, manifest)):
+    for place, packed in enumerate(_load_frames(folder, manifest)):
         frame = manifest.frames[place]
         name = f"frame {place} of {folder} ({frame})"
-        if sha256(packed.data).hexdigest() != frame.sha256:
-            raise InputError(f"{name} is not what was exported: export the patterns again")
         wanted = next(masks) if frame.role == "mask" else grid.mirrors * (frame.role == "on")
         lit = mirrors.unpack(packed, manifest.device)
         on = mirrors.recount(lit, grid)

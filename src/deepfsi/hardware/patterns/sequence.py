@@ -345,6 +345,8 @@ class Manifest(BaseModel):
         By how much scenes differ from it, where that is known.
     seed : int
         Of the random selection.
+    mirrors_sha256 : str
+        Of the numbers in mirrors.npy.
     sha256 : str or None
         Of all else in the manifest's file, so that a change of it is found; taken as it is
         without.
@@ -366,6 +368,7 @@ class Manifest(BaseModel):
     seed: int = 0
     format: Format
     design_sha256: str | None = None
+    mirrors_sha256: str
     frames: tuple[Frame, ...] = Field(min_length=1, max_length=MOST_FRAMES)
     sha256: str | None = None
 
