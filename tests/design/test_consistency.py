@@ -9,7 +9,12 @@ import torch
 from conftest import quick
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
-from deepfsi.design.calibration import MOST_SCENES, find_distribution, sample_scenes
+from deepfsi.design.calibration import (
+    FEWEST_OF_A_CLASS,
+    MOST_SCENES,
+    find_distribution,
+    sample_scenes,
+)
 from deepfsi.design.consistency import REFUSED, UNSURE
 from deepfsi.errors import InputError
 from shared.design_files import refused, rewrite
@@ -34,7 +39,7 @@ def scenes_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def known():
     rates, labels = scenes_of(MOST_SCENES, seed=2)
-    return find_distribution(torch.from_numpy(rates), labels)
+    return find_distribution(torch.from_numpy(rates), labels, CLASSES)
 
 
 @pytest.mark.parametrize("dark", [0.0, 0.3, 3.0])
@@ -73,6 +78,46 @@ def test_sound_acquisitions_are_refused_as_seldom_as_stated(known, mixture):
     most = trials * REFUSED + 5 * np.sqrt(trials * REFUSED)
     assert alarms <= most
     assert alike <= most
+
+
+WIDTH = 24
+
+
+def shapes(kind: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Pictures (count, pixels) of a disc, a frame or a cross, at any place, as bright as may be."""
+    y, x = np.mgrid[:WIDTH, :WIDTH]
+    shown = []
+    for across, down in rng.normal(WIDTH / 2, 2, size=(count, 2)):
+        off, up = abs(x - across), abs(y - down)
+        far = np.maximum(off, up)
+        lit = [off**2 + up**2 < 36, (far >= 3) & (far < 6), np.minimum(off, up) < 2][kind]
+        shown.append(200 + lit * rng.uniform(2000, 3600) + rng.normal(0, 40, size=lit.shape))
+    return np.array(shown).reshape(count, -1) / 4095
+
+
+def shape_rates(kinds: list[int], counts: list[int], rng: np.random.Generator) -> np.ndarray:
+    """Shares of the budget (n, 2, 8) of shapes, by random masks and their complements."""
+    masks = np.random.default_rng(14).random((8, WIDTH**2))
+    x = np.concatenate([shapes(k, n, rng) for k, n in zip(kinds, counts, strict=True)])
+    return np.stack([x @ masks.T, x @ (1 - masks).T], axis=1) / masks.size
+
+
+@pytest.mark.parametrize("sizes", [[200, 15, 12], [200, 50, 50], [200, 80, 60]])
+def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
+    """New scenes of any classes; classes that are too few to tell are not tested."""
+    trials = alarms = 0
+    for seed in range(6):
+        rng = np.random.default_rng([15, seed])
+        rates, labels = shape_rates([0, 1, 2], sizes, rng), np.repeat(range(3), sizes)
+        found = find_distribution(torch.from_numpy(rates), labels, 3)
+        assert find_distribution(torch.from_numpy(rates), labels, 4) is None  # one has no scenes
+        assert (found is None) == (min(sizes) < FEWEST_OF_A_CLASS)
+        for kinds in ([0], [1], [2], [0, 1, 2]) if found else ():
+            fresh = shape_rates(kinds, [36 // len(kinds)] * len(kinds), rng)
+            for photons in (1e4, 1e6):
+                alarms += found.test(rng.poisson(fresh * photons), [photons] * 36, 0.0).refused
+                trials += 1
+    assert alarms <= trials * REFUSED + 5 * np.sqrt(trials * REFUSED)
 
 
 def split(digits: Dataset) -> Dataset:
@@ -164,6 +209,29 @@ def test_a_uniform_display_is_alike(design, data):
     assert design.consistency(counts, 1e6).alike < REFUSED
     sound = np.random.default_rng(9).poisson(rates_of(design, data.x_test[:40]) * 1e6)
     assert design.consistency(sound, 1e6).alike > REFUSED
+
+
+def test_scenes_that_differ_beyond_photon_noise_are_never_alike(design, data):
+    """Each is a little other than the mean scene: far less than the training's, more than noise."""
+    rng = np.random.default_rng(16)
+    mean = rates_of(design, data.x_train).mean(axis=0)
+    scenes = mean * (1 + 0.02 * rng.normal(size=(40, *mean.shape)))
+    assert design.consistency(rng.poisson(scenes * 1e6), 1e6).alike == 1
+    repeated = rng.poisson(np.repeat(mean[None], 40, axis=0) * 1e6)
+    assert design.consistency(repeated, 1e6).alike < REFUSED
+
+
+@pytest.mark.parametrize("photons", [1e2, 1e4, 1e7])
+def test_photon_noise_alone_is_seldom_taken_for_a_difference(design, data, photons):
+    """With a background and a budget of each exposure, within five sigma of one in 100."""
+    rng = np.random.default_rng(17)
+    mean, trials, differ = rates_of(design, data.x_train).mean(axis=0), 200, 0
+    for _ in range(trials):
+        budgets = photons * rng.uniform(0.7, 1.4, size=40)
+        dark = 0.2 * photons * mean.mean()
+        counts = rng.poisson(mean * budgets[:, None, None] + dark) - dark
+        differ += design.consistency(counts, budgets, dark).alike == 1
+    assert differ <= 0.01 * trials + 5 * np.sqrt(0.01 * trials)
 
 
 def test_one_scene_shown_often_counts_as_one(design, data):

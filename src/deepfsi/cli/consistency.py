@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from deepfsi.design.consistency import Consistency
     from deepfsi.hardware.recording.counts import Counts
 
-UNTESTED = "not tested for what the design was trained for: its file holds no readouts of training"
+UNTESTED = (
+    "not tested for what the design was trained for: its file holds no readouts of training, which "
+    "needs 50 scenes of each class"
+)
 """Remark on counts of a design without a distribution."""
 
 
@@ -91,7 +94,7 @@ def _remarks(found: "Consistency") -> Any:
     if unsure:
         yield (
             f"unsure: {unsure} of {found.unsure.size} scenes do not look like those of the "
-            f"training, as {UNSURE:.0%} of sound ones do not"
+            f"training, where about {UNSURE * 100:.0f} in 100 is expected"
         )
     if found.alike < REFUSED:
-        yield "the scenes are alike: nothing but photon noise differs between them"
+        yield "the scenes are alike: but for brightness, only photon noise differs between them"

@@ -265,7 +265,8 @@ class Design:
         rows = sample_scenes(len(scenes), len(self.rails) * self.masks)
         with torch.no_grad():
             rates = self.rates(self.scanner(), scenes[rows])
-        return replace(self, distribution=find_distribution(rates, labels[rows].cpu().numpy()))
+        found = find_distribution(rates, labels[rows].cpu().numpy(), len(self.classes))
+        return replace(self, distribution=found)
 
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
         """Consistency of exposures with the training, each of another scene.
@@ -283,12 +284,14 @@ class Design:
         ------
         InputError
             As for `classify`, or if the design has no `distribution`: one of patches, of several
-            looks or of less than 100 training scenes, and one that was not learned here.
+            looks, of less than 100 training scenes or 50 of a class, and one that was not learned
+            here.
         """
         if self.distribution is None:
             raise InputError(
                 "this design holds no distribution of its training scenes' readouts, so that "
-                "counts cannot be tested: learn a design of fixed dwells from 100 scenes or more"
+                "counts cannot be tested: learn a design of fixed dwells from 100 scenes or more, "
+                "50 of each class"
             )
         wanted = (2, self.masks) if len(self.rails) == 2 else (self.masks,)
         read, budget, _ = check_readouts(counts, photons, None, wanted)

@@ -12,6 +12,9 @@ from deepfsi.design.readout_model import SMALLEST, ReadoutModel
 FEWEST_SCENES = 100
 """Scenes from which on a tail is calibrated."""
 
+FEWEST_OF_A_CLASS = 50
+"""Scenes of each class from which on a tail is calibrated: `IN_TAIL` of them are a fifth."""
+
 MOST_SCENES = 4096
 """Training scenes that are looked at, at most."""
 
@@ -45,21 +48,26 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
 
 
 def find_distribution(
-    rates: Tensor, labels: Sequence[int] | np.ndarray, seed: int = 0
+    rates: Tensor, labels: Sequence[int] | np.ndarray, classes: int, seed: int = 0
 ) -> ReadoutDistribution | None:
     """Distribution of the readouts of training scenes, or None where there are too few scenes.
+
+    Too few of one class are too few: they do not tell how others of it look.
 
     Parameters
     ----------
     rates : tensor, shape (n, rails, m)
         Expected counts for a budget of one photon, as from `Design.rates`.
     labels : array of int, shape (n,)
+    classes : int
+        Of the design: its labels are 0 .. classes-1.
     seed : int
         Of the order of scenes and the noise of the calibration.
     """
     every = rates.double().cpu().numpy()
     lit = every.mean(axis=0) > 0
-    if len(every) < FEWEST_SCENES or not lit.any():
+    sizes = np.bincount(labels, minlength=classes)
+    if len(every) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
         return None
     held = every[:, lit]
     tails, pairs = _calibrate(held, np.asarray(labels), np.random.default_rng([seed, 12]))
@@ -89,10 +97,7 @@ def _calibrate(
     """
     folds = np.array_split(rng.permutation(len(rates)), FOLDS)
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
-    large = [each for each in members if len(each) >= FEWEST_SCENES]
-    couples = [
-        each[: len(each) // 2 * 2].reshape(2, -1) for each in large or [np.arange(len(rates))]
-    ]
+    couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
     values = np.empty((2, len(COUNTS), len(rates)))
     whole = ReadoutModel.fit(rates)
     models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
@@ -108,7 +113,7 @@ def _calibrate(
             pairs[k, place] = _tail(np.log(likeness))
     logs = np.log(np.maximum(values, SMALLEST))
     every = _tail(logs)
-    worst = np.max([every, *(_tail(logs[..., each]) for each in large)], axis=0)
+    worst = np.max([every, *(_tail(logs[..., each]) for each in members)], axis=0)
     return np.stack([every, worst]), pairs.max(axis=0)
 
 

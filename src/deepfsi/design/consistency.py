@@ -8,8 +8,8 @@ of scenes that were left out of the covariance, at budgets from hardly a count t
 camera has. The calibration is of the class that fits worst, so that the rate of false alarms holds
 whatever classes are shown.
 
-Scenes that do not differ by more than photon noise, where two of one class would, are *alike*: then
-they count as one.
+Scenes whose patterns do not differ by more than photon noise, where those of two of one class
+would, are *alike*: then they count as one.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -33,6 +33,9 @@ COUNTS = tuple(10.0 ** np.arange(-2, 6))
 CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
 """p-values whose statistics are stored; smaller ones are not told apart."""
 
+OVER_DISPERSED = 3.1
+"""Standard deviations of photon noise beyond which scenes differ: one in 1000 that do not."""
+
 ROUNDING = 1e-5
 """Error of a logarithm in the file: what is equal is no further out."""
 
@@ -48,7 +51,8 @@ class Consistency:
     whole : float
         p-value of all of them together.
     alike : float
-        p-value of how little they differ from each other; 1 for one exposure.
+        p-value of how little they differ from each other; 1 for one exposure, and where their
+        patterns differ by more than photon noise.
     brightness : float
         All counts over those that the mean scene has at these budgets.
     """
@@ -192,6 +196,8 @@ class ReadoutDistribution:
         self, model: ReadoutModel, read: np.ndarray, budget: np.ndarray, dark: np.ndarray
     ) -> float:
         """p-value of the likeness of exposures, taken two by two; parameters as of `_chances`."""
+        if _dispersion(read, dark) > OVER_DISPERSED:
+            return 1.0
         expected = budget * model.total
         pairs = len(read) // 2
         one, other = slice(0, pairs), slice(pairs, 2 * pairs)
@@ -206,6 +212,21 @@ class ReadoutDistribution:
 def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
     """Mean counts (n,) of a readout that have as much noise without background."""
     return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
+
+
+def _dispersion(read: np.ndarray, dark: np.ndarray) -> float:
+    """Squared differences of exposures' patterns beyond photon noise, in standard deviations.
+
+    Parameters are those of `ReadoutModel.statistics`. The patterns are compared with their mean.
+    """
+    every = max(float(read.sum()), SMALLEST)
+    share, part = read.sum(axis=0) / every, read.sum(axis=1, keepdims=True) / every
+    mean = every * part * share
+    power = mean.clip(min=0) + dark
+    beyond = np.square(read - mean) - power * (1 - share) * (1 - part)
+    weight = np.maximum(power, 1)
+    error = np.sqrt(((2 * np.square(power) + power) / np.square(weight)).sum())
+    return float((beyond / weight).sum() / max(error, SMALLEST))
 
 
 def _fisher(chances: np.ndarray) -> float:
