@@ -184,3 +184,26 @@ def test_report_needs_no_torch(tmp_path):
     run_without_torch(
         "from deepfsi.report.comparison_page import build; build(sys.argv[1])", tmp_path
     )
+
+
+def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(tmp_path):
+    results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
+    data = results.data.model_copy(update={"commonest": 0.891})
+    equal = with_all(results, accuracy=0.891, low=0.8, high=0.95, one_class=True)
+    equal = equal.model_copy(update={"data": data})
+    text = summary(equal, "poisson")
+    for told in (
+        "truncated Hadamard, PCA (FSI) and DeepFSI are equal and the most accurate designs",
+        "chance is 0.891, the share of the commonest class",
+        "and so do PCA (FSI) and DeepFSI",
+        "PCA (FSI) at 100 photons answers one class only",
+    ):
+        assert told in text
+    assert "followed by" not in text
+    write_results(tmp_path / "results.json", equal)
+    page = page_of(tmp_path)
+    assert page.count('class="first"') == 6
+    assert page.count("answers one class only</small>") == 6
+    heights = {line.get_ydata()[0] for line in accuracy_figure(equal).axes[0].lines}
+    assert 0.891 in heights
+    assert 0.1 not in heights

@@ -12,6 +12,7 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss"):
     result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
     result |= {"levels": 0, "balanced": 0.4, "balanced_low": 0.2, "balanced_high": 0.6}
     result["rates"] = [0.4] * 10
+    result["confusion"] = np.ones((10, 10)).tolist()
     job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
     job["noise"] = noise
     return {
@@ -101,3 +102,17 @@ def test_a_balanced_training_is_chosen_by_balanced_accuracy(digits, balance):
     training = {"epochs": 2, "balance": balance}
     best = [p.masks for p in summary(digits, records, training=training) if p.best]
     assert best == [6 if balance else 3]
+
+
+@pytest.mark.parametrize(("columns", "one"), [([3], True), ([3, 4], False)])
+def test_a_design_that_answers_one_class_only_is_known_and_chance_is_that_class(
+    digits, columns, one
+):
+    made = record(1e3, 3, 0, 0.8, 0.5)
+    confusion = np.zeros((10, 10))
+    confusion[:, columns] = 1
+    made["test"][0]["confusion"] = confusion.tolist()
+    results = summarise(small(), digits, [made], command="deepfsi", seconds=1.0)
+    assert [point.one_class for point in results.points] == [one]
+    shares = [np.mean(digits.y_test == k) for k in range(10)]
+    assert results.data.commonest == pytest.approx(max(shares))

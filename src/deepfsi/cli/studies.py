@@ -349,6 +349,10 @@ def _print_points(results: "Results") -> None:
         ],
     )
     common.print_designs(p.design for p in best)
+    for p in best:
+        if p.one_class:
+            print(f"{p.label} at {common.budget(p.photons)} photons answers one class only")
+    print(f"chance: {results.data.commonest:.3f}, the share of the commonest class of the test")
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("balanced: mean of the classes' accuracies, each class counting alike")
     print("counted: share of the budget that reaches a detector")

@@ -127,7 +127,7 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
         points = [p for p in results.points if p.noise == noise and p.best]
-        chance = 1 / len(results.data.classes)
+        chance = results.data.commonest
         accuracy_axes(ax, points, series_axes(results), attrgetter("photons"), chance, top=top)
         ax.set_xlabel("photon budget Φ")
         budgets = sorted({p.photons for p in points})
@@ -160,7 +160,7 @@ def count_figure(results: Results) -> Figure:
     for ax, (noise, photons) in zip(axes, panels, strict=False):
         points = [p for p in results.points if (p.noise, p.photons) == (noise, photons)]
         apart = tuple(axis for axis in series_axes(results) if axis != "masks")
-        chance = 1 / len(results.data.classes)
+        chance = results.data.commonest
         accuracy_axes(ax, points, apart, attrgetter("masks"), chance, filled=attrgetter("best"))
         ax.set_xlabel("number of masks m")
         ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))

@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -49,7 +50,7 @@ class Best:
     heading: str
     budgets: list[float]
     rows: list[tuple[str, Point, list[Point | None]]]
-    leaders: dict[float, Point]
+    leaders: dict[float, list[Point]]
 
 
 def build(folder: str | os.PathLike[str]) -> Path:
@@ -139,6 +140,12 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
     return sorted(single or optics.values(), key=lambda p: -p.accuracy)
 
 
+def leading(points: list[Point], photons: float) -> list[Point]:
+    """All of a ranking that are as accurate as the first."""
+    ranked = ranking(points, photons)
+    return [p for p in ranked if math.isclose(p.accuracy, ranked[0].accuracy)]
+
+
 def summary(results: Results, noise: str) -> str:
     """Say what the numbers say under a noise: who leads where, and how clearly at both ends."""
     points = chosen(results, noise)
@@ -149,37 +156,55 @@ def summary(results: Results, noise: str) -> str:
     def name(point: Point) -> str:
         return names[tuple(str(getattr(point, axis)) for axis in axes)]
 
-    def reach(point: Point) -> str:
-        low, high = share_text(point.low), share_text(point.high)
-        return f"{share_text(point.accuracy)} ({low}–{high})"
-
-    wins: dict[str, list[str]] = {}
-    for photons in budgets:
-        wins.setdefault(name(ranking(points, photons)[0]), []).append(photons_text(photons))
-    (first_name, first_wins), *rest = wins.items()
     text = f"Under {noise_text(noise)}, "
     if len(names) > 1:
-        text += (
-            f"{first_name} is the most accurate design with one detector at {listed(first_wins)} "
-            f"photons{''.join(f', {who} at {listed(where)}' for who, where in rest)}; "
-        )
-    text += f"chance is {share_text(1 / len(results.data.classes))}."
+        text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets})
+    text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
     for photons in dict.fromkeys([budgets[0], budgets[-1]]):
         first, *others = ranking(points, photons)
         masks = f"{first.masks} mask{'s' if first.masks > 1 else ''}"
         text += f" At {photons_text(photons)} photons {name(first)} with {masks} "
-        text += f"reaches {reach(first)}"
-        if others:
+        text += f"reaches {_reach(first)}"
+        equal = leading(points, photons)[1:]
+        if equal:
+            text += f", and so {'do' if len(equal) > 1 else 'does'} {listed([*map(name, equal)])}"
+        elif others:
             clear = first.low > others[0].high
             text += (
-                f", followed by {name(others[0])} with {reach(others[0])}; their 95 % intervals "
+                f", followed by {name(others[0])} with {_reach(others[0])}; their 95 % intervals "
             )
             text += "do not overlap" if clear else "overlap"
         text += "."
         ideal = [p for p in points if p.photons == photons and p.design == "impulse"]
         if ideal and first is not ideal[0]:
-            text += f" Impulse imaging, with a detector for each pixel, reaches {reach(ideal[0])}."
+            text += f" Impulse imaging, with a detector for each pixel, reaches {_reach(ideal[0])}."
+    for point in sorted((p for p in points if p.one_class), key=lambda p: p.photons):
+        text += f" {name(point)} at {photons_text(point.photons)} photons answers one class only."
     return text
+
+
+def _reach(point: Point) -> str:
+    low, high = share_text(point.low), share_text(point.high)
+    return f"{share_text(point.accuracy)} ({low}–{high})"
+
+
+def _winners(names: dict[float, list[str]]) -> str:
+    """Beginning of a sentence: the most accurate designs by budget."""
+    wins: dict[tuple[str, ...], list[str]] = {}
+    for photons, best in names.items():
+        wins.setdefault(tuple(best), []).append(photons_text(photons))
+    (first, first_wins), *rest = wins.items()
+    verb = (
+        "are equal and the most accurate designs"
+        if len(first) > 1
+        else "is the most accurate design"
+    )
+    then = [
+        f", {listed([*who])}{' equally' if len(who) > 1 else ''} at {listed(where)}"
+        for who, where in rest
+    ]
+    where = f"at {listed(first_wins)} photons{''.join(then)}"
+    return f"{listed([*first])} {verb} with one detector {where}; "
 
 
 def listed(words: list[str]) -> str:
@@ -225,7 +250,7 @@ def best_table(results: Results, noise: str) -> Best:
     for key, members in accuracy.series(points, axes).items():
         at = {p.photons: p for p in members}
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
-    leaders = {photons: ranking(points, photons)[0] for photons in budgets}
+    leaders = {photons: leading(points, photons) for photons in budgets}
     return Best(noise_text(noise).capitalize(), budgets, rows, leaders)
 
 

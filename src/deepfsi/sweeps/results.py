@@ -80,6 +80,8 @@ class Point(Frozen):
         Design file of each trial.
     best : bool
         Whether its mask count was chosen on validation data, or nothing was chosen.
+    one_class : bool
+        Whether each trial gives one class as the answer to every test scene.
     """
 
     recipe: str = ""
@@ -116,10 +118,17 @@ class Point(Frozen):
     accuracies: tuple[float, ...]
     keys: tuple[str, ...]
     best: bool
+    one_class: bool = False
 
 
 class Data(Frozen):
-    """Data set of a comparison and the sizes of its parts."""
+    """Data set of a comparison and the sizes of its parts.
+
+    Attributes
+    ----------
+    commonest : float
+        Share of the test scenes that are of their commonest class: the accuracy of guessing it.
+    """
 
     name: str
     hash: str
@@ -128,6 +137,7 @@ class Data(Frozen):
     train: int
     validation: int
     test: int
+    commonest: float
     preprocessing: str
     mean_reflectance: float
 

@@ -101,6 +101,7 @@ def facts_of(data: Dataset, held_out: int) -> Data:
         train=train,
         validation=held_out,
         test=len(data.x_test),
+        commonest=float(np.bincount(data.y_test).max() / len(data.y_test)),
         preprocessing=data.preprocessing,
         mean_reflectance=float(data.x_train[:train].mean(dtype=np.float64)),
     )
@@ -167,6 +168,7 @@ def point(
         accuracies=tuple(float(test["accuracy"]) for test in tests),
         keys=tuple(record["design"] for record, _ in members),
         best=True,
+        one_class=all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),
     )
 
 
