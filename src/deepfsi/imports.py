@@ -35,7 +35,7 @@ def named(path: str) -> Any:
         sys.path.append(here)  # as for `python -m`; the command's own folder is there instead
     try:
         found = importlib.import_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(
             f"{path} cannot be imported, {type(error).__name__}: {error}; give module:name of an "
             "installed package or of a file in the current folder"

@@ -165,6 +165,22 @@ def test_sound_counts_are_classified_with_their_consistency(done, lab, run):
         assert scene["unsure"] == (scene["consistency"] < 0.01)
 
 
+def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):
+    words = ["camera", "classify", lab / "design.safetensors", run]
+    path = run / "acquisition.json"
+    content = json.loads(path.read_text())
+    content["scenes"][0]["label"] = "cat"
+    path.write_text(json.dumps(content))
+    done("camera", "count", run)
+    scenes = json.loads(done(*words, "--json"))["scenes"]
+    assert scenes[0]["label"] == "cat"
+    known = [(g, s["label"]) for s in scenes[1:] for g in s["guesses"]]
+    said = done(*words)
+    right = sum(guess == label for guess, label in known)
+    assert f"right: {right} of {len(known)} exposures\n" in said
+    assert f"{scenes[0]['exposures']} exposures have labels that are none of" in said
+
+
 def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
     """The file is the one that was shown, as far as the manifest knows."""
     bare = replace(Design.load(lab / "design.safetensors"), distribution=None)

@@ -106,6 +106,30 @@ def test_counts_may_have_any_leading_axes(cnn):
     assert np.allclose(cnn.classify(counts[0, 0], PHOTONS), cnn.classify(counts, PHOTONS)[0, 0])
 
 
+def leaving(inputs, classes):
+    raise SystemExit(7)
+
+
+class Small(nn.Linear):
+    """Fails at more rows than it is tried on, with its error."""
+
+    error: type[BaseException] = ValueError
+
+    def forward(self, rows):
+        if len(rows) > 3:
+            raise self.error("too many\nrows")
+        return super().forward(rows)
+
+
+@pytest.mark.parametrize("error", [ValueError, AssertionError, SystemExit])
+def test_a_classifier_that_fails_at_work_is_named_in_one_line(digits, error):
+    given = Small(6, 10)
+    given.error = error
+    with pytest.raises(InputError, match=r"classifier Small fails at .* too many rows") as told:
+        learned(digits, given)
+    assert isinstance(told.value.__cause__, error)
+
+
 @pytest.mark.parametrize(
     ("given", "match"),
     [
@@ -116,7 +140,8 @@ def test_counts_may_have_any_leading_axes(cnn):
         (lambda: nn.Linear(6, 10), "positional argument"),
         ("shared.networks:Rnn", "has no Rnn"),
         ("no_such_module:Cnn", "No module named"),
-        ("Cnn", "classifier = 'Cnn'"),
+        ("Cnn", "classifier = 'Cnn': give mlp, or module:factory"),
+        (leaving, "cannot be used: 7"),
         ("own", "cannot be imported"),
         (functools.partial(Cnn, 3), "give them as keywords"),
         (nn.Sequential(nn.Linear(6, 10)).requires_grad_(False), "no parameter that learns"),

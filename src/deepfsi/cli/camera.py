@@ -218,7 +218,7 @@ def camera_classify(
     if as_json:
         common.print_json("camera.classify", {"consistency": tested.summary, "scenes": scenes})
         return
-    _print_classes(f"{made.name}, {made.masks} masks", scenes, counts)
+    _print_classes(f"{made.name}, {made.masks} masks", scenes, counts, made.classes)
     for remark in tested.remarks:
         print(remark)
 
@@ -234,7 +234,9 @@ def _guessed(chances: "np.ndarray", classes: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
-def _print_classes(title: str, scenes: list[dict[str, Any]], counts: "Counts") -> None:
+def _print_classes(
+    title: str, scenes: list[dict[str, Any]], counts: "Counts", classes: tuple[str, ...]
+) -> None:
     rows = [
         (
             str(s["scene"]),
@@ -253,10 +255,13 @@ def _print_classes(title: str, scenes: list[dict[str, Any]], counts: "Counts") -
     common.print_table(title, heads, rows)
     for fault in counts.faults:
         print(_named(fault))
-    known = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
+    labelled = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
+    known = [(guess, label) for guess, label in labelled if label in classes]
     if known:
         right = sum(guess == label for guess, label in known)
         print(f"right: {right} of {len(known)} exposures")
+    if foreign := len(labelled) - len(known):
+        print(f"{foreign} exposures have labels that are none of the design's classes: left out")
 
 
 def _named(fault: "Fault") -> str:

@@ -89,6 +89,7 @@ def plan(
     accuracy = options.number("target", target)
     asked = options.recipe_settings(context.params, {"ratios": (0.01, 0.04, 0.16)})
     recipe, scenes = check_recipe(asked)
+    options.check_sigma(context, *recipe.noise)
     check_plan(recipe, scenes, accuracy)
     with common.progress("plan", quiet=as_json) as report:
         found, results = photons_needed(

@@ -50,6 +50,7 @@ def design(
     """
     paths.check_file(out, paths.DESIGNS)
     common.check_data(data, view)
+    options.check_sigma(context, noise, train_noise)
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.training.learning import learn
 
@@ -80,6 +81,7 @@ def design(
 
 
 def evaluate(
+    context: typer.Context,
     file: Annotated[
         Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
     ],
@@ -107,6 +109,7 @@ def evaluate(
     """
     paths.check_design(file)
     common.check_data(data, view)
+    options.check_sigma(context, noise)
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.memory import data_of
     from deepfsi.training.training_set import find_device

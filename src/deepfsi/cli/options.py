@@ -247,6 +247,16 @@ def budget_range(text: str) -> tuple[float, float]:
     return parts[0], parts[-1]
 
 
+def check_sigma(context: typer.Context, *noises: str | None) -> None:
+    """Raise `InputError` if read noise is given and none of these noises has any."""
+    source = context.get_parameter_source("sigma")
+    if source and source.name == "COMMANDLINE" and not {"gaussian", "camera"} & {*noises}:
+        named = " and ".join(dict.fromkeys(filter(None, noises)))
+        raise InputError(
+            f"--sigma is not of {named} noise: leave it out, or give --noise gaussian or camera"
+        )
+
+
 def job_settings(
     options: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
 ) -> dict[str, Any]:

@@ -73,6 +73,8 @@ def compare(
     elif data == "digits" and not (ratios or masks or trials):
         base = QUICK
     chosen = check_recipe(options.recipe_settings(asked, base), own)
+    asked_noises = (*chosen[0].noise, *chosen[0].train_noise, *chosen[0].test_noise)
+    options.check_sigma(context, *asked_noises)
     results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
     _finish("compare", results, out, as_json)
 

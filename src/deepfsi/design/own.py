@@ -86,9 +86,17 @@ class OwnClassifier(nn.Module):
                 "whose code was not run: load it with `trust` if you trust its file, or give the "
                 "code to Design.load"
             )
-        if features.ndim == 2:
-            return self.module(features)
-        logits = self.module(features.reshape(-1, features.shape[-1]))
+        rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
+        try:
+            logits = self.module(rows)
+        except (Exception, SystemExit) as error:
+            if torch.compiler.is_exporting() or isinstance(error, torch.OutOfMemoryError):
+                raise  # who exports, or trains side by side, knows what to do
+            told = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"the classifier {self.title} fails at features of shape {tuple(rows.shape)}: "
+                f"{told}; mend it, so that it takes any number of rows"
+            ) from error
         return logits.reshape(*features.shape[:-1], logits.shape[-1])
 
 
@@ -145,7 +153,7 @@ def make(
             _try(module, inputs, classes)
         except InputError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             told = " ".join(str(error).split())
             raise InputError(
                 f"the classifier cannot be used: {told or type(error).__name__}; give a module "

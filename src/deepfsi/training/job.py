@@ -1,5 +1,6 @@
 """Jobs: one design with its light, noise and settings, checked before any work."""
 
+import re
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -62,6 +63,12 @@ MLP = "mlp"
 """Name of the paper's classifier in settings."""
 
 
+def _classifier(name: str) -> str:
+    if name not in (MLP, UNNAMED) and not re.fullmatch(PATTERN, name):
+        raise ValueError(f"give {MLP}, or module:factory of your own")
+    return name
+
+
 class TrainingSettings(BaseModel):
     """Settings of a training; all designs that train together share them."""
 
@@ -73,9 +80,8 @@ class TrainingSettings(BaseModel):
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
     hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
     dropout: float = Field(0.0, ge=0, lt=1)
-    classifier: str = Field(
+    classifier: Annotated[str, AfterValidator(_classifier)] = Field(
         MLP,
-        pattern=f"^({MLP}|{UNNAMED}|{PATTERN})$",
         description="mlp, or module:factory of your own; own: given as an object",
     )
     classifier_arguments: dict[str, Any] = Field(

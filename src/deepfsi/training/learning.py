@@ -48,6 +48,13 @@ OWN_DEFAULT = ("lr", "scale", "start")
 """Settings that are the design's own unless given, see `training_for`."""
 
 
+REMEDY = (
+    "lower lr and mask_lr, in a recipe or in Python (for `deepfsi design`: try another --seed or "
+    "more --photons)"
+)
+"""What to do where a training diverged."""
+
+
 class Diverged(InputError):
     """Training ended in numbers that are not finite."""
 
@@ -230,7 +237,7 @@ def train(
     networks = [*classifiers, *(each.network for each in schedules)]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
-        raise Diverged(f"training of {first.design} diverged: lower lr and mask_lr")
+        raise Diverged(f"training of {first.design} diverged: {REMEDY}")
     designs = _designs(training_set, jobs, masks, noise, classifiers, schedules)
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
