@@ -77,6 +77,12 @@ def test_pictures_are_a_list_of_scenes_too(done, lab):
     assert [scene["label"] for scene in content["scenes"]] == [str(k) for k in range(10)]
 
 
+def test_a_list_that_is_not_there_is_no_missing_picture(refuse, lab):
+    words = ["--scenes", lab / "nosuch.csv", "-o", lab / "other"]
+    said = refuse("camera", "prepare", lab / "patterns", *words)
+    assert "nosuch.csv: give a list of scenes" in said
+
+
 def record(run) -> Run:
     """Photons on input 3, markers with bit 4: marker input 2."""
     patterns = read_patterns(run / "patterns")

@@ -1,6 +1,7 @@
 """The camera on the command line: what it prints, and one clear line for bad input."""
 
 import json
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -358,3 +359,53 @@ def test_a_run_of_other_pictures_does_not_calibrate(done, refuse, run, tmp_path)
     done("camera", "spots", "-o", tmp_path / "spots")
     words = ["--spots", tmp_path / "spots", "-o", tmp_path / "c"]
     assert "0/one.png" in refuse("camera", "calibrate", run, *words)
+
+
+def deep(folder, pictures, bright):
+    """Pictures (n, 8, 8) as 16-bit PNG files, half in each class; the brightest value is given."""
+    for place, picture in enumerate(np.rint(pictures.reshape(-1, 8, 8) * bright)):
+        path = folder / "ab"[2 * place // len(pictures)] / f"{place}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(picture.astype(np.uint16)).save(path)
+
+
+def test_scenes_have_the_white_of_the_design(done, digits, tmp_path):
+    """Dim pictures of 12 bits would pass for those of 10: four times as bright."""
+    deep(tmp_path / "train", digits.x_train[:40], 4095)
+    deep(tmp_path / "dim", digits.x_test[:4], 4095 / 5)
+    words = ["--noise", "poisson", "--photons", 1e4, "--masks", 4, "--light", "equal-dwell"]
+    design = tmp_path / "d.safetensors"
+    done("design", "--design", "pca", "--data", tmp_path / "train", *words, "-o", design)
+    done("dmd", "export", design, "--device", "64x48", "-o", tmp_path / "p")
+    words = ["--flux", 1e6, "--exposure", "2ms", "--camera", "ideal"]
+    said = done("camera", "simulate", tmp_path / "p", "--scene", tmp_path / "dim", *words,
+                "-o", tmp_path / "run")  # fmt: skip
+    assert "4 images of 8x8 pixels" in said
+    assert "divided by 4095 (12 bits)" in said
+
+
+@pytest.fixture
+def cut(run):
+    """The acquisition with a photon file that ends in the last scene."""
+    path = run / "photons.ptu"
+    path.write_bytes(path.read_bytes()[:-4000])
+    return run
+
+
+def test_counting_says_that_the_file_is_cut(done, cut):
+    said = done("camera", "count", cut)
+    assert re.search(r"photons\.ptu: 1000 of \d+ records are missing: the file is cut", said)
+    problems = json.loads(done("camera", "count", cut, "--json"))["problems"]
+    assert "1000 of" in problems[0]
+
+
+def test_faults_name_their_scene(done, lab, cut):
+    assert "marker lost scene 2, 7/one.png: " in done("camera", "count", cut)
+    faults = json.loads(done("camera", "count", cut, "--json"))["faults"]
+    assert {fault["name"] for fault in faults} == {"7/one.png"}
+    said = done("camera", "classify", lab / "design.safetensors", cut)
+    assert "marker lost scene 2, 7/one.png: " in said
+
+
+def test_clocks_that_agree_are_as_planned(done, run):
+    assert "clocks: frames last as planned" in done("camera", "count", run)

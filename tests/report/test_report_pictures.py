@@ -29,3 +29,10 @@ def test_pictures_share_a_scale(shape):
 def test_pictures_that_are_all_lost_are_drawn():
     figure = pictures_figure(np.full((2, 4, 4), np.nan), ["a", "b"])
     figure.draw_without_rendering()
+
+
+def test_captions_keep_the_ends_of_long_names():
+    names = ["disc/a-long-name-of-a-series-000014.png", "disc/a-long-name-of-a-series-000015.png"]
+    figure = pictures_figure(np.ones((2, 4, 4)), names)
+    captions = [ax.get_title(loc="left") for ax in figure.axes[:2]]
+    assert captions == ["…ries-000014.png", "…ries-000015.png"]

@@ -77,7 +77,10 @@ def _scenes(source: Path) -> "tuple[Scene, ...]":
     from deepfsi.hardware.recording.acquisition import Scene
     from deepfsi.hardware.recording.scene_list import read_scenes
 
-    if source.is_file() and source.suffix.lower() in ("", ".txt", ".csv"):
+    suffix = source.suffix.lower()
+    if suffix in (".txt", ".csv"):
+        paths.check_there(source, "a list of scenes, or their pictures")
+    if source.is_file() and suffix in ("", ".txt", ".csv"):
         return read_scenes(source)
     shown = read_display(source)
     labels = shown.labels or [None] * len(shown.names)

@@ -11,13 +11,19 @@ from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
+    from deepfsi.datasets.display import Display
     from deepfsi.hardware.patterns.sequence import Patterns
     from deepfsi.hardware.ptu.reader import Contents
     from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.recording.faults import Fault
     from deepfsi.hardware.virtual.camera import Camera
+
+NO_DRIFT = 1e-7
+"""Drift of clocks that is printed as none, as a share."""
 
 SMALL_DRIFT = 1e-3
 """Drift of clocks that is printed in ppm, as a share."""
@@ -63,7 +69,6 @@ def camera_simulate(
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
     paths.check_new_folder(out)
-    from deepfsi.datasets import read_display
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
 
@@ -75,20 +80,42 @@ def camera_simulate(
         repeats,
         seed,
     )
-    images = read_display(scene)
+    shown = read_patterns(patterns)
+    images = _shown(scene, patterns, shown.manifest.design_sha256 is not None)
     if not yes:
-        _ask_for_room(expected_events(read_patterns(patterns), images.x, recording.camera, flux))
+        _ask_for_room(expected_events(shown, images.x, recording.camera, flux))
     with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
         common.print_json(
-            "camera.simulate", {"folder": str(out), "acquisition": made.model_dump(mode="json")}
+            "camera.simulate",
+            {
+                "folder": str(out),
+                "preprocessing": images.preprocessing,
+                "acquisition": made.model_dump(mode="json"),
+            },
         )
         return
     print(
+        f"scenes: {scene}. {images.preprocessing}\n"
         f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:g} s each\n"
         f"recorded: {out}"
     )
+
+
+def _shown(scene: Path, patterns: Path, has_design: bool) -> "Display":
+    """Pictures of scenes, with the white of the design where their type has none."""
+    from deepfsi.datasets import read_display
+
+    images = read_display(scene)
+    if not (images.levels.chosen and has_design):
+        return images
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.memory import memory_of
+
+    memory = memory_of(Design.load(patterns / "design.safetensors"))
+    white = memory.origin.white if memory and memory.origin else None
+    return images if white is None else read_display(scene, white)
 
 
 @camera.command("count")
@@ -129,6 +156,11 @@ def camera_count(
 
 
 def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
+    from deepfsi.hardware.ptu.header import read_header
+    from deepfsi.hardware.recording.acquisition import read_acquisition
+
+    names = [scene.name for scene in read_acquisition(folder)[0].scenes]
+    problems = read_header(folder / "photons.ptu").problems
     summary: dict[str, Any] = {
         "scenes": len(counts.counts),
         "exposures": int(counts.valid.size),
@@ -139,28 +171,36 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         "dark_rate": counts.dark_rate.tolist(),
         "drift": counts.drift,
         "inputs": [each + 1 for each in counts.inputs],
+        "problems": list(problems),
     }
     if as_json:
-        faults = [fault.model_dump() for fault in counts.faults]
+        faults = [
+            fault.model_dump() | {"name": None if fault.scene is None else names[fault.scene]}
+            for fault in counts.faults
+        ]
         measured = {"counts": counts.counts.tolist(), "valid": counts.valid.tolist()}
         common.print_json("camera.count", {**summary, "faults": faults, **measured})
         return
+    for problem in problems:
+        print(f"photons.ptu: {problem}")
     for fault in counts.faults:
-        print(_named(fault))
+        print(_named(fault, names))
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
         f"{summary['photons_counted']} photons counted; budget by the all-ON frames "
         f"{_span(counts.photons)} photons an exposure, dark "
         f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
-        f"clocks: frames last {_share(counts.drift)} than planned\n"
+        f"clocks: frames last {_drifted(counts.drift)}\n"
         f"counts: {folder / 'counts.npz'}"
     )
 
 
-def _share(drift: float) -> str:
+def _drifted(drift: float) -> str:
+    if abs(drift) < NO_DRIFT:
+        return "as planned"
     size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < SMALL_DRIFT else f"{abs(drift):.2%}"
-    return f"{size} {'shorter' if drift < 0 else 'longer'}"
+    return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
 
 
 @camera.command("classify")
@@ -254,7 +294,7 @@ def _print_classes(
     heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "remarks")
     common.print_table(title, heads, rows)
     for fault in counts.faults:
-        print(_named(fault))
+        print(_named(fault, [str(s["scene"]) for s in scenes]))
     labelled = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
     known = [(guess, label) for guess, label in labelled if label in classes]
     if known:
@@ -264,8 +304,8 @@ def _print_classes(
         print(f"{foreign} exposures have labels that are none of the design's classes: left out")
 
 
-def _named(fault: "Fault") -> str:
-    return f"{'marker' if fault.of_markers else 'light'} {fault}"
+def _named(fault: "Fault", names: "Sequence[str]") -> str:
+    return f"{'marker' if fault.of_markers else 'light'} {fault.words(names)}"
 
 
 @camera.command("image")

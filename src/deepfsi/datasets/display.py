@@ -13,7 +13,7 @@ import numpy as np
 
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.pictures import Picture, is_image, list_folder, opener, read_all
-from deepfsi.datasets.values import reflectance
+from deepfsi.datasets.values import Levels, reflectance
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
 
@@ -29,11 +29,17 @@ class Display(NamedTuple):
         Class of each, if there is a folder for each class.
     x : array, shape (S, H, W), float32
         Reflectance in [0, 1].
+    levels : Levels
+        Range of the values, and their white.
+    preprocessing : str
+        What was done to the pictures, in words.
     """
 
     names: tuple[str, ...]
     labels: tuple[str, ...] | None
     x: Reflectance
+    levels: Levels
+    preprocessing: str
 
 
 def read_display(path: str | os.PathLike[str], white: float | None = None) -> Display:
@@ -56,7 +62,9 @@ def read_display(path: str | os.PathLike[str], white: float | None = None) -> Di
     folder = source.parent if source.is_file() else source
     names = tuple(Path(picture.where).relative_to(folder).as_posix() for picture in pictures)
     pixels, tally = read_all(pictures, None, False)
-    return Display(names, labels, reflectance(pixels, tally.levels(white)))
+    levels = tally.levels(white)
+    said = f"{tally.words}; {levels.words}"
+    return Display(names, labels, reflectance(pixels, levels), levels, said)
 
 
 def write_display(

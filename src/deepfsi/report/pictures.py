@@ -1,6 +1,5 @@
 """Least-squares pictures of an acquisition's scenes."""
 
-import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +12,9 @@ from deepfsi.report.style import GREYS, GRID, PAGE_WIDTH, SMALL, plain_bar, styl
 
 MOST_PICTURES = 48
 """Pictures that one figure holds."""
+
+MOST_LETTERS = 16
+"""Letters of a picture's caption."""
 
 
 @styled
@@ -53,7 +55,7 @@ def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
         )
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set(visible=True, color=GRID)
-        ax.set_title(textwrap.shorten(name, 14, placeholder="…"), fontsize=SMALL)
+        ax.set_title(_caption(name), fontsize=SMALL)
     for ax in list(axes.flat)[len(shown) :]:
         ax.remove()
     bar = figure.colorbar(
@@ -61,3 +63,8 @@ def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
     )
     plain_bar(bar)
     return figure
+
+
+def _caption(name: str) -> str:
+    """End of a scene's name, where the names of files differ."""
+    return name if len(name) <= MOST_LETTERS else f"…{name[1 - MOST_LETTERS :]}"

@@ -1,6 +1,6 @@
 """Faults of a recording: of its markers and its light, and how those of markers are named."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -56,8 +56,15 @@ class Fault(BaseModel):
     detail: str
 
     def __str__(self) -> str:
-        places = {"scene": self.scene, "frame": self.frame}
-        where = [f" {name} {place}" for name, place in places.items() if place is not None]
+        return self.words()
+
+    def words(self, names: Sequence[str] = ()) -> str:
+        """The fault in one line, with the name of its scene among those of all."""
+        where = []
+        if self.scene is not None:
+            where += [f" scene {self.scene}", *(f" {name}" for name in names[self.scene :][:1])]
+        if self.frame is not None:
+            where.append(f" frame {self.frame}")
         return f"{self.kind}{','.join(where)}: {self.detail}"
 
     @property
