@@ -2,6 +2,7 @@
 
     python tests/mutants/run.py            all, an hour or so on one core
     python tests/mutants/run.py --only rail --only noise
+    python tests/mutants/run.py --first 40
 
 A copy of the tree is changed, never the tree itself. A mutant is killed where its tests pass on the
 sound copy and fail on the changed one.
@@ -68,16 +69,18 @@ def first_failure(tree: Path, tests: list[str]) -> str | None:
 
 def run(
     only: Annotated[list[str] | None, typer.Option(help="words of what is wrong")] = None,
+    first: Annotated[int, typer.Option(min=1, help="number of the first mutant tried")] = 1,
 ) -> None:
     """Run the tests of each mutant and exit 1 if one survives."""
-    chosen = [m for m in read_mutants() if not only or any(word in m.wrong for word in only)]
+    listed = read_mutants()[first - 1 :]
+    chosen = [m for m in listed if not only or any(word in m.wrong for word in only)]
     survivors: list[Mutant] = []
     sound: dict[tuple[str, ...], str | None] = {}
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
         left_out = shutil.ignore_patterns(".*", "runs", "__pycache__")
         shutil.copytree(ROOT, tree, symlinks=True, ignore=left_out)
-        for number, mutant in enumerate(chosen, start=1):
+        for number, mutant in enumerate(chosen, start=first):
             tests = tuple(mutant.tests)
             if tests not in sound:
                 sound[tests] = first_failure(tree, mutant.tests)
