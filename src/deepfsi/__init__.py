@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from deepfsi.design.evaluation import Result as Result
     from deepfsi.design.evaluation import evaluate as evaluate
     from deepfsi.design.own import OwnClassifier as OwnClassifier
+    from deepfsi.design.posterior import IdealObserver as IdealObserver
+    from deepfsi.design.posterior import ideal_observer as ideal_observer
     from deepfsi.errors import InputError as InputError
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
     from deepfsi.optics.scanner import Scanner as Scanner
@@ -32,6 +34,7 @@ if "GOMP_SPINCOUNT" not in os.environ:
 _HOMES = {
     "Dataset": "datasets",
     "Design": "design.artifact",
+    "IdealObserver": "design.posterior",
     "InputError": "errors",
     "Mlp": "design.classifiers",
     "OwnClassifier": "design.own",
@@ -40,6 +43,7 @@ _HOMES = {
     "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",
+    "ideal_observer": "design.posterior",
     "learn": "training.learning",
     "load_dataset": "datasets",
     "photons_per_pixel": "optics.budget",
@@ -48,6 +52,7 @@ _HOMES = {
 __all__ = [
     "Dataset",
     "Design",
+    "IdealObserver",
     "InputError",
     "Mlp",
     "OwnClassifier",
@@ -56,6 +61,7 @@ __all__ = [
     "design_of",
     "evaluate",
     "from_arrays",
+    "ideal_observer",
     "learn",
     "load_dataset",
     "photons_per_pixel",

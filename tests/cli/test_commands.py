@@ -67,6 +67,18 @@ def test_design_evaluate_show(done, tmp_path):
         assert image.width > 200
 
 
+def test_the_ideal_observer_stands_beside_the_network(done, refuse, made, tmp_path):
+    file = made("pca", "column", "dual").save(tmp_path / "one.safetensors")
+    words = ["evaluate", file, "--photons", "1e4,1e2", "--draws", 1]
+    assert "ideal" not in done(*words)
+    assert json.loads(done(*words, "--json"))["ideal"] == []
+    found = json.loads(done(*words, "--ideal", "--json"))
+    by_network, by_rule = ([r["accuracy"] for r in found[name]] for name in ("results", "ideal"))
+    assert all(rule > network for rule, network in zip(by_rule, by_network, strict=True))
+    assert f" {by_rule[1]:.3f} ± " in done(*words, "--ideal")
+    assert "leave --ideal out" in refuse(*words, "--ideal", "--noise", "gaussian")
+
+
 def test_one_dmd_design(done, tmp_path):
     file = tmp_path / "one-dmd.safetensors"
     words = ["--light", "free-dwell", "--rails", "single", "--epochs", 2, "--masks", 6]

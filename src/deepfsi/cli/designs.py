@@ -95,6 +95,9 @@ def evaluate(
         int | None, typer.Option(help="show only so many masks of a nested design, the first ones")
     ] = None,
     draws: options.Draws = 3,
+    ideal: Annotated[
+        bool, typer.Option("--ideal", help="say what the ideal observer of the counts reaches")
+    ] = False,
     seed: options.NoiseSeed = 0,
     view: options.View = None,
     trust: options.Trust = False,
@@ -110,8 +113,11 @@ def evaluate(
     paths.check_design(file)
     common.check_data(data, view)
     options.check_sigma(context, noise)
+    if ideal and noise != "poisson":
+        raise InputError(f"the ideal observer is of photon noise, not {noise}: leave --ideal out")
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.memory import data_of
+    from deepfsi.design.posterior import ideal_observer
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
@@ -131,25 +137,20 @@ def evaluate(
             seed=seed,
             report=report,
         )
+    bounds: list[Result] = []
+    if ideal:
+        with common.progress("ideal observer", quiet=as_json) as report:
+            bounds = ideal_observer(made, scenes, budgets, draws=draws, seed=seed, report=report)
     if as_json:
-        tests = [{"classes": made.classes, **result.as_dict()} for result in results]
-        common.print_json("evaluate", {"design": str(file), "notes": notes, "results": tests})
+        tests, best = (
+            [{"classes": made.classes, **result.as_dict()} for result in every]
+            for every in (results, bounds)
+        )
+        said = {"design": str(file), "notes": notes, "results": tests, "ideal": best}
+        common.print_json("evaluate", said)
         return
     common.print_data(scenes, notes)
-    rows = [
-        (
-            common.budget(r.photons),
-            common.share(r.accuracy, r.low, r.high),
-            f"{r.balanced:.3f}",
-            _worst(r, made.classes),
-            f"{r.throughput:.3f}",
-            f"{r.photons * r.throughput / made.masks:.3g}",
-        )
-        for r in sorted(results, key=lambda r: r.photons)
-    ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counted", "counts a mask")
-    common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
-    print(f"± half of the 95 % interval: {results[0].covers}")
+    _print_results(made, noise, results, bounds)
 
 
 def stop(
@@ -199,6 +200,34 @@ def stop(
         return
     common.print_data(scenes, notes)
     _print_stopped(found, _size(made))
+
+
+def _print_results(
+    made: "Design", noise: str, results: "list[Result]", bounds: "list[Result]"
+) -> None:
+    rows = [
+        (
+            common.budget(r.photons),
+            common.share(r.accuracy, r.low, r.high),
+            f"{r.balanced:.3f}",
+            _worst(r, made.classes),
+            f"{r.throughput:.3f}",
+            f"{r.photons * r.throughput / made.masks:.3g}",
+        )
+        for r in sorted(results, key=lambda r: r.photons)
+    ]
+    heads = ("photons", "accuracy", "balanced", "worst class", "counted", "counts a mask")
+    common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
+    if bounds:
+        common.print_table(
+            "ideal observer of these counts, training scenes as prior",
+            ("photons", "accuracy"),
+            [
+                (common.budget(r.photons), common.share(r.accuracy, r.low, r.high))
+                for r in sorted(bounds, key=lambda r: r.photons)
+            ],
+        )
+    print(f"± half of the 95 % interval: {results[0].covers}")
 
 
 def _size(made: "Design") -> str:

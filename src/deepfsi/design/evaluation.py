@@ -1,19 +1,19 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.noise import OwnNoise
-from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
 
@@ -144,36 +144,56 @@ def evaluate(
     check_draws(draws, seed)
     scanner = design.scanner(noise, sigma, dark)
     design.exposure.check_noise(scanner.noise)
+
+    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Tensor:
+        *_, seen = design.expose(scanner, rates, generator, budget)
+        return design.logits_of(seen, budget).argmax(dim=-1)
+
+    generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
     with shown(report, f"{design.name}, {design.masks} masks") as bar:
-        confusions = _confusions(design, scenes, scanner, budgets, draws, seed, bar)
+        confusions = confusions_of(
+            scenes, lambda x: design.rates(scanner, x), guess, budgets, generators, draws, bar
+        )
     return [
-        _result(budget, scanner.noise, confusion, draws, design.shares.tolist())
+        result_of(budget, scanner.noise, confusion, draws, design.shares.tolist())
         for budget, confusion in zip(budgets, confusions, strict=True)
     ]
 
 
-def _confusions(
-    design: Design,
+def confusions_of(
     data: Dataset,
-    scanner: Scanner,
+    rates_of: Callable[[Tensor], Tensor],
+    guess: Callable[[Tensor, torch.Generator, float], Tensor],
     budgets: Sequence[float],
+    generators: Sequence[torch.Generator],
     draws: int,
-    seed: int,
     report: Report,
 ) -> np.ndarray:
-    """Confusion matrix (budgets, C, C) of each budget over all draws."""
-    generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
+    """Confusion matrices (budgets, C, C) of test scenes, over all noise draws.
+
+    Parameters
+    ----------
+    data : Dataset
+    rates_of : callable
+        From scenes (b, N) to expected counts (b, ...) for a budget of one photon.
+    guess : callable
+        From these, a generator and a budget to classes (b,), with noise drawn once.
+    budgets : sequence of float
+    generators : sequence of torch.Generator
+        One for each budget.
+    draws : int
+        Noise draws of each scene.
+    report : Report
+    """
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
-            scenes, truth = torch.from_numpy(data.x_test[rows]), data.y_test[rows]
-            rates = design.rates(scanner, scenes)
+            rates, truth = rates_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
                 for _ in range(draws):
-                    *_, seen = design.expose(scanner, rates, generator, budget)
-                    guess = design.logits_of(seen, budget).argmax(dim=-1)
-                    np.add.at(confusion, (truth, guess.cpu().numpy()), 1)
+                    found = guess(rates, generator, budget)
+                    np.add.at(confusion, (truth, found.cpu().numpy()), 1)
             report(done / len(chunks))
     return confusions
 
@@ -204,9 +224,22 @@ def check_draws(draws: int, seed: int) -> None:
         raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")
 
 
-def _result(
+def result_of(
     budget: float, noise: str, confusion: np.ndarray, draws: int, share: list[float]
 ) -> Result:
+    """`Result` of a test.
+
+    Parameters
+    ----------
+    budget : float
+    noise : str
+    confusion : array, shape (C, C)
+        From `confusions_of`.
+    draws : int
+        Noise draws of each scene.
+    share : list of float
+        Share of the budget that each mask counts.
+    """
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)

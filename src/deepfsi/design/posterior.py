@@ -1,0 +1,190 @@
+"""Ideal observer of counts: posterior of the class with the training scenes as prior.
+
+It takes the scene for one of the training scenes, each as likely as another. The log-likelihood of
+Poisson counts y under a scene k with rates r_k is Σ y ln r_k − r_k, up to a constant; scenes of a
+class add their likelihoods. No network is trained, so its accuracy tells whether a network or the
+masks that it reads are at fault.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.datasets import Dataset, Source, as_dataset
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import (
+    Result,
+    check_data,
+    check_draws,
+    confusions_of,
+    result_of,
+)
+from deepfsi.errors import InputError
+from deepfsi.memory import check_memory, free_memory
+from deepfsi.optics.budget import check_budget, summed_reflectance
+from deepfsi.optics.scanner import Scanner
+from deepfsi.progress import Report, shown
+
+AT_ONCE = 2**24
+"""Likelihoods that are held at a time: those of some hundred exposures under all scenes."""
+
+COPIES = 4
+"""Arrays as large as the rates of all training scenes that are held at a time."""
+
+
+class IdealObserver:
+    """Posterior of the class of Poisson counts, with given scenes as prior.
+
+    Where no scene can give the counts, as rates are 0, those scenes remain that have the fewest
+    impossible ones: the limit of a vanishing background.
+
+    Parameters
+    ----------
+    rates : tensor, shape (n, ...)
+        Expected counts of each readout of each scene, for a budget of one photon.
+    labels : tensor, shape (n,)
+        Classes of the scenes, 0 .. C-1.
+    classes : int
+        C.
+
+    Examples
+    --------
+    >>> rates, labels = torch.tensor([[0.9, 0.1], [0.1, 0.9]]), torch.tensor([0, 1])
+    >>> IdealObserver(rates, labels, 2).chances(torch.tensor([[2.0, 0.0]]), 10.0)
+    tensor([[0.9878, 0.0122]])
+    """
+
+    def __init__(self, rates: Tensor, labels: Tensor, classes: int) -> None:
+        self._sizes = torch.bincount(labels, minlength=classes).tolist()
+        rates = rates.flatten(1)[labels.argsort().to(rates.device)]
+        self._lit = rates.amax(dim=0) > 0
+        rates = rates[:, self._lit]
+        self._mean = rates.mean(dim=0)
+        # relative to the mean scene: differences of likelihoods alone need float32's digits
+        dark = rates == 0
+        self._logs = torch.where(dark, 1.0, rates).div_(self._mean).log_()
+        self._impossible = dark.to(rates.dtype) if bool(dark.any()) else None
+        mean = self._mean.double()
+        self._offset = torch.cat(
+            [
+                logs.double() @ mean - (part.double() - mean).sum(dim=1)
+                for logs, part in zip(self._logs.split(1024), rates.split(1024), strict=True)
+            ]
+        )
+
+    def chances(self, counts: Tensor, photons: float) -> Tensor:
+        """Class probabilities (b, C) of counts (b, ...) of the readouts.
+
+        Parameters
+        ----------
+        counts : tensor, shape (b, ...)
+        photons : float
+            Budget Φ.
+        """
+        rows = max(1, AT_ONCE // len(self._logs))
+        read = counts.flatten(1)[:, self._lit].to(self._logs.dtype)
+        return torch.cat([self._chances(part, photons) for part in read.split(rows)])
+
+    def _chances(self, read: Tensor, photons: float) -> Tensor:
+        offset = (photons * self._offset).to(read.dtype)
+        logs = torch.addmm(offset, read - photons * self._mean, self._logs.T)
+        if self._impossible is not None:
+            faults = read @ self._impossible.T
+            logs.masked_fill_(faults > faults.amin(dim=1, keepdim=True), -torch.inf)
+        weights = logs.sub_(logs.amax(dim=1, keepdim=True)).exp_()
+        sums = torch.stack([part.sum(dim=1) for part in weights.split(self._sizes, dim=1)], dim=1)
+        return sums / sums.sum(dim=1, keepdim=True)
+
+
+def ideal_observer(
+    design: Design | Tensor,
+    data: Source,
+    photons: Sequence[float] | float,
+    *,
+    draws: int = 1,
+    seed: int = 0,
+    report: Report | None = None,
+) -> list[Result]:
+    """Accuracy of the ideal observer under photon noise, a `Result` for each budget.
+
+    Prior are the training scenes of the data, and its test scenes are exposed. Compare it with
+    `evaluate`: a network that is far below it can be improved; if it is low itself, the masks are
+    at fault. It bounds what can be told of scenes that are among the training scenes; of new ones,
+    and much light, a network may tell more.
+
+    Parameters
+    ----------
+    design : Design or tensor
+        Of fixed dwells; or the rails (2 or 1, m, N) of a matrix. Impulse imaging is the identity,
+        ``torch.eye(N)[None]``.
+    data : Dataset, str, path or tuple of arrays
+    photons : float or sequence of float
+        Budgets Φ.
+    draws : int
+        Noise draws of each scene.
+    seed : int
+        Of the noise.
+    report : Report, optional
+        Where to say how far it is; a bar where a terminal is attached unless given.
+
+    Raises
+    ------
+    InputError
+        If the data does not fit the design, a budget is not finite and above 0, or dwells are
+        chosen.
+
+    Examples
+    --------
+    >>> from deepfsi import load_dataset
+    >>> digits = load_dataset("digits")
+    >>> [result] = ideal_observer(torch.eye(64)[None], digits, 1e4)
+    >>> result.accuracy > 0.9
+    True
+    """
+    budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
+    scenes = as_dataset(data)
+    check_draws(draws, seed)
+    scanner, rates_of = _front_end(design, scenes)
+    with torch.no_grad(), shown(report, "ideal observer") as bar:
+        guess, shares = _rule(scenes, scanner, rates_of)
+        generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
+        confusions = confusions_of(scenes, rates_of, guess, budgets, generators, draws, bar)
+    return [
+        result_of(budget, "poisson", confusion, draws, shares.tolist())
+        for budget, confusion in zip(budgets, confusions, strict=True)
+    ]
+
+
+def _front_end(
+    design: Design | Tensor, data: Dataset
+) -> tuple[Scanner, Callable[[Tensor], Tensor]]:
+    """Scanner, and expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
+    if isinstance(design, Tensor):
+        scanner, s = Scanner.from_rails(design), summed_reflectance(data.x_train)
+        return scanner, lambda x: scanner.rates(x.to(design) / s)
+    check_data(design, data)
+    if design.exposure.looks > 1:
+        raise InputError(
+            "the dwells of this design follow the counts: give one of fixed dwells, learned with "
+            "1 look"
+        )
+    scanner = design.scanner()
+    return scanner, lambda x: design.rates(scanner, x)
+
+
+def _rule(
+    data: Dataset, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
+) -> tuple[Callable[[Tensor, torch.Generator, float], Tensor], Tensor]:
+    """Observer with the training scenes as prior, and the shares (m,) that their masks count."""
+    rates = rates_of(torch.from_numpy(data.x_train))
+    needed = COPIES * rates.numel() * rates.element_size()
+    check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
+    observer = IdealObserver(rates, torch.from_numpy(data.y_train), len(data.classes))
+
+    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Tensor:
+        counts = scanner.read(rates * budget, generator)
+        return observer.chances(counts, budget).argmax(dim=-1)
+
+    return guess, rates.mean(dim=0).flatten(0, -2).sum(dim=0)

@@ -1,0 +1,181 @@
+"""The ideal observer is what the laws of probability say, and nothing told the truth beats it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import logsumexp
+from scipy.stats import poisson
+from torch import Tensor
+
+from conftest import every_optics, generator, quick, real_mnist
+from deepfsi import IdealObserver, ideal_observer
+from deepfsi.datasets import Dataset, from_arrays, load_dataset
+from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+
+
+def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:
+    """Class probabilities (b, C) from the Poisson law, in float64 and readout by readout."""
+    mean = photons * rates.reshape(len(rates), -1).astype(float)
+    read = counts.reshape(len(counts), 1, -1)
+    with np.errstate(divide="ignore"):
+        logs = poisson.logpmf(read, mean).sum(axis=2)
+    each = [logsumexp(logs[:, labels == k], axis=1) for k in range(labels.max() + 1)]
+    return np.exp(np.stack(each, axis=1) - logsumexp(logs, axis=1)[:, None])
+
+
+def drawn(rates: np.ndarray, photons: float) -> Tensor:
+    return torch.poisson(torch.from_numpy(photons * rates), generator=generator(3))
+
+
+def impulse(data: Dataset) -> Tensor:
+    return torch.eye(data.pixels)[None]
+
+
+@pytest.mark.parametrize("photons", [3.0, 1e3, 1e5, 1e7])
+@every_optics
+def test_chances_are_those_of_the_poisson_law(made, digits, light, rails, photons):
+    design = made("pca", light, rails)
+    scanner = design.scanner()
+    x = torch.from_numpy(digits.x_train[:300])
+    rates, labels = design.rates(scanner, x), digits.y_train[:300]
+    seen = design.rates(scanner, torch.from_numpy(digits.x_test[:60]))
+    counts = scanner.read(seen * photons, generator())
+    found = IdealObserver(rates, torch.from_numpy(labels), 10).chances(counts, photons)
+    lit = rates.flatten(1).amax(dim=0).numpy() > 0  # scipy gives NaN for 0 counts of rate 0
+    flat, read = rates.flatten(1).numpy()[:, lit], counts.flatten(1).numpy()[:, lit]
+    np.testing.assert_allclose(found, exact(flat, labels, read, photons), atol=2e-3)
+
+
+def test_single_precision_does_for_as_many_photons_as_a_design_is_made_for(digits):
+    """Chances in float32 are those in float64 where most classes are still in doubt and beyond."""
+    x, labels = torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train)
+    for photons in (30.0, 1e3, 1e5):
+        counts = drawn(digits.x_test / digits.x_train.sum(axis=1).mean(), photons)
+        s = x.sum(dim=1).mean()
+        single = IdealObserver(x / s, labels, 10).chances(counts, photons)
+        double = IdealObserver(x.double() / s, labels, 10).chances(counts, photons)
+        assert (single - double).abs().max() < 1e-4
+        assert (single.argmax(dim=1) == double.argmax(dim=1)).all()
+
+
+def test_two_scenes_are_told_apart_as_by_the_likelihood_ratio():
+    """One readout, one scene a class: the error is Σ min(P(y | a), P(y | b)) / 2."""
+    a, b, photons = 0.4, 0.7, 20.0
+    observer = IdealObserver(torch.tensor([[a], [b]]), torch.tensor([0, 1]), 2)
+    counts = np.arange(80)
+    likelihood = np.stack([poisson.pmf(counts, photons * rate) for rate in (a, b)], axis=1)
+    chances = observer.chances(torch.from_numpy(counts[:, None]).float(), photons).numpy()
+    ratio = likelihood / likelihood.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(chances, ratio, atol=1e-5)
+    error = likelihood[counts, 1 - chances.argmax(axis=1)].sum() / 2
+    assert error == pytest.approx(likelihood.min(axis=1).sum() / 2, abs=1e-12)
+
+    scenes, labels = np.array([[a], [b]]), np.array([0, 1])
+    data = from_arrays(scenes, labels, np.tile(scenes, (4000, 1)), np.tile(labels, 4000))
+    phi = photons * scenes.mean()  # so that the mean counts are those above
+    [found] = ideal_observer(torch.ones(1, 1, 1), data, phi)
+    spread = math.sqrt(error * (1 - error) / 8000)
+    assert abs(1 - found.accuracy - error) < 5 * spread
+
+
+def test_without_light_the_prior_is_left(digits):
+    observer = IdealObserver(torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train), 10)
+    shares = np.bincount(digits.y_train) / len(digits.y_train)
+    chances = observer.chances(torch.zeros(3, 64), 1e-9).numpy()
+    np.testing.assert_allclose(chances, np.tile(shares, (3, 1)), atol=1e-6)
+
+
+def test_the_order_of_readouts_and_of_scenes_changes_nothing(digits):
+    x, labels = torch.from_numpy(digits.x_train / 20), torch.from_numpy(digits.y_train)
+    counts = drawn(digits.x_test[:100] / 20, 300.0)
+    found = IdealObserver(x, labels, 10).chances(counts, 300.0)
+    moved = torch.randperm(64, generator=generator(1))
+    other = IdealObserver(x[:, moved], labels, 10).chances(counts[:, moved], 300.0)
+    torch.testing.assert_close(found, other, rtol=0, atol=1e-5)
+    rows = torch.randperm(len(x), generator=generator(2))
+    other = IdealObserver(x[rows], labels[rows], 10).chances(counts, 300.0)
+    torch.testing.assert_close(found, other, rtol=0, atol=1e-5)
+
+
+def test_counts_that_a_scene_cannot_give_exclude_it():
+    rates = torch.tensor([[0.5, 0.0, 0.0], [0.3, 0.2, 0.0], [0.1, 0.2, 0.2]])
+    observer = IdealObserver(rates, torch.arange(3), 4)
+    chances = observer.chances(torch.tensor([[3.0, 1, 0], [3, 0, 1], [9, 0, 0]]), 10.0)
+    assert chances[0, 0] == 0
+    assert (chances[0, 1:3] > 0).all()
+    assert chances[1].tolist() == [0, 0, 1, 0]
+    assert (chances[2, :3] > 0).all()
+    assert (chances[:, 3] == 0).all(), "a class without a scene"
+
+
+def test_where_no_scene_can_give_the_counts_the_fewest_impossible_ones_count():
+    """The limit of a background that vanishes, and readouts that no scene lights say nothing."""
+    rates = torch.tensor([[0.5, 0.0, 0.2, 0.0], [0.0, 0.4, 0.2, 0.0], [0.5, 0.2, 0.0, 0.0]])
+    counts = torch.tensor([[2.0, 1, 3, 0], [2, 1, 3, 7], [1, 1, 1, 0]])
+    found = IdealObserver(rates, torch.arange(3), 3).chances(counts, 10.0)
+    dim = IdealObserver(rates.double() + 1e-30, torch.arange(3), 3).chances(counts.double(), 10.0)
+    np.testing.assert_allclose(found, dim, atol=1e-6)
+    assert torch.equal(found[0], found[1])
+
+
+@pytest.mark.parametrize("photons", [30.0, 300.0])
+def test_no_other_rule_is_better_on_scenes_of_the_prior(good, digits, photons):
+    """Test scenes are the training scenes: no rule has a higher accuracy in the mean."""
+    known = replace(digits, x_test=digits.x_train, y_test=digits.y_train)
+    draws = 4
+    [ideal] = ideal_observer(good, known, photons, draws=draws)
+    [network] = evaluate(good, known, photons, draws=draws, seed=1)
+    spread = math.sqrt(2 * 0.25 / len(known.y_test))
+    assert ideal.accuracy > network.accuracy - 5 * spread
+    [bound] = ideal_observer(impulse(known), known, photons, draws=draws)
+    assert bound.accuracy > ideal.accuracy - 5 * spread, "column designs route impulse imaging's"
+
+
+def test_results_are_those_of_an_evaluation(good, digits):
+    """Accuracy with its interval, throughput and counts of each mask; the same seed repeats."""
+    one, two = ideal_observer(good, digits, [100.0, 1e4], draws=2)
+    [other] = evaluate(good, digits, 1e4, draws=2)
+    assert (two.images, two.draws, two.covers) == (other.images, other.draws, other.covers)
+    assert two.throughput == pytest.approx(other.throughput, rel=1e-4)
+    assert two.photons_per_mask == pytest.approx(other.photons_per_mask, rel=1e-3)
+    assert one.low < one.accuracy < one.high < two.accuracy
+    assert ideal_observer(good, digits, 100.0, draws=2) == [one]
+
+
+def test_what_cannot_be_had_is_refused(good, digits):
+    looks = quick(digits, light="free-dwell", rails="single", looks=2, noise="poisson")
+    with pytest.raises(InputError, match="1 look"):
+        ideal_observer(looks, digits, 1e3)
+    with pytest.raises(InputError, match="photon budget"):
+        ideal_observer(good, digits, -1.0)
+    with pytest.raises(InputError, match="photons of shape"):
+        ideal_observer(torch.eye(63)[None], digits, 1e3)
+    with pytest.raises(InputError, match="noise draws"):
+        ideal_observer(good, digits, 1e3, draws=0)
+
+
+@real_mnist
+@pytest.mark.slow
+def test_one_photon_tells_no_more_than_was_published():
+    """Fischbacher and Sbaiz, *Single-photon image classification*: MNIST from exactly one photon.
+
+    The best rule that knows the test images is right in 0.2296, that of the training images in
+    0.2284. Both are sums over pixels, without any draw.
+    """
+    data = load_dataset("mnist", rescale=(0.0, 1.0))
+    where = torch.eye(data.pixels)
+
+    def accuracy(prior: np.ndarray, labels: np.ndarray) -> float:
+        # scenes of one brightness: that there is one photon says nothing
+        known = torch.from_numpy(prior / prior.sum(axis=1, keepdims=True))
+        observer = IdealObserver(known, torch.from_numpy(labels), 10)
+        answer = observer.chances(where, 1.0).argmax(dim=1).numpy()
+        photon = data.x_test / data.x_test.sum(axis=1, keepdims=True, dtype=np.float64)
+        return float((photon * (answer == data.y_test[:, None])).sum(axis=1).mean())
+
+    assert accuracy(data.x_test, data.y_test) == pytest.approx(0.2296, abs=5e-5)
+    assert accuracy(data.x_train, data.y_train) == pytest.approx(0.2284, abs=5e-5)
