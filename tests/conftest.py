@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 from functools import cache
 
+os.environ["OMP_NUM_THREADS"] = "1"  # read when numpy and torch are imported, here and in children
+
 import numpy as np
 import pytest
 import torch
@@ -18,8 +20,6 @@ from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.optics import codes, constraints
 from deepfsi.training.learning import learn
-
-torch.set_num_threads(1)
 
 PHOTONS = 1e4
 FLOAT32 = 2e-6

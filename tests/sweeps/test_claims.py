@@ -36,6 +36,15 @@ def test_one_has_it_until_it_is_given_up(tmp_path):
     assert not left(tmp_path)
 
 
+def test_one_that_has_it_cannot_take_it_again(tmp_path):
+    mine, other = Claims(tmp_path), Claims(tmp_path)
+    assert mine.take("a")
+    assert not mine.take("a")
+    assert not other.take("a")
+    mine.give_up("a")
+    assert other.take("a")
+
+
 def test_many_at_once_never_share_a_claim(tmp_path):
     """Each of four takes it twenty times; whoever has it is alone."""
     alone = threading.Lock()

@@ -39,7 +39,9 @@ class Claims:
         self._remove_old()
 
     def take(self, key: str) -> bool:
-        """Claim a key; False where another process has it, or wants it at this moment."""
+        """Claim a key; False where it is claimed, here or elsewhere, or wanted at this moment."""
+        if key in self._owned:
+            return False
         mine = self.folder / key / str(this_process())
         self._owned[key] = mine
         self._make(mine)
@@ -68,7 +70,7 @@ class Claims:
         while True:
             try:
                 mine.parent.mkdir(parents=True, exist_ok=True)
-                mine.open("xb").close()
+                mine.touch()
                 return
             except (FileNotFoundError, FileExistsError):
                 if mine.parent.is_file():
