@@ -24,8 +24,8 @@ def test_every_setting_is_a_keyword_with_the_default_of_its_model():
     keywords = inspect.signature(deepfsi.learn).parameters
     fields = {**Job.model_fields, **TrainingSettings.model_fields}
     del fields["training"]
-    assert set(fields) | {"data", "matrix", "device", "report"} == set(keywords)
-    none = (*OWN_DEFAULT, "classifier_arguments")
+    assert set(fields) | {"data", "counts", "matrix", "device", "report"} == set(keywords)
+    none = (*OWN_DEFAULT, "classifier_arguments", "photons")  # counts may stand for photons
     for name, field in fields.items():
         default = inspect.Parameter.empty if field.is_required() else field.default
         assert keywords[name].default == (None if name in none else default)

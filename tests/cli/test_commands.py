@@ -178,6 +178,21 @@ def test_bad_budgets(refuse, tmp_path, design_file, command, budget):
     refuse(*words, f"--photons={budget}")
 
 
+def test_a_design_for_a_budget_of_counts(done, refuse, tmp_path):
+    file = tmp_path / "one.safetensors"
+    words = ["design", "--masks", 4, "--epochs", 1, "-o", file]
+    made = json.loads(done(*words, "--counts", 30, "--design", "pca", "--json"))
+    [test] = made["tests"]
+    assert test["photons"] * test["throughput"] == pytest.approx(30, rel=1e-4)
+    assert test["counts"] == pytest.approx(30, rel=0.05), "test scenes are no brighter"
+    assert " counts (a share of 0." in done(*words, "--counts", 30)
+    file.unlink()
+    assert "told once" in refuse(*words)
+    assert "--counts" in refuse(*words, "--counts", 30, "--photons", "1e3")
+    for bad in ("0", "-1", "nan", "many", ""):
+        refuse(*words, f"--counts={bad}")
+
+
 @pytest.mark.parametrize("masks", ["0", "1.5", "65", "-3", "x"])
 def test_bad_mask_counts(refuse, tmp_path, masks):
     words = ["design", "--photons", "1e3", f"--masks={masks}", "-o", tmp_path / "out.safetensors"]

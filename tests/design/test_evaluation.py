@@ -113,6 +113,43 @@ def test_throughput_is_at_most_one(made, digits, design, light, rails):
     assert sum(result.photons_per_mask) == pytest.approx(PHOTONS * result.throughput)
 
 
+@every_design
+def test_counts_in_the_mean_are_the_budget_times_the_shares(made, digits, design, light, rails):
+    """Of scenes of the training exactly; what detectors draw has Poisson's error beside it."""
+    trained = made(design, light, rails)
+    known = replace(digits, x_test=digits.x_train, y_test=digits.y_train)
+    [result] = evaluate(trained, known, 300.0, draws=1)
+    assert result.counts == pytest.approx(300 * float(trained.shares.sum()), rel=1e-4)
+    assert result.counts == pytest.approx(300 * result.throughput, rel=1e-4)
+    n = len(known.y_test)
+    counts = trained.scanner().counts(light_on(trained, digits.x_train, 300).float(), generator())
+    assert abs(float(counts.sum()) / n - result.counts) < 5 * math.sqrt(result.counts / n)
+
+
+def test_counts_are_of_the_test_scenes_and_of_light_alone(good, digits):
+    """Brighter scenes give more; dark counts and read noise give none."""
+    bright = replace(digits, x_test=np.minimum(2 * digits.x_test, 1))
+    [usual] = evaluate(good, digits, 1e3, draws=1)
+    [more] = evaluate(good, bright, 1e3, draws=1)
+    assert more.counts > 1.05 * usual.counts
+    [noisy] = evaluate(good, digits, 1e3, draws=2, noise="camera", dark=500.0, sigma=2.0)
+    assert noisy.counts == pytest.approx(usual.counts, rel=1e-6)
+
+
+def test_counts_of_chosen_dwells_are_those_that_were_drawn(digits):
+    """Sum of single counts of every look, within the Poisson error of all."""
+    looks = quick(digits, light="free-dwell", rails="single", looks=3, noise="poisson")
+    [result] = evaluate(looks, digits, 300.0, draws=1)
+    scanner = looks.scanner()
+    rates = looks.rates(scanner, torch.from_numpy(digits.x_test))
+    with torch.no_grad():
+        *_, seen = looks.expose(scanner, rates, generator(4), 300.0)
+    drawn, n = float(seen.features.sum()) * 300 / len(rates), len(rates)
+    # dwells differ between draws: the counts of a scene vary by more than photon noise
+    spread = 300 * float(seen.features.sum(dim=1).std()) / math.sqrt(n)
+    assert abs(drawn - result.counts) < 5 * math.sqrt(2) * spread
+
+
 @pytest.mark.parametrize(
     ("design", "light", "throughput"),
     [("impulse", "column", 1), ("raster", "column", 1 / 64), ("hadamard", "column", 1),

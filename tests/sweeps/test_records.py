@@ -1,5 +1,7 @@
 """Records on disk, and their table."""
 
+import json
+
 import polars
 import pytest
 
@@ -16,10 +18,23 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
     parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
     assert csv.shape == parquet.shape
     assert len(csv) == len(records) * 4
+    assert csv["counts"].to_list() == [t["counts"] for r in records for t in r["test"]]
     assert csv["accuracy"].to_list() == [t["accuracy"] for r in records for t in r["test"]]
     assert set(csv["levels"]) == {0, 769}
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_table(records, tmp_path / "all.xls")
+
+
+def test_records_of_another_schema_are_tested_anew_and_not_trained(digits, tmp_path):
+    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    [first] = train_trials(trials, digits, tmp_path)
+    [path] = (tmp_path / "trials").iterdir()
+    [design] = (tmp_path / "designs").iterdir()
+    trained = design.stat().st_mtime_ns
+    path.write_text(json.dumps({**first, "schema": first["schema"] - 1, "test": []}))
+    [again] = train_trials(trials, digits, tmp_path)
+    assert again["test"] == first["test"]
+    assert design.stat().st_mtime_ns == trained
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 def design(
     context: typer.Context,
-    photons: options.PhotonRange,
     out: options.DesignFile,
+    photons: options.PhotonRange = None,
+    counts: options.Counts = None,
     masks: options.MaskCount = None,
     data: options.Data = "digits",
     size: options.Size = None,
@@ -55,13 +56,15 @@ def design(
     from deepfsi.training.learning import learn
 
     own = common.read_matrix(matrix)
-    budgets = dict.fromkeys(options.budget_range(photons))
+    options.light_settings(photons, counts)
     scenes = common.load(data, options.size_of(size), view)
     settings = options.job_settings(context.params, scenes, own)
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     with common.progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
         made = learn(shown, matrix=own, device=device, report=report, **settings)
-    results = test(made, scenes, list(budgets), noise=noise, sigma=sigma, dark=dark)
+    trained_at = made.info["job"]["photons"]
+    budgets = (trained_at,) if photons is None else options.budget_range(photons)
+    results = test(made, scenes, list(dict.fromkeys(budgets)), noise=noise, sigma=sigma, dark=dark)
     made.save(out)
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
@@ -72,7 +75,7 @@ def design(
         print(
             f"{made.name} with {made.masks} masks at {common.budget(result.photons)} photons: test "
             f"accuracy {common.share(result.accuracy, result.low, result.high)}, "
-            f"light throughput {result.throughput:.3f}\n"
+            f"{common.budget(result.counts)} counts (a share of {result.throughput:.3f})\n"
             f"balanced accuracy "
             f"{common.share(result.balanced, result.balanced_low, result.balanced_high)}, "
             f"worst class {_worst(result, made.classes)}"
@@ -211,12 +214,12 @@ def _print_results(
             common.share(r.accuracy, r.low, r.high),
             f"{r.balanced:.3f}",
             _worst(r, made.classes),
+            common.budget(r.counts),
             f"{r.throughput:.3f}",
-            f"{r.photons * r.throughput / made.masks:.3g}",
         )
         for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counted", "counts a mask")
+    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted")
     common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
     if bounds:
         common.print_table(
@@ -228,6 +231,8 @@ def _print_results(
             ],
         )
     print(f"± half of the 95 % interval: {results[0].covers}")
+    print("counts: photons that detectors count, in the mean over test scenes")
+    print("counted: share of the budget that they count, in the mean over training scenes")
 
 
 def _size(made: "Design") -> str:

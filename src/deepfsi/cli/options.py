@@ -66,10 +66,14 @@ TrainNoise = Annotated[
 # one design
 
 PhotonRange = Annotated[
-    str,
+    str | None,
     typer.Option(
         help="budget: expected photons on the coding device; LOW:HIGH for a range of budgets"
     ),
+]
+Counts = Annotated[
+    str | None,
+    typer.Option(help="instead of --photons: photons that the detectors are to count in the mean"),
 ]
 DesignFile = Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")]
 MaskCount = Annotated[str | None, typer.Option(help="number of masks, m")]
@@ -247,6 +251,17 @@ def budget_range(text: str) -> tuple[float, float]:
     return parts[0], parts[-1]
 
 
+def light_settings(photons: str | None, counts: str | None) -> dict[str, float]:
+    """Settings of `learn` of one of the options --photons and --counts, or `InputError`."""
+    from deepfsi.optics.budget import check_one_budget
+
+    counted = None if counts is None else number("counts", counts)
+    if photons is None:
+        return {"counts": check_one_budget(None, counted, 1.0)}
+    lowest, highest = budget_range(photons)
+    return {"photons": check_one_budget(lowest, counted, 1.0), "span": highest / lowest}
+
+
 def check_sigma(context: typer.Context, *noises: str | None) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
     source = context.get_parameter_source("sigma")
@@ -271,7 +286,6 @@ def job_settings(
     if options["looks"] > 1 and usual == "ml_gauss":
         usual = "poisson"  # a look shows many masks too shortly for MLGauss
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
-    lowest, highest = budget_range(options["photons"])
     trained = options["train_noise"] or usual
     same = (
         *("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs"),
@@ -281,8 +295,7 @@ def job_settings(
     return settings | {
         "design": design,
         "masks": masks,
-        "photons": lowest,
-        "span": highest / lowest,
+        **light_settings(options["photons"], options["counts"]),
         "noise": trained,
         "dark": options["dark"] if trained == "camera" else 0.0,
     }

@@ -329,12 +329,12 @@ def _print_points(results: "Results") -> None:
             common.budget(p.photons),
             str(p.masks),
             common.share(p.accuracy, p.low, p.high),
-            f"{p.throughput:.3f}",
+            common.budget(p.counts),
             *(_axis(axis, getattr(p, axis)) for axis in axes),
         )
         for p in best
     ]
-    heads = ("design", "photons", "masks", "accuracy", "counted", *apart_heads)
+    heads = ("design", "photons", "masks", "accuracy", "counts", *apart_heads)
     common.print_table(results.title, heads, rows)
     width = common.NAME_WIDTH if len(axes) < CROWDED else CROWDED_WIDTH
     common.print_table(
@@ -357,7 +357,7 @@ def _print_points(results: "Results") -> None:
     print(f"chance: {results.data.commonest:.3f}, the share of the commonest class of the test")
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("balanced: mean of the classes' accuracies, each class counting alike")
-    print("counted: share of the budget that reaches a detector")
+    print("counts: photons that detectors count, in the mean over test scenes")
     if results.chosen_on == "validation":
         measure = " by balanced accuracy" if results.chosen_by == "balanced" else ""
         print(f"mask counts were chosen on validation data{measure}; the table is of test data")

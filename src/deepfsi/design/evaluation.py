@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -46,6 +46,8 @@ class Result:
         Accuracy of each class (recall); None where the test has no scene of it.
     confusion : list of list of int
         Rows true classes, columns predicted ones, over all draws.
+    counts : float
+        Photons that the detectors count, in the mean over the test scenes; without dark counts.
     throughput : float
         Share of the budget that the detectors count, in the training mean; where dwells are
         chosen, at the training's budget.
@@ -75,6 +77,7 @@ class Result:
     balanced_high: float
     rates: list[float | None]
     confusion: list[list[int]]
+    counts: float
     throughput: float
     photons_per_mask: list[float]
 
@@ -145,31 +148,60 @@ def evaluate(
     scanner = design.scanner(noise, sigma, dark)
     design.exposure.check_noise(scanner.noise)
 
-    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Tensor:
+    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Guess:
         *_, seen = design.expose(scanner, rates, generator, budget)
-        return design.logits_of(seen, budget).argmax(dim=-1)
+        classes = design.logits_of(seen, budget).argmax(dim=-1)
+        return Guess(classes, budget * float(counted(rates, seen.dwell).sum()))
 
     generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
     with shown(report, f"{design.name}, {design.masks} masks") as bar:
-        confusions = confusions_of(
+        tallies = tally_scenes(
             scenes, lambda x: design.rates(scanner, x), guess, budgets, generators, draws, bar
         )
     return [
-        result_of(budget, scanner.noise, confusion, draws, design.shares.tolist())
-        for budget, confusion in zip(budgets, confusions, strict=True)
+        result_of(budget, scanner.noise, tally, draws, design.shares.tolist())
+        for budget, tally in zip(budgets, tallies, strict=True)
     ]
 
 
-def confusions_of(
+def counted(rates: Tensor, dwell: Tensor | None) -> Tensor:
+    """Share of the budget (..., m) that each mask counts of a scene.
+
+    Parameters
+    ----------
+    rates : tensor, shape (..., rails, m)
+        Expected counts for a budget of one photon; where dwells are chosen, at equal ones.
+    dwell : tensor, shape (..., m), optional
+        Share of the exposure that each mask had, where it is chosen.
+    """
+    share = rates.sum(dim=-2)
+    return share if dwell is None else share * dwell * dwell.shape[-1]
+
+
+class Guess(NamedTuple):
+    """Classes (b,) of scenes that were exposed once, and the sum of their expected counts."""
+
+    classes: Tensor
+    counts: float
+
+
+class Tally(NamedTuple):
+    """Confusion matrix (C, C) of test scenes over all noise draws, and their mean counts."""
+
+    confusion: np.ndarray
+    counts: float
+
+
+def tally_scenes(
     data: Dataset,
     rates_of: Callable[[Tensor], Tensor],
-    guess: Callable[[Tensor, torch.Generator, float], Tensor],
+    guess: Callable[[Tensor, torch.Generator, float], Guess],
     budgets: Sequence[float],
     generators: Sequence[torch.Generator],
     draws: int,
     report: Report,
-) -> np.ndarray:
-    """Confusion matrices (budgets, C, C) of test scenes, over all noise draws.
+) -> list[Tally]:
+    """Tally of the answers of a rule to the test scenes of a data set, at each budget.
 
     Parameters
     ----------
@@ -177,7 +209,7 @@ def confusions_of(
     rates_of : callable
         From scenes (b, N) to expected counts (b, ...) for a budget of one photon.
     guess : callable
-        From these, a generator and a budget to classes (b,), with noise drawn once.
+        From these, a generator and a budget to classes, with noise drawn once.
     budgets : sequence of float
     generators : sequence of torch.Generator
         One for each budget.
@@ -186,16 +218,19 @@ def confusions_of(
     report : Report
     """
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
+    counts = np.zeros(len(budgets))
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
             rates, truth = rates_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
-            for budget, generator, confusion in zip(budgets, generators, confusions, strict=True):
+            for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
                     found = guess(rates, generator, budget)
-                    np.add.at(confusion, (truth, found.cpu().numpy()), 1)
+                    np.add.at(confusions[place], (truth, found.classes.cpu().numpy()), 1)
+                    counts[place] += found.counts
             report(done / len(chunks))
-    return confusions
+    means = counts / (draws * len(data.x_test))
+    return [Tally(*each) for each in zip(confusions, means.tolist(), strict=True)]
 
 
 def check_data(design: Design, data: Dataset) -> None:
@@ -224,22 +259,20 @@ def check_draws(draws: int, seed: int) -> None:
         raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")
 
 
-def result_of(
-    budget: float, noise: str, confusion: np.ndarray, draws: int, share: list[float]
-) -> Result:
+def result_of(budget: float, noise: str, tally: Tally, draws: int, share: list[float]) -> Result:
     """`Result` of a test.
 
     Parameters
     ----------
     budget : float
     noise : str
-    confusion : array, shape (C, C)
-        From `confusions_of`.
+    tally : Tally
     draws : int
         Noise draws of each scene.
     share : list of float
         Share of the budget that each mask counts.
     """
+    confusion = tally.confusion
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
@@ -259,6 +292,7 @@ def result_of(
         balanced_high=upper,
         rates=rates,
         confusion=confusion.tolist(),
+        counts=tally.counts,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],
     )

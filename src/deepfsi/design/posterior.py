@@ -15,11 +15,12 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import (
+    Guess,
     Result,
     check_data,
     check_draws,
-    confusions_of,
     result_of,
+    tally_scenes,
 )
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
@@ -150,10 +151,10 @@ def ideal_observer(
     with torch.no_grad(), shown(report, "ideal observer") as bar:
         guess, shares = _rule(scenes, scanner, rates_of)
         generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
-        confusions = confusions_of(scenes, rates_of, guess, budgets, generators, draws, bar)
+        tallies = tally_scenes(scenes, rates_of, guess, budgets, generators, draws, bar)
     return [
-        result_of(budget, "poisson", confusion, draws, shares.tolist())
-        for budget, confusion in zip(budgets, confusions, strict=True)
+        result_of(budget, "poisson", tally, draws, shares.tolist())
+        for budget, tally in zip(budgets, tallies, strict=True)
     ]
 
 
@@ -176,15 +177,16 @@ def _front_end(
 
 def _rule(
     data: Dataset, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
-) -> tuple[Callable[[Tensor, torch.Generator, float], Tensor], Tensor]:
+) -> tuple[Callable[[Tensor, torch.Generator, float], Guess], Tensor]:
     """Observer with the training scenes as prior, and the shares (m,) that their masks count."""
     rates = rates_of(torch.from_numpy(data.x_train))
     needed = COPIES * rates.numel() * rates.element_size()
     check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
     observer = IdealObserver(rates, torch.from_numpy(data.y_train), len(data.classes))
 
-    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Tensor:
-        counts = scanner.read(rates * budget, generator)
-        return observer.chances(counts, budget).argmax(dim=-1)
+    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Guess:
+        expected = rates * budget
+        chances = observer.chances(scanner.read(expected, generator), budget)
+        return Guess(chances.argmax(dim=-1), float(expected.sum()))
 
     return guess, rates.mean(dim=0).flatten(0, -2).sum(dim=0)

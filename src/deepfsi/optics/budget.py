@@ -37,6 +37,35 @@ def check_budget(photons: float) -> float:
     return budget
 
 
+def check_one_budget(photons: float | None, counts: float | None, span: float) -> float:
+    """Return what is given of a budget of photons and one of counts, or raise `InputError`.
+
+    Parameters
+    ----------
+    photons : float or None
+        Expected photons on the coding device.
+    counts : float or None
+        Photons that the detectors are to count.
+    span : float
+        Highest over lowest of a range of budgets.
+    """
+    if photons is not None and counts is None:
+        return check_budget(photons)
+    if counts is None or photons is not None:
+        raise InputError(
+            "the light of a design is told once: give `photons`, the budget on the device, or "
+            "`counts`, the photons that its detectors are to count"
+        )
+    if span != 1:
+        raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
+    if not BUDGETS[0] <= counts <= BUDGETS[1]:
+        raise InputError(
+            f"{counts!r} counts are not allowed: give a number from {BUDGETS[0]:g} to "
+            f"{BUDGETS[1]:g}, such as 30"
+        )
+    return float(counts)
+
+
 def summed_reflectance(x: np.ndarray) -> float:
     """Mean over scenes (n, N) of their summed reflectance, s, in fully reflecting pixels."""
     return float(x.sum(axis=1, dtype=np.float64).mean())

@@ -18,7 +18,9 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(photons=photons_text, noise=noise_text, share=share_text)
+    environment.filters.update(
+        photons=photons_text, counts=counts_text, noise=noise_text, share=share_text
+    )
     return environment.get_template(template).render(
         colours=COLOURS, dark_colours=DARK_COLOURS, **values
     )
@@ -27,6 +29,11 @@ def render(template: str, **values: Any) -> str:
 def share_text(value: float | None) -> str:
     """Write a share between 0 and 1 with three decimals; a dash where there is none."""
     return "–" if value is None else f"{value:.3f}"
+
+
+def counts_text(counts: float) -> str:
+    """Write a mean number of counts with three digits."""
+    return photons_text(float(f"{counts:.3g}"))
 
 
 def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:

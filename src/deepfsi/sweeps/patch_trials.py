@@ -15,7 +15,6 @@ from deepfsi.optics.budget import BUDGETS
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import content_hash, record_of
-from deepfsi.sweeps.results import SCHEMA
 from deepfsi.training.patches import (
     REVISION,
     PatchedDesign,
@@ -25,6 +24,9 @@ from deepfsi.training.patches import (
     train,
 )
 from deepfsi.training.training_set import find_device
+
+KEYS = 1
+"""Version of what the keys of these trials are hashes of."""
 
 
 class PatchRecipe(BaseModel):
@@ -87,7 +89,7 @@ class PatchTrial(BaseModel):
 
     def _hash(self, exclude: set[str]) -> str:
         settings = self.model_dump(mode="json", exclude=exclude)
-        return content_hash({"patches": SCHEMA, "revision": REVISION, **settings})
+        return content_hash({"patches": KEYS, "revision": REVISION, **settings})
 
 
 def plan_patches(recipe: PatchRecipe, data: Dataset) -> list[PatchTrial]:

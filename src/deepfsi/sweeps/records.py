@@ -77,14 +77,15 @@ class Records:
             remove_drafts(folder / part)
 
     def read(self, trial: RecordedTrial) -> dict[str, Any] | None:
-        """Record of a trial, or None if it or its design is missing or damaged."""
+        """Record of a trial, or None if it or its design is missing, damaged or of other schema."""
         if not self._design_path(trial).is_file():
             return None
         try:
             record = json.loads(self._record_path(trial).read_bytes())
         except (FileNotFoundError, ValueError):
             return None
-        whole = isinstance(record, dict) and record.get("key") == trial.key
+        named = {"schema": SCHEMA, "key": trial.key}
+        whole = isinstance(record, dict) and named.items() <= record.items()
         return record if whole else None
 
     def design(self, trial: RecordedTrial) -> Design | None:
@@ -163,6 +164,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "low": test["low"],
                     "high": test["high"],
                     "balanced": test["balanced"],
+                    "counts": test["counts"],
                     "throughput": test["throughput"],
                     "seconds": record["info"]["seconds"],
                 }

@@ -10,13 +10,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from deepfsi.errors import as_input_error
 from deepfsi.files import write_atomically
 
-SCHEMA = 1
-"""Schema of a results file, the only one."""
+SCHEMA = 2
+"""Schema of results and of records, the only one; tests of records of another are run anew."""
 
 
 def _readable(schema: int) -> int:
     if schema != SCHEMA:
-        raise ValueError(f"schema {schema} is not the {SCHEMA} of this version: upgrade deepfsi")
+        newer = ": upgrade deepfsi" if schema > SCHEMA else ""
+        raise ValueError(f"schema {schema} is not the {SCHEMA} of this version{newer}")
     return schema
 
 
@@ -70,6 +71,8 @@ class Point(Frozen):
         Lowest accuracy of a class, in the mean over trials.
     worst_class : int
         Place of that class among those of the data.
+    counts : float
+        Photons that the detectors count, in the mean over test scenes and trials.
     throughput : float
         Share of the budget that reaches a detector.
     seconds : float
@@ -113,6 +116,7 @@ class Point(Frozen):
     balanced_high: float
     worst: float
     worst_class: int
+    counts: float
     throughput: float
     seconds: float
     accuracies: tuple[float, ...]

@@ -14,12 +14,13 @@ from torch import Tensor, nn
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import counted
 from deepfsi.design.exposure import FixedDwells
 from deepfsi.design.memory import Memory
 from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints
-from deepfsi.optics.budget import brightness
+from deepfsi.optics.budget import brightness, check_budget, check_one_budget
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.features import (
     CHUNK,
@@ -32,11 +33,13 @@ from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.noise import OwnNoise, check_dark, resolve, try_own
 from deepfsi.progress import SILENT, Report, shown
+from deepfsi.training.counts import train_for_counts
 from deepfsi.training.job import (
     MLP,
     Job,
     Precision,
     TrainingSettings,
+    check_job,
     check_jobs,
     own_rails,
     training_for,
@@ -62,8 +65,9 @@ class Diverged(InputError):
 def learn(
     data: Source,
     *,
-    photons: float,
     masks: int,
+    photons: float | None = None,
+    counts: float | None = None,
     design: str = "deepfsi",
     matrix: np.ndarray | None = None,
     noise: str | OwnNoise = "ml_gauss",
@@ -98,10 +102,13 @@ def learn(
     ----------
     data : Dataset, str, path or tuple of arrays
         Or whatever `load_dataset` makes one of: a name, a path, ``(x, y)``.
-    photons : float
-        Budget Φ: expected photons on the coding device, in the mean over training scenes.
     masks : int
         m.
+    photons : float, optional
+        Budget Φ: expected photons on the coding device, in the mean over training scenes.
+    counts : float, optional
+        Instead of it: photons that the detectors are to count, in the mean over training scenes.
+        Learned masks are trained again until that holds, see `training.counts`.
     design : str
         A key of `codes.DESIGNS`.
     matrix : array, shape (m, N), optional
@@ -169,6 +176,7 @@ def learn(
         for name, value in locals().items()
         if value is not None or name not in OWN_DEFAULT
     }
+    given["photons"] = check_one_budget(photons, counts, span)
     given["classifier"], given["classifier_arguments"] = describe(classifier, classifier_arguments)
     given["noise"], own_noise = resolve(noise)
     given["dark"] = check_dark(dark, given["noise"])
@@ -180,8 +188,16 @@ def learn(
         named = {name: given[name] for name in Job.model_fields if name in given}
         job = Job(**named, training=training)
     training_set = TrainingSet(as_dataset(data), device)
+
+    def train_at(photons: float, bar: Report) -> Design:
+        at_budget = job.model_copy(update={"photons": check_budget(photons)})
+        return train(training_set, [at_budget], matrix, bar, own, own_noise)[0]
+
     with shown(report, f"{design}, {masks} masks") as bar:
-        return train(training_set, [job], matrix, bar, own, own_noise)[0]
+        if photons is not None:
+            return train_at(photons, bar)
+        share = _first_share(training_set, job, matrix)
+        return train_for_counts(given["photons"], share, train_at, bar)
 
 
 def train(
@@ -273,6 +289,17 @@ def _initial_masks(
     return Fixed(quantise(fitted, light, levels) if levels else fitted)
 
 
+def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
+    """Share of the budget that the masks count before training; parameters as for `train`."""
+    check_job(job, training_set.data, matrix)
+    masks = _initial_masks(training_set, [job], matrix)
+    total = masks()[1].detach()
+    mean = training_set.full.mean(dim=0).to(total.device)
+    if isinstance(masks, Learned):
+        mean = mean[training_set.pixels(job.optics[0])]
+    return float((total[0] @ mean).sum()) / training_set.summed_reflectance
+
+
 def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
     """Masks after training, of all pixels: dark where they were not learned.
 
@@ -361,8 +388,7 @@ def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
         for x in training_set.full.split(CHUNK):
             rates = design.rates(scanner, x)
             *_, seen = design.expose(scanner, rates, generator, job.photons)
-            assert seen.dwell is not None
-            shares += (design.masks * seen.dwell * rates[..., 0, :]).sum(dim=0)
+            shares += counted(rates, seen.dwell).sum(dim=0)
     return shares / len(training_set.full)
 
 

@@ -28,7 +28,7 @@ from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.patch_trials import PatchContext, PatchRecipe, plan_patches
 from deepfsi.sweeps.queue import run_trials
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.results import SCHEMA, Point, Results
 from deepfsi.sweeps.summary import facts_of, point, provenance_of
 from deepfsi.sweeps.workers import Workers
 
@@ -117,7 +117,7 @@ class PatchExperiment(Experiment):
             plan_patches(recipe, data), context, folder, Workers(workers, ray), report
         )
         results = Results(
-            revision=1,
+            revision=SCHEMA,
             title=f"{data.name}, patch by patch",
             command=command,
             recipe=recipe.model_dump(mode="json"),
