@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.training.learning import learn
 
 PHOTONS = 1e4
@@ -95,7 +95,7 @@ def own_matrix(masks: int, pixels: int, light: str, rails: str) -> np.ndarray:
 def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **settings) -> Design:
     """Train for a moment, in float32 on the processor."""
     if masks is None:
-        low, high = codes.count_allowed(design, data)
+        low, high = tiles.count_allowed(design, data)
         masks = min(max(low, 7), high)
     if design == "custom":
         light, rails = settings.get("light", "column"), settings.get("rails", "dual")

@@ -48,10 +48,11 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
         part = design.first(masks)
         seen = counts[..., :masks].squeeze(-2)
         chance = part.classify(seen, 5e3 * part.used)
-        features = torch.zeros(20, 8)
-        features[:, :masks] = seen if rails == "single" else seen[:, 0] - seen[:, 1]
+        width = 2 if light == "two-arm" else 1
+        features = torch.zeros(20, 8 * width)
+        features[:, : masks * width] = part.features_of(seen)
         scaled = (features / 5e3 - design.mean) / design.std
-        scaled[:, masks:] = 0
+        scaled[:, masks * width :] = 0
         level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
         last = torch.tensor([level, masks / 8]).expand(20, 2)
         with torch.no_grad():

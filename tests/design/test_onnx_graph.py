@@ -33,7 +33,7 @@ def counted(design: Design, x: np.ndarray, photons: np.ndarray) -> np.ndarray:
     light = photons_per_pixel(torch.from_numpy(x), 1.0, design.summed_reflectance)
     scenes = light * torch.from_numpy(photons)[:, None]
     counts = design.scanner().counts(scenes, torch.Generator().manual_seed(1)).numpy()
-    return counts if len(design.rails) == 2 else counts[:, 0]
+    return counts.reshape(len(counts), *design.counts_shape)
 
 
 def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
@@ -46,11 +46,13 @@ def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
     counts = counted(design, x, photons)
     [found] = opened(to_onnx(design)).run(None, {"counts": counts, "photons": photons})
     wanted = design.classify(counts, photons)
-    features = counts[:, 0] - counts[:, 1] if counts.ndim == 3 else counts
+    features = design.features_of(torch.from_numpy(counts)).numpy()
     mean, std = design.mean.numpy(), design.std.numpy()
     size = (np.abs(features / photons[:, None]) + np.abs(mean)) / std
     if isinstance(design.exposure, Conditioning):
-        size = np.pad(size, ((0, 0), (0, design.exposure.masks - design.masks)))
+        size = np.pad(
+            size, ((0, 0), (0, design.exposure.masks * design.exposure.width - design.features))
+        )
         size = np.pad(size, ((0, 0), (0, 2)), constant_values=30.0)  # |log Φ|, at most
     terms = 4.0
     for layer in design.classifier.layers:
@@ -100,6 +102,8 @@ def test_the_graph_says_what_it_is(made):
         "name": "deepfsi",
         "masks": design.masks,
         "rails": 1,
+        "detectors": 1,
+        "readout": "difference",
         "light": "free-dwell",
         "summed_reflectance": design.summed_reflectance,
         "image_shape": [8, 8],

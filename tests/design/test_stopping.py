@@ -11,7 +11,7 @@ from deepfsi.design import stopping
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
-from deepfsi.optics.scanner import subtract
+from deepfsi.optics.detection import ONE
 
 HELD_OUT = 400
 PHOTONS = 2e5
@@ -226,7 +226,7 @@ def test_logits_at_stops_are_those_of_the_first_masks(digits):
     draw, scanner = generator(3), nested.scanner()
     head = scanner.rates(torch.from_numpy(x)[:1024] / nested.summed_reflectance) * 1e3
     for place in range(2):
-        features = subtract(scanner.read(head, draw))
+        features = ONE.features(scanner.read(head, draw))
         mine = logits[:, place:2048:2]
         with torch.no_grad():
             assert np.array_equal(mine[-1], nested.logits(features, 1e3).numpy())

@@ -9,9 +9,10 @@ from torch import Tensor
 from conftest import OPTICS, assert_moments, generator, quick
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints, noise
+from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import Learned
-from deepfsi.optics.scanner import Scanner, readouts
+from deepfsi.optics.scanner import Scanner
 from shared.noises import exact, photons, saturating
 
 DRAWS = 50_000
@@ -74,7 +75,7 @@ def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
     """Times of the frames of one device sum to the exposure; on two arms each detector has all."""
     matrix = torch.randn(6, 20, dtype=torch.float64, generator=generator())
     fitted = constraints.fit(matrix if rails == "dual" else matrix.abs(), light, rails)
-    time = readouts(*constraints.combine(fitted)).time
+    time = ONE.readouts(*constraints.combine(fitted)).time
     if light == "column":
         assert (time <= 1).all()
     elif light == "two-arm":
@@ -87,7 +88,9 @@ def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
 def test_impulse_imaging_has_a_detector_for_each_pixel_and_raster_one_for_all(digits):
     for design, detectors in (("impulse", 64), ("raster", 1)):
         rails = quick(digits, design).rails.double()
-        assert float(readouts(*constraints.combine(rails)).time.sum()) == pytest.approx(detectors)
+        assert float(ONE.readouts(*constraints.combine(rails)).time.sum()) == pytest.approx(
+            detectors
+        )
 
 
 @pytest.mark.parametrize("light", ["column", "free-dwell", "two-arm"])
@@ -99,7 +102,7 @@ def test_masks_follow_mean_and_variance(light):
     scanner = Scanner(masks, "camera", SIGMA, DARK)
 
     difference, total = masks()
-    read = readouts(difference, total)
+    read = ONE.readouts(difference, total)
     power = total @ scene + DARK * read.time.sum(dim=0) + SIGMA**2 * read.lit
     wanted = torch.autograd.grad(
         ((difference @ scene) ** 2 + power).sum(), list(masks.parameters())
@@ -127,7 +130,7 @@ def test_training_draws_what_the_scanner_does(kind):
     difference, total = constraints.combine(RAILS.unsqueeze(0))
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (each @ scene for each in (difference, total))  # (1, 4)
-    read = readouts(difference, total)
+    read = ONE.readouts(difference, total)
     features = drawn.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
     lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
     for job, gain in enumerate(gains):
@@ -146,7 +149,7 @@ def test_training_follows_mean_light_and_time(kind):
     """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""
     gain, dark = 50.0, 30.0
     noisy = FeatureNoise.of(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
-    read = readouts(*constraints.combine(RAILS[:, :2].unsqueeze(0)))
+    read = ONE.readouts(*constraints.combine(RAILS[:, :2].unsqueeze(0)))
     read = read._replace(time=read.time.clone().requires_grad_())
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (

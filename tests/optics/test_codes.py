@@ -10,7 +10,7 @@ import torch
 
 from conftest import FIXED, synthetic
 from deepfsi.errors import InputError
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.codes import hadamard_masks, mask_count, sensing_matrix
 from deepfsi.training.training_set import TrainingSet
 
@@ -207,11 +207,11 @@ def test_mask_count_refuses_a_bad_ratio(ratio):
 )
 def test_a_design_refuses_a_count_that_it_cannot_have(digits, design, masks):
     with pytest.raises(InputError, match=f"masks are not allowed for {design}"):
-        codes.check_count(design, masks, digits)
+        tiles.check_count(design, masks, digits)
 
 
 def test_a_whole_count_may_be_a_float(digits):
-    assert sensing_matrix("truncated-hadamard", 7.0, digits).shape == (7, 64)
+    assert tiles.sensing_matrix("truncated-hadamard", 7.0, digits).shape == (7, 64)
 
 
 def test_few_components_of_large_scenes_need_no_matrix_of_all_pixels(digits, monkeypatch):
@@ -237,7 +237,7 @@ def test_few_components_of_large_scenes_need_no_matrix_of_all_pixels(digits, mon
 
 @pytest.mark.parametrize("design", FIXED)
 def test_every_allowed_count_gives_that_many_masks(design, digits):
-    for masks in codes.count_allowed(design, digits):
+    for masks in tiles.count_allowed(design, digits):
         matrix = sensing_matrix(design, masks, digits)
         assert matrix.shape == (masks, 64)
         assert np.isfinite(matrix).all()

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.errors import InputError
-from deepfsi.optics import codes, constraints, scanner
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import Learned
@@ -23,7 +23,7 @@ def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
 
 
 def fixed_matrix(design: str, digits) -> Tensor:
-    low, high = codes.count_allowed(design, digits)
+    low, high = tiles.count_allowed(design, digits)
     return torch.from_numpy(codes.sensing_matrix(design, min(max(low, 9), high), digits)).float()
 
 
@@ -233,19 +233,6 @@ def test_gradients_go_straight_through_the_rounding(light, rails, levels):
         assert found.grad.abs().max() > 0
         assert torch.allclose(found.grad, wanted, rtol=1e-6)
         assert not torch.allclose(found.grad, other.grad, rtol=1e-3)
-
-
-@every_optics
-@pytest.mark.parametrize("levels", [0, 2, 5])
-def test_learned_masks_count_their_lit_rails(light, rails, levels):
-    start = torch.rand(2, 5, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
-    start[:, 0] = start[:, 0].abs() + 1  # dark on one arm, once it is rounded
-    learned = Learned(start, light, rails, levels)
-    masks = learned()
-    counted = learned.lit(*masks)
-    assert torch.equal(counted, scanner.lit(*masks))
-    if light == "two-arm":
-        assert (counted[:, 0] == (1 if levels == 2 else 2)).all()
 
 
 @every_optics

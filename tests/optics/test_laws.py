@@ -22,8 +22,9 @@ from conftest import (
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import codes, constraints
+from deepfsi.optics.detection import ONE
 from deepfsi.optics.noise import variance
-from deepfsi.optics.scanner import Scanner, lit
+from deepfsi.optics.scanner import Scanner
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -60,7 +61,8 @@ def test_no_scene_is_counted_beyond_its_own_light(made, digits, design, light, r
 def test_the_training_mean_counts_at_most_the_budget(made, digits, design, light, rails):
     made_design = made(design, light, rails)
     photons = light_on(made_design, digits.x_train)
-    counted = made_design.scanner("none").rates(photons).sum(dim=-2).double().mean(dim=0)
+    rates = made_design.scanner("none").rates(photons).double()
+    counted = made_design.detection.totals(rates).mean(dim=0)
     assert counted.sum() <= PHOTONS * (1 + FLOAT32)
     assert torch.allclose(counted, made_design.shares.double() * PHOTONS, rtol=1e-5, atol=1e-3)
 
@@ -95,7 +97,7 @@ def scene(name: str, digits) -> Tensor:
 def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
     """Pixel mean of the variance of the reconstruction M⁻¹ y."""
     difference, total = constraints.combine(rails)
-    power = variance(photons @ total.T, lit(difference, total), noise, sigma)
+    power = variance(photons @ total.T, ONE.readouts(difference, total).lit, noise, sigma)
     return float((torch.linalg.inv(difference).square() @ power).mean())
 
 

@@ -9,9 +9,10 @@ from torch import Tensor, nn
 from conftest import assert_moments, every_design, every_optics, generator, light_on
 from deepfsi.errors import InputError
 from deepfsi.optics.constraints import fit
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.detection import ONE
+from deepfsi.optics.masks import Fixed, Learned, pair
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import Scanner, measure, project, project_pair, subtract
+from deepfsi.optics.scanner import Scanner, measure, project, project_pair
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]
@@ -112,7 +113,8 @@ def test_rails_are_not_negative_and_recombine(made, digits, design, light, rails
     scanner = made_design.scanner("none")
     rates = scanner.rates(photons)
     assert (rates >= 0).all()
-    assert torch.allclose(subtract(rates), scanner(photons), rtol=1e-5, atol=1e-3)
+    features = made_design.detection.features(rates)
+    assert torch.allclose(features, scanner(photons), rtol=1e-5, atol=1e-3)
     assert torch.equal(scanner.counts(photons), rates)
 
 
@@ -127,7 +129,7 @@ def test_poisson_features_are_the_difference_of_counts():
     photons = torch.full((50, 2), 40.0)
     scanner = Scanner.from_rails(RAILS, "poisson")
     counts = scanner.counts(photons, generator())
-    assert torch.equal(scanner(photons, generator()), subtract(counts))
+    assert torch.equal(scanner(photons, generator()), ONE.features(counts))
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -297,9 +299,10 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
         mean, light_ = project_pair(scenes, difference, total, both=True)
         return mean - project(mean_scene, difference) + root(light_) * epsilon
 
+    given = masks.matrix() if masks.disjoint else pair(*masks())
     found = []
     for features in (
-        measure(centred, masks.rails_to_measure(), epsilon, masks.disjoint),
+        measure(centred, given, epsilon, masks.disjoint),
         expected(),
     ):
         masks.zero_grad()

@@ -304,7 +304,7 @@ def job_settings(
 def _design_and_masks(
     name: str | None, masks: str | None, data: "Dataset", matrix: "np.ndarray | None"
 ) -> tuple[str, int]:
-    from deepfsi.optics import codes
+    from deepfsi.optics import codes, tiles
 
     if matrix is not None:
         if masks is not None or name not in (None, "custom"):
@@ -317,7 +317,7 @@ def _design_and_masks(
         return design, whole_number("masks", masks)
     if not codes.DESIGNS[design].fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
-    return design, codes.count_allowed(design, data)[1]
+    return design, tiles.count_allowed(design, data)[1]
 
 
 def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,32 +26,92 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
 
+
+@dataclass(frozen=True)
+class Dwells:
+    """Dwells of a look: one for each frame of one device.
+
+    Attributes
+    ----------
+    masks : int
+        m.
+    each_rail : bool
+        Whether the two rails of a mask are frames, one after the other, with dwells of their own:
+        not so on two arms, which see both at once.
+    """
+
+    masks: int
+    each_rail: bool
+
+    @classmethod
+    def of(cls, masks: int, light: str, rails: str) -> "Dwells":
+        """Dwells of m masks; parameters as for `constraints.expand`, whose `rails` these are."""
+        return cls(masks, rails == "dual" and light != "two-arm")
+
+    @property
+    def count(self) -> int:
+        """q, number of dwells; those of a mask's two rails follow one another."""
+        return self.masks * (2 if self.each_rail else 1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m) of the dwells as a camera takes them."""
+        return (2, self.masks) if self.each_rail else (self.masks,)
+
+    def scaled(self, rates: Tensor, dwell: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) for dwells (..., q), of those for equal dwells."""
+        each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
+        return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
+
+    def by_rail(self, dwell: np.ndarray) -> np.ndarray:
+        """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
+        if not self.each_rail:
+            return dwell
+        return np.swapaxes(dwell.reshape(*dwell.shape[:-1], self.masks, 2), -2, -1)
+
+    def by_mask(self, dwell: np.ndarray) -> np.ndarray:
+        """Inverse of `by_rail`."""
+        if not self.each_rail:
+            return dwell
+        return np.swapaxes(dwell, -2, -1).reshape(*dwell.shape[:-2], -1)
+
+
 LARGEST_SCORE = 4.0
 """Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
 
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
 
+LOOKING = ("free-dwell", "two-arm")
+"""Light constraints under which dwells can be chosen."""
+
 
 def expose(
-    choose: Callable[[Tensor], Tensor], show: Show, looks: int, mean: Tensor, std: Tensor
+    choose: Callable[[Tensor], Tensor],
+    show: Show,
+    looks: int,
+    dwells: int,
+    mean: Tensor,
+    std: Tensor,
 ) -> Iterator[Exposure]:
     """Exposures after each look: one loop for training, tests and a camera, for one or many.
 
     Parameters
     ----------
     choose : callable
-        Network from (..., 2 m + 1), the inputs of the classifier so far and the share of the
-        exposure that is left, to scores (..., m): dwells of the next look are their softmax.
+        Network from (..., k + q + 1), the inputs of the classifier so far and the share of the
+        exposure that is left, to scores (..., q): dwells of the next look are their softmax.
     show : callable
         Shows the masks for given shares of the exposure; returns counts over the budget, and the
         shares that it did show.
     looks : int
         K, each 1 / K of the exposure.
-    mean, std : tensor, shape (..., m)
+    dwells : int
+        q.
+    mean, std : tensor, shape (..., k)
         As for `Exposure.inputs`, with the leading axes of the exposures.
     """
-    features = total = torch.zeros_like(mean)
+    features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
     seen = Exposure(features, total)
     for look in range(looks):
         left = torch.full_like(total[..., :1], 1 - look / looks)
@@ -67,16 +127,18 @@ def expose(
 class AdaptiveDwells(ExposureKind):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
-    The masks' rails, and the statistics of their features, are those of equal dwells, 1 / m.
+    The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
 
     Attributes
     ----------
+    dwells : Dwells
     network : Mlp
-        From 2 m + 1 inputs to m outputs.
+        From k + q + 1 inputs to q outputs.
     looks : int
         K.
     """
 
+    dwells: Dwells
     network: Mlp
     looks: int
     kind = "adaptive"
@@ -91,13 +153,16 @@ class AdaptiveDwells(ExposureKind):
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
-        equal = constraints.excess(rails, "equal-dwell") < constraints.SLACK
-        if not (equal and light == "free-dwell" and len(rails) == 1):
+        same: Light = "two-arm" if light == "two-arm" else "equal-dwell"
+        equal = constraints.excess(rails, same) < constraints.SLACK
+        if light == "two-arm":
+            equal &= float(rails.sum(dim=0).max()) * rails.shape[1] < 1 + constraints.SLACK
+        if not (equal and light in LOOKING):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
 
-    def input_count(self, masks: int) -> int:
+    def input_count(self, features: int) -> int:
         """Number of the classifier's inputs: features and dwells."""
-        return 2 * masks
+        return features + self.dwells.count
 
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
@@ -105,14 +170,18 @@ class AdaptiveDwells(ExposureKind):
         """Exposures after each look, parameters as for `ExposureKind.expose`."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
-            shown = rates * (photons * rates.shape[-1] * dwell.unsqueeze(-2))
-            return read(shown) / photons, dwell
+            return read(self.dwells.scaled(rates, dwell) * photons) / photons, dwell
 
         return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
 
+    def shown(self, rates: Tensor, seen: Exposure) -> Tensor:
+        """Expected counts of an exposure, parameters as for `ExposureKind.shown`."""
+        assert seen.dwell is not None
+        return self.dwells.scaled(rates, seen.dwell)
+
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
         """Exposures after each look at a camera, parameters as for `ExposureKind.expose`."""
-        return expose(self.network, show, self.looks, mean, std)
+        return expose(self.network, show, self.looks, self.dwells.count, mean, std)
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
@@ -150,7 +219,11 @@ class AdaptiveShape:
     hidden: tuple[Annotated[int, Field(ge=1)], ...]
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 
-    def restored(self, weights: dict[str, Tensor], masks: int) -> AdaptiveDwells:
-        """The exposure of m masks, with its network's weights from a design file."""
-        sizes = {"inputs": 2 * masks + 1, "classes": masks, "hidden": self.hidden}
-        return AdaptiveDwells(restored(Mlp, weights, **sizes), self.looks)
+    def restored(
+        self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
+    ) -> AdaptiveDwells:
+        """The exposure; parameters as for `ExposureKind.restored`."""
+        dwells = Dwells.of(rails.shape[1], light, {1: "single", 2: "dual"}[len(rails)])
+        inputs = features + dwells.count + 1
+        sizes = {"inputs": inputs, "classes": dwells.count, "hidden": self.hidden}
+        return AdaptiveDwells(dwells, restored(Mlp, weights, **sizes), self.looks)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
+from deepfsi.design.adaptive import AdaptiveDwells, Dwells
 from deepfsi.design.calibration import find_distribution, sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
@@ -23,9 +24,10 @@ from deepfsi.files import write_atomically
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
-from deepfsi.optics.scanner import Scanner, subtract
+from deepfsi.optics.scanner import Scanner
 
 
 @dataclass(repr=False)
@@ -40,10 +42,11 @@ class Design:
         M⁺ and M⁻, or the one rail; shares of each pixel's photons.
     classifier : nn.Module
         Inputs, as the exposure makes them of features (..., m), to logits (..., C).
-    mean, std : tensor, shape (m,)
-        Mean and standard deviation of the features y / Φ, fixed at the end of training.
-    shares : tensor, shape (m,)
-        Share of the budget that each mask's rails count together, in the training mean.
+    mean, std : tensor, shape (k,)
+        Mean and standard deviation of the features y / Φ, fixed at the end of training. There are
+        k = m of one detector that reads the difference of two rails; see `detection`.
+    shares : tensor, shape (k,)
+        Share of the budget that is counted for each feature, in the training mean.
     summed_reflectance : float
         s, the training scenes' mean summed reflectance; λ = Φ x / s.
     light : str
@@ -52,6 +55,8 @@ class Design:
     classes : tuple of str
     exposure : ExposureKind
         Dwells of the masks, and the classifier's inputs.
+    detection : Detection
+        Detectors on parts of the device, and what is read of two rails.
     info : dict
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     distribution : ReadoutDistribution, optional
@@ -79,6 +84,7 @@ class Design:
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
     exposure: ExposureKind = field(default_factory=FixedDwells)
+    detection: Detection = ONE
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
 
@@ -114,6 +120,17 @@ class Design:
         return self.exposure.mask_shape(self.image_shape)
 
     @property
+    def counts_shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m [, D]) of the counts of one exposure, as `classify` takes them."""
+        several = (self.detection.count,) if self.detection.count > 1 else ()
+        return ((2,) if len(self.rails) == 2 else ()) + (self.masks, *several)
+
+    @property
+    def features(self) -> int:
+        """k, number of features that the classifier reads."""
+        return self.masks * self.detection.width(len(self.rails))
+
+    @property
     def fewest_masks(self) -> int:
         """Fewest first masks that do by themselves."""
         return self.exposure.fewest_masks(self.masks)
@@ -127,10 +144,10 @@ class Design:
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
-        return Scanner.from_rails(self.rails, noise, sigma, dark)
+        return Scanner.from_rails(self.rails, noise, sigma, dark, self.detection)
 
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., rails, m) of reflectances (..., N), for a budget of one photon."""
+        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
         seen = self.exposure.cut(scenes.to(self.rails.device), self.image_shape)
         return scanner.rates(seen / self.summed_reflectance)
 
@@ -141,12 +158,12 @@ class Design:
 
         Parameters
         ----------
-        features : tensor, shape (..., m)
-            y⁺ − y⁻ in counts.
+        features : tensor, shape (..., k)
+            What is read of the counts, in counts.
         photons : float or tensor, shape (..., 1)
             Budget Φ.
-        dwell : tensor, shape (..., m), optional
-            As for `classify`.
+        dwell : tensor, shape (..., q), optional
+            Share of the exposure of each frame.
         """
         return self.logits_of(Exposure(features / photons, dwell), photons)
 
@@ -164,14 +181,14 @@ class Design:
         ----------
         scanner : Scanner
             Of this design.
-        rates : tensor, shape (..., rails, m)
+        rates : tensor, shape (..., rails, m · D)
             As from `rates`: expected counts for a budget of one photon.
         generator : torch.Generator
         photons : float
             Budget Φ.
         """
         return self.exposure.expose(
-            lambda expected: subtract(scanner.read(expected, generator)),
+            lambda expected: self.detection.features(scanner.read(expected, generator)),
             rates, photons, self.mean, self.std,
         )  # fmt: skip
 
@@ -188,8 +205,9 @@ class Design:
         read : callable
             Called once for each look: shows each mask, ``rails[0] * masks`` in 0 .. 1, for the
             given shares (m,) of the exposure time, floats that sum to 1 / K, and returns the counts
-            (m,) of this look. Where a device cannot show these, as frames have a shortest time, a
-            pair: counts, and the shares shown.
+            of this look, shaped as for `classify`. The shares are (2, m) where each rail is a frame
+            of its own. Where a device cannot show these, as frames have a shortest time, a pair:
+            counts, and the shares shown.
         photons : float
             Budget Φ of the whole exposure, or an estimate of it.
         until : callable, optional
@@ -202,26 +220,26 @@ class Design:
             If the design has fixed dwells, or counts or photons are not as `classify` takes them.
         """
         budget = check_budget(photons)
-        counted = np.zeros(self.masks)
+        counted = torch.zeros_like(self.mean)
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
-            counts, shown = check_look(read, dwell)
-            counted = counted + counts
-            return torch.from_numpy(counts / budget).to(dwell), torch.from_numpy(shown).to(dwell)
+            asked = self._dwells.by_rail(dwell.cpu().numpy())
+            counts, shown = check_look(read, asked, self.counts_shape)
+            features = self.features_of(torch.from_numpy(counts).to(dwell))
+            counted = counted + features
+            return features / budget, torch.from_numpy(self._dwells.by_mask(shown)).to(dwell)
 
         looks = self.exposure.expose_live(show, self.mean, self.std)
         with torch.no_grad():
             for look, seen in enumerate(looks, start=1):
                 if until is None and look < self.exposure.looks:
                     continue
-                features = torch.from_numpy(counted).to(self.rails)
-                logits = self.logits(features, budget, seen.dwell)
+                logits = self.logits(counted, budget, seen.dwell)
                 chances = logits.softmax(dim=-1).cpu().numpy()
-                if until is not None:
-                    chances, enough = until(look, chances)
-                    if enough:
-                        break
+                chances, enough = until(look, chances) if until else (chances, False)
+                if enough:
+                    break
         return chances
 
     def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
@@ -231,12 +249,13 @@ class Design:
         ----------
         counts : array, shape (..., 2, m) for dual-rail designs, (..., m) for single-rail ones
             Counts of each readout, first the positive rails, then the negative ones. A dark rail
-            reads 0.
+            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D).
         photons : float or array, shape (...)
             Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
         dwell : array, shape (..., m), optional
-            Share of the exposure that each mask had: goes with designs that choose dwells, whose
-            counts are those of all looks together.
+            Share of the exposure that each mask had, or (..., 2, m) where its rails are frames of
+            their own: goes with designs that choose dwells, whose counts are those of all looks
+            together.
 
         Raises
         ------
@@ -244,14 +263,26 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         self.exposure.check_dwell(dwell is not None)
-        wanted = (2, self.masks) if len(self.rails) == 2 else (self.masks,)
-        read, budget, shown = check_readouts(counts, photons, dwell, wanted)
+        frames = None if dwell is None else self._dwells.shape
+        read, budget, shown = check_readouts(counts, photons, dwell, self.counts_shape, frames)
         device = self.rails.device
         with torch.no_grad():
-            features = subtract(read) if len(self.rails) == 2 else read
-            shown = None if shown is None else shown.to(device)
-            logits = self.logits(features.to(device), budget.to(device), shown)
+            if shown is not None:
+                shown = torch.from_numpy(self._dwells.by_mask(shown.numpy())).to(device)
+            logits = self.logits(self.features_of(read.to(device)), budget.to(device), shown)
         return logits.softmax(dim=-1).cpu().numpy()
+
+    @property
+    def _dwells(self) -> Dwells:
+        """Dwells of the frames of a look, or `InputError` if they are fixed."""
+        if not isinstance(self.exposure, AdaptiveDwells):
+            raise InputError("the dwells of this design are fixed")
+        return self.exposure.dwells
+
+    def features_of(self, counts: Tensor) -> Tensor:
+        """Features (..., k) of counts in the shape that `classify` takes."""
+        every = counts.flatten(-2) if self.detection.count > 1 else counts
+        return self.detection.features(every if len(self.rails) == 2 else every.unsqueeze(-2))
 
     def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
         """The design with the distribution of the readouts of training scenes.
@@ -262,7 +293,7 @@ class Design:
         labels : tensor, shape (n,)
             Their classes, 0 .. C-1.
         """
-        rows = sample_scenes(len(scenes), len(self.rails) * self.masks)
+        rows = sample_scenes(len(scenes), prod(self.counts_shape))
         with torch.no_grad():
             rates = self.rates(self.scanner(), scenes[rows])
         found = find_distribution(rates, labels[rows].cpu().numpy(), len(self.classes))
@@ -289,21 +320,19 @@ class Design:
         """
         if self.distribution is None:
             raise InputError(
-                "this design holds no distribution of its training scenes' readouts, so that "
-                "counts cannot be tested: learn a design of fixed dwells from 100 scenes or more, "
-                "50 of each class"
+                "this design holds no distribution of its training scenes' readouts: counts are "
+                "tested for designs of fixed dwells, learned from 100 scenes or more, 50 a class"
             )
-        wanted = (2, self.masks) if len(self.rails) == 2 else (self.masks,)
-        read, budget, _ = check_readouts(counts, photons, None, wanted)
+        read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
-        shape = (*budget.shape[:-1], *self.rails.shape[:2])
+        shape = (*budget.shape[:-1], len(self.rails), self.masks * self.detection.count)
         return self.distribution.test(read.reshape(shape), budget[..., 0], dark.reshape(shape))
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
-        """Counts (..., rails, m) of every rail, in the shape that `classify` takes."""
-        return rails if len(self.rails) == 2 else rails[..., 0, :]
+        """Counts (..., rails, m [, D]) of every rail, in the shape that `classify` takes."""
+        return rails if len(self.rails) == 2 else rails.squeeze(-1 - len(self.counts_shape))
 
     def to(self, device: str | torch.device) -> Self:
         """Move to a device; returns self."""
@@ -335,12 +364,13 @@ class Design:
             )
         used = constraints.used(self.rails, self.light)
         share = float(used[masks - 1] / used[-1])
+        kept = masks * self.detection.width(len(self.rails))
         return replace(
             self,
             rails=self.rails[:, :masks] / share,
-            mean=self.mean[:masks] / share,
-            std=self.std[:masks] / share,
-            shares=self.shares[:masks] / share,
+            mean=self.mean[:kept] / share,
+            std=self.std[:kept] / share,
+            shares=self.shares[:kept] / share,
             exposure=self.exposure.using(self.used * share),
             distribution=None,
         )
@@ -403,9 +433,12 @@ class Design:
         header = artifact_file.Header(
             exposure=self.exposure.header(),
             classifier=self.classifier.header,  # type: ignore[arg-type]
+            readout=self.detection.readout,
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
         tensors = {name: getattr(self, name) for name in artifact_file.TENSORS}
+        if self.detection.labels is not None:
+            tensors["detectors"] = self.detection.labels
         return artifact_file.pack(header, tensors, weights)
 
     @classmethod
@@ -462,6 +495,6 @@ class Design:
                 "this design does not say where its classifier is imported from: give `classifier`"
             )
         arguments = {} if isinstance(classifier, nn.Module) else made.arguments
-        inputs = self.exposure.input_count(self.masks)
+        inputs = self.exposure.input_count(self.features)
         own = make(classifier, arguments, inputs, len(self.classes))
         return replace(self, classifier=restored(own, made.weights).to(self.rails.device))

@@ -24,6 +24,7 @@ from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.detection import Detection, Readout
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -32,7 +33,7 @@ WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info"
 """Fields of a design that its header holds as they are."""
 
 STATISTICS = ("mean", "std", "shares")
-"""Tensors of one number a mask."""
+"""Tensors of one number a feature."""
 
 TENSORS = ("rails", *STATISTICS)
 """Fields of a design that are tensors."""
@@ -86,6 +87,8 @@ class Header(BaseModel):
         `SCHEMA`; "schema" in the file.
     deepfsi : str
         Version of the package that wrote it.
+    readout : str
+        What is read of two rails, of `detection.Detection`.
     exposure, classifier
         Kind and sizes: what rebuilds them, with the tensors.
     """
@@ -96,6 +99,7 @@ class Header(BaseModel):
     deepfsi: str = version("deepfsi")
     name: str
     light: Light
+    readout: Readout
     summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
@@ -165,11 +169,15 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         raise ValueError("tensors are not finite")
     fields = {name: tensors[name] for name in TENSORS}
     rails, masks = fields["rails"], fields["rails"].shape[1]
-    if {fields[name].shape for name in STATISTICS} != {(masks,)} or (fields["std"] <= 0).any():
+    detection = _detection(header, tensors.get("detectors"))
+    features = masks * detection.width(len(rails))
+    if {fields[name].shape for name in STATISTICS} != {(features,)} or (fields["std"] <= 0).any():
         raise ValueError("statistics are not those of the masks")
     constraints.check_light(header.light, {1: "single", 2: "dual"}[len(rails)])
     constraints.check(rails, header.light)
-    exposure = header.exposure.restored(_weights(tensors, "exposure."), masks)
+    exposure = header.exposure.restored(
+        _weights(tensors, "exposure."), features, rails, header.light
+    )
     exposure.check(rails, header.light, header.image_shape)
     if math.prod(header.image_shape) != rails.shape[2] * header.classifier.patches:
         raise ValueError("images have other pixels than masks on all patches")
@@ -181,15 +189,29 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         classifier = restored(
             {"mlp": Mlp, "vit": Vit}[size.kind],
             weights,
-            inputs=exposure.input_count(masks),
+            inputs=exposure.input_count(features),
             classes=len(header.classes),
             **size.model_dump(exclude={"kind"}),
         )
     words = {name: getattr(header, name) for name in WORDS}
     known = _weights(tensors, "distribution.")
-    distribution = ReadoutDistribution.restored(known, len(rails), masks) if known else None
-    parts = {"exposure": exposure, "classifier": classifier, "distribution": distribution}
+    distribution = (
+        ReadoutDistribution.restored(known, len(rails), masks * detection.count) if known else None
+    )
+    parts = {
+        "exposure": exposure,
+        "detection": detection,
+        "classifier": classifier,
+        "distribution": distribution,
+    }
     return {**words, **fields, **parts}
+
+
+def _detection(header: Header, labels: Tensor | None) -> Detection:
+    """Detection of a design file, or an error where its detectors do not fit its scenes."""
+    if labels is None:
+        return Detection(header.readout)
+    return Detection.of(labels.numpy(), header.image_shape, header.readout)
 
 
 def _weights(tensors: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:

@@ -43,6 +43,8 @@ class Conditioning(ExposureKind):
         m, of the whole sequence.
     nested : int
         Fewest first masks that do by themselves; 0 if only all do.
+    width : int
+        Features of each mask.
     used : float
         Share of the light constraint that the masks take within the whole sequence.
     """
@@ -51,6 +53,7 @@ class Conditioning(ExposureKind):
     span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
     masks: Annotated[int, Field(ge=1)]
     nested: Annotated[int, Field(ge=0)] = 0
+    width: Annotated[int, Field(ge=1)] = 1
     used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
     kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
 
@@ -59,9 +62,9 @@ class Conditioning(ExposureKind):
         if rails.shape[1] > self.masks:
             raise ValueError("more masks than in the whole sequence")
 
-    def input_count(self, masks: int) -> int:
+    def input_count(self, features: int) -> int:
         """Number of the classifier's inputs, whatever number of masks is shown."""
-        return self.masks + 2
+        return self.masks * self.width + 2
 
     @property
     def level(self) -> BudgetLevel:
@@ -72,14 +75,14 @@ class Conditioning(ExposureKind):
     def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
         """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
         ratio = torch.as_tensor(photons).to(inputs) / self.level.unit
-        return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1]))
+        return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1] // self.width))
 
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
         """First layer for features and a `BudgetLevel`, parameters as for `ExposureKind.fold`.
 
         Masks not shown read 0, and how many are is one number for a design: both fold away.
         """
-        kept = np.hstack([weight[:, :masks], weight[:, -2:-1]])
+        kept = np.hstack([weight[:, : masks * self.width], weight[:, -2:-1]])
         return kept, bias + weight[:, -1] * np.float32(masks / self.masks), self.level
 
     @property
@@ -119,25 +122,25 @@ class Conditioning(ExposureKind):
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
-        """Inputs (..., m + 2) of the classifier; 0 are features beyond those shown.
+        """Inputs of the classifier, features and two more; 0 are features beyond those shown.
 
         Parameters
         ----------
         scaled : tensor, shape (..., k)
-            Standardised features of the first k masks.
+            Standardised features of the first masks.
         ratio : tensor, broadcastable to (..., 1)
             Conditioning budget over `photons`.
         shown : tensor, broadcastable to (..., 1)
-            Masks shown, at most k.
+            Masks shown, at most these.
         """
-        seen = torch.where(first(scaled.shape[-1], shown), scaled, 0.0)
-        seen = functional.pad(seen, (0, self.masks - scaled.shape[-1]))
+        seen = torch.where(first(scaled.shape[-1], shown * self.width), scaled, 0.0)
+        seen = functional.pad(seen, (0, self.masks * self.width - scaled.shape[-1]))
         level = (torch.log(ratio) - self.level.middle) / self.level.half
         column = seen[..., :1]
         share = shown / self.masks
         return torch.cat([seen, level.expand_as(column), share.expand_as(column)], dim=-1)
 
 
-def first(masks: int, shown: Tensor) -> Tensor:
-    """Mask (..., m), true for the first `shown` (..., 1) of m masks."""
-    return torch.arange(masks, device=shown.device) < shown
+def first(count: int, shown: Tensor) -> Tensor:
+    """Mask (..., count), true for the first `shown` (..., 1)."""
+    return torch.arange(count, device=shown.device) < shown

@@ -151,31 +151,18 @@ def evaluate(
     def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Guess:
         *_, seen = design.expose(scanner, rates, generator, budget)
         classes = design.logits_of(seen, budget).argmax(dim=-1)
-        return Guess(classes, budget * float(counted(rates, seen.dwell).sum()))
+        return Guess(classes, budget * float(design.exposure.shown(rates, seen).sum()))
 
     generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
     with shown(report, f"{design.name}, {design.masks} masks") as bar:
         tallies = tally_scenes(
             scenes, lambda x: design.rates(scanner, x), guess, budgets, generators, draws, bar
         )
+    shares = design.shares.view(design.masks, -1).sum(dim=1).tolist()
     return [
-        result_of(budget, scanner.noise, tally, draws, design.shares.tolist())
+        result_of(budget, scanner.noise, tally, draws, shares)
         for budget, tally in zip(budgets, tallies, strict=True)
     ]
-
-
-def counted(rates: Tensor, dwell: Tensor | None) -> Tensor:
-    """Share of the budget (..., m) that each mask counts of a scene.
-
-    Parameters
-    ----------
-    rates : tensor, shape (..., rails, m)
-        Expected counts for a budget of one photon; where dwells are chosen, at equal ones.
-    dwell : tensor, shape (..., m), optional
-        Share of the exposure that each mask had, where it is chosen.
-    """
-    share = rates.sum(dim=-2)
-    return share if dwell is None else share * dwell * dwell.shape[-1]
 
 
 class Guess(NamedTuple):

@@ -22,10 +22,10 @@ STRICT = ConfigDict(extra="forbid", strict=True)
 """Configuration of what a design file's header holds: no further fields, no conversions."""
 
 Read = Callable[[Tensor], Tensor]
-"""From expected counts (..., rails, m) to features y⁺ − y⁻ (..., m) in counts."""
+"""From expected counts (..., rails, m · D) to features (..., k) in counts."""
 
 Show = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""From dwells (..., m) to counts (..., m) over the budget, and the dwells really shown."""
+"""From dwells (..., q) to features (..., k) over the budget, and the dwells really shown."""
 
 
 @dataclass(frozen=True)
@@ -35,28 +35,30 @@ class Exposure:
     Attributes
     ----------
     features : tensor, shape (..., k)
-        y⁺ − y⁻ of the first k masks over the budget, of all looks together.
-    dwell : tensor, shape (..., k), optional
-        Share of the whole exposure that each mask had, where dwells are chosen; sums to 1 after the
-        last look.
+        What is read of the first masks over the budget (`detection`), of all looks together.
+    dwell : tensor, shape (..., q), optional
+        Share of the whole exposure that each frame had, where dwells are chosen; sums to 1 after
+        the last look.
     """
 
     features: Tensor
     dwell: Tensor | None = None
 
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
-        """Standardised features (..., k), followed by the dwells (..., 2 k) where they are chosen.
+        """Standardised features (..., k), and the dwells (..., k + q) where they are chosen.
 
-        Mean and std (..., m) are those of the features: where dwells are chosen, of features whose
-        masks all have the same dwell, 1 / m.
+        Mean and std (..., k) are those of the features: where dwells are chosen, of features whose
+        frames all have the same dwell, 1 / q.
         """
-        masks = self.features.shape[-1]
-        if masks < mean.shape[-1]:
-            mean, std = mean[..., :masks], std[..., :masks]
+        count = self.features.shape[-1]
+        if count < mean.shape[-1]:
+            mean, std = mean[..., :count], std[..., :count]
         if self.dwell is None:
             return (self.features - mean) / std
-        relative = self.dwell * masks
-        return torch.cat([(self.features - relative * mean) / std, relative / 3], dim=-1)
+        dwells = self.dwell.shape[-1]
+        relative = self.dwell * dwells
+        each = relative.repeat_interleave(count // dwells, dim=-1) if count > dwells else relative
+        return torch.cat([(self.features - each * mean) / std, relative / 3], dim=-1)
 
 
 class BudgetLevel(NamedTuple):
@@ -80,9 +82,12 @@ class ExposureKind:
         Share of the light constraint that the masks take within the whole sequence.
     network : Mlp, optional
         A network besides the classifier.
+    width : int
+        Features of each mask, where its first masks do by themselves.
     """
 
     kind: str
+    width: int = 1
     looks: int = 1
     used: float = 1.0
     network: Mlp | None = None
@@ -91,8 +96,20 @@ class ExposureKind:
         """Entry of the design file's header, of which `restored` makes the kind again."""
         return self
 
-    def restored(self, weights: dict[str, Tensor], masks: int) -> "ExposureKind":
-        """The kind with its network's weights from a design file."""
+    def restored(
+        self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
+    ) -> "ExposureKind":
+        """The kind with its network's weights from a design file.
+
+        Parameters
+        ----------
+        weights : dict of tensor
+            Of the network.
+        features : int
+            k.
+        rails, light
+            Of the design.
+        """
         return self
 
     def to(self, device: str | torch.device) -> "ExposureKind":
@@ -102,9 +119,9 @@ class ExposureKind:
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
 
-    def input_count(self, masks: int) -> int:
-        """Number of the classifier's inputs for m masks."""
-        return masks
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs for k features."""
+        return features
 
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
         """Shape of a mask for images of a shape."""
@@ -134,16 +151,29 @@ class ExposureKind:
         ----------
         read : callable
             Draws counts.
-        rates : tensor, shape (..., rails, m)
+        rates : tensor, shape (..., rails, m · D)
             Expected counts for a budget of one photon.
         photons : float
             Budget Φ.
-        mean, std : tensor, shape (m,)
+        mean, std : tensor, shape (k,)
             Of the features.
         """
-        features, masks = read(rates * photons) / photons, rates.shape[-1]
+        features = read(rates * photons) / photons
+        masks = features.shape[-1] // self.width
         for shown in range(self.fewest_masks(masks), masks + 1):
-            yield Exposure(features[..., :shown])
+            yield Exposure(features[..., : shown * self.width])
+
+    def shown(self, rates: Tensor, seen: Exposure) -> Tensor:
+        """Expected counts (..., rails, m · D) of an exposure for a budget of one photon.
+
+        Parameters
+        ----------
+        rates : tensor, shape (..., rails, m · D)
+            Those of the masks; where dwells are chosen, of equal ones.
+        seen : Exposure
+            The exposure.
+        """
+        return rates
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
         """Exposures after each look at a camera, or `InputError` if dwells are fixed.

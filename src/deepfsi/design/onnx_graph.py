@@ -43,9 +43,9 @@ def to_onnx(design: Design) -> bytes:
     -------
     bytes
         Content of an ``.onnx`` file. Its inputs are float32 ``counts``, (batch, 2, m) for dual-rail
-        designs and (batch, m) for single-rail ones, and ``photons``, (batch,), each finite and the
-        budgets above 0, which the graph does not check; its output ``probabilities``, (batch, C).
-        Metadata: each value as JSON.
+        designs and (batch, m) for single-rail ones, with D numbers each of D detectors, and
+        ``photons``, (batch,), each finite and the budgets above 0, which the graph does not check;
+        its output ``probabilities``, (batch, C). Metadata: each value as JSON.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def to_onnx(design: Design) -> bytes:
         return _traced(design, graph.onnx)
     _write(design, design.classifier, graph)
     return graph.finish(
-        {"counts": (2, design.masks)[2 - len(design.rails) :], "photons": ()},
+        {"counts": design.counts_shape, "photons": ()},
         {"probabilities": (len(design.classes),)},
         _metadata(design),
     )
@@ -73,10 +73,14 @@ def to_onnx(design: Design) -> bytes:
 def _write(design: Design, classifier: Mlp, graph: "_Graph") -> None:
     """Write the nodes of a design from its inputs to its output."""
     features = "counts"
-    if len(design.rails) == 2:
+    if len(design.rails) == 2 and design.detection.readout == "both":
+        order = [0, 2, 1, 3][: 1 + len(design.counts_shape)]
+        features = graph.add("Transpose", "counts", to="by_mask", perm=order)
+    elif len(design.rails) == 2:
         for place, rail in enumerate(("plus", "minus")):
             graph.add("Gather", "counts", graph.index(f"{rail}_at", place), to=rail, axis=1)
-        features = graph.add("Sub", "plus", "minus", to="features")
+        features = graph.add("Sub", "plus", "minus", to="differences")
+    features = graph.add("Flatten", features, to="features", axis=1)
     budget = graph.add("Unsqueeze", "photons", graph.index("columns", [1]), to="budget")
     shares = graph.add("Div", features, budget, to="shares")
     centred = graph.add("Sub", shares, graph.constant("mean", design.mean.cpu()), to="centred")
@@ -165,15 +169,15 @@ class _Whole(nn.Module):
         self.classifier, self.design = design.classifier, design
 
     def forward(self, counts: Tensor, photons: Tensor) -> Tensor:
-        features = counts[:, 0] - counts[:, 1] if len(self.design.rails) == 2 else counts
+        features = self.design.features_of(counts)
         return self.design.logits(features, photons.unsqueeze(-1)).softmax(dim=-1)
 
 
 def _traced(design: Design, onnx: Any) -> bytes:
     """Graph of a design with a module of one's own, compared with torch before it is given."""
     whole = _Whole(design.to("cpu")).eval()
-    whole.classifier(torch.zeros(1, design.exposure.input_count(design.masks)))
-    shape = (2, design.masks)[2 - len(design.rails) :]
+    whole.classifier(torch.zeros(1, design.exposure.input_count(design.features)))
+    shape = design.counts_shape
     names = ["counts", "photons", "probabilities"]
     written = io.BytesIO()
     try:
@@ -206,12 +210,11 @@ def _compare(content: bytes, whole: _Whole) -> None:
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     design, generator = whole.design, torch.Generator().manual_seed(0)
+    shape = design.counts_shape
     for batch in (*[1] * 8, 7):
         photons = 10 ** (6 * torch.rand(batch, 1, generator=generator))
-        scaled = torch.randn(batch, design.masks, generator=generator)
-        features = (design.mean + design.std * scaled) * photons
-        dual = len(design.rails) == 2
-        counts = torch.stack([features.relu(), (-features).relu()], dim=1) if dual else features
+        scaled = torch.randn(batch, *shape, generator=generator)
+        counts = (design.shares.mean() * (1 + scaled)).relu() * photons.view(-1, *[1] * len(shape))
         photons = photons.squeeze(1)
         given = {"counts": counts.numpy(), "photons": photons.numpy()}
         with torch.no_grad():
@@ -231,6 +234,8 @@ def _metadata(design: Design) -> dict[str, Any]:
         "name": design.name,
         "masks": design.masks,
         "rails": len(design.rails),
+        "detectors": design.detection.count,
+        "readout": design.detection.readout,
         "light": design.light,
         "summed_reflectance": design.summed_reflectance,
         "image_shape": list(design.image_shape),

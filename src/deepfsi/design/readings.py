@@ -14,7 +14,11 @@ LONGEST_LOOK = 1.05
 
 
 def check_readouts(
-    counts: Any, photons: Any, dwell: Any, wanted: tuple[int, ...]
+    counts: Any,
+    photons: Any,
+    dwell: Any,
+    wanted: tuple[int, ...],
+    frames: tuple[int, ...] | None = None,
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked.
 
@@ -24,6 +28,8 @@ def check_readouts(
         As for `Design.classify`; dwell may be None.
     wanted : tuple of int
         Shape of one exposure's counts.
+    frames : tuple of int, optional
+        Of its dwells.
     """
 
     def tensor(values: Any) -> Tensor:
@@ -42,11 +48,12 @@ def check_readouts(
     if not bool(torch.isfinite(read).all()):
         raise InputError("counts hold NaN or infinity: give finite counts")
     if shown is not None and (
-        shown.shape != read.shape or not bool((torch.isfinite(shown) & (shown >= 0)).all())
+        tuple(shown.shape) != (*read.shape[: -len(wanted)], *(frames or ()))
+        or not bool((torch.isfinite(shown) & (shown >= 0)).all())
     ):
         raise InputError(
             f"dwells of shape {tuple(shown.shape)} do not fit counts of shape "
-            f"{tuple(read.shape)}: give a share of 0 or more for each count"
+            f"{tuple(read.shape)}: give a share of 0 or more for each frame"
         )
     if not bool((torch.isfinite(budget) & (budget > 0)).all()):
         raise InputError("photons must be a finite number above 0 for every exposure")
@@ -60,19 +67,30 @@ def check_readouts(
     return read, budget, shown
 
 
-def check_look(read: Callable[[np.ndarray], Any], dwell: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Counts (m,) of one look of a camera and the dwells (m,) shown, checked."""
-    asked = dwell.cpu().numpy()
+def check_look(
+    read: Callable[[np.ndarray], Any], asked: np.ndarray, wanted: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Counts of one look of a camera and the dwells shown, checked.
+
+    Parameters
+    ----------
+    read : callable
+        Of `Design.classify_live`.
+    asked : array
+        Dwells that it is given.
+    wanted : tuple of int
+        Shape of the counts.
+    """
     seen = read(asked.copy())
     pair = seen if isinstance(seen, tuple) else (seen, asked)
     try:
         counts, shown = (np.asarray(part, dtype=float) for part in pair)
     except (TypeError, ValueError):
         counts, shown = np.empty(0), asked
-    if not counts.shape == shown.shape == asked.shape:
+    if (counts.shape, shown.shape) != (wanted, asked.shape):
         raise InputError(
-            f"a look does not fit this design: return {asked.shape} counts, or a pair of "
-            "counts and shares shown"
+            f"a look does not fit this design: return {wanted} counts, or a pair of counts and "
+            f"{asked.shape} shares shown"
         )
     if not np.isfinite(counts).all():
         raise InputError("a look holds NaN or infinity: return finite counts")

@@ -79,41 +79,32 @@ def mask_count(ratio: float, pixels: int) -> int:
     return max(1, round(ratio * pixels))
 
 
-def count_allowed(name: str, data: Dataset) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have on a data set."""
-    pixels = data.pixels
-    if name in ("impulse", "raster"):
-        return pixels, pixels
-    if name == "hadamard":
-        order = int(np.prod(padded_shape(data.image_shape)))
-        return order, order
-    if name == "s-matrix":
-        order = s_matrix_order(pixels)
-        return order, order
-    if name == "truncated-hadamard":
-        return 1, int(np.prod(padded_shape(data.image_shape)))
-    if name == "lda":
-        return 1, min(len(data.classes) - 1, pixels)
-    return 1, pixels
-
-
-def check_count(name: str, masks: int, data: Dataset) -> int:
-    """Return a mask count, or raise `InputError` if the design cannot have it on this data.
+def count_allowed(name: str, image_shape: tuple[int, ...], classes: int) -> tuple[int, int]:
+    """Smallest and largest number of masks that a design can have for one detector.
 
     Parameters
     ----------
     name : str
         A key of `DESIGNS`.
-    masks : int
-        m.
-    data : Dataset
+    image_shape : tuple of int
+        Of a scene.
+    classes : int
+        C.
     """
-    low, high = count_allowed(name, data)
-    whole = not isinstance(masks, bool) and float(masks).is_integer()
-    if not whole or not low <= masks <= high:
-        allowed = f"exactly {low}" if low == high else f"a whole number from {low} to {high}"
-        raise InputError(f"{masks} masks are not allowed for {name} on {data.name}: give {allowed}")
-    return int(masks)
+    pixels = int(np.prod(image_shape))
+    if name in ("impulse", "raster"):
+        return pixels, pixels
+    if name == "hadamard":
+        order = int(np.prod(padded_shape(image_shape)))
+        return order, order
+    if name == "s-matrix":
+        order = s_matrix_order(pixels)
+        return order, order
+    if name == "truncated-hadamard":
+        return 1, int(np.prod(padded_shape(image_shape)))
+    if name == "lda":
+        return 1, min(classes - 1, pixels)
+    return 1, pixels
 
 
 def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
@@ -129,20 +120,19 @@ def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
 
 
 def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
-    """Sensing matrix (m, N) of a fixed design, float64, signed.
+    """Sensing matrix (m, N) of a fixed design for one detector, float64, signed.
 
     Parameters
     ----------
     name : str
         A key of `DESIGNS` that is neither learned nor custom.
     masks : int
-        m.
+        m, as `count_allowed` says.
     data : Dataset
         Gives the scene's shape, and the training scenes for `pca`, `lda` and `class-pairs`.
     seed : int
         For `random` only.
     """
-    masks = check_count(name, masks, data)
     pixels = data.pixels
     if name == "impulse":
         return np.eye(pixels)

@@ -89,8 +89,8 @@ def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
 
 
 def equalise(rails: Tensor) -> Tensor:
-    """Frames (..., m, N) of one rail with every mask at equal dwell: its peak at 1 / m."""
-    return rails / (peak(rails) * rails.shape[-2])
+    """Rails (..., 2 or 1, m, N) of which every frame has the same dwell and peak."""
+    return rails / (peak(rails) * rails.shape[-2] * rails.shape[-3])
 
 
 def excess(rails: Tensor, light: Light) -> float:

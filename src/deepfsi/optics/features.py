@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.optics.detection import Detection, Readouts
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
-from deepfsi.optics.scanner import Readouts, project, project_pair, readouts
+from deepfsi.optics.scanner import project, project_pair
 
 Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
@@ -194,6 +195,7 @@ def feature_statistics(
     masks: Fixed | Learned,
     noise: FeatureNoise,
     scale: Scale,
+    detection: Detection,
     exposures: tuple[Tensor, Tensor] | None = None,
     means: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -207,43 +209,59 @@ def feature_statistics(
     noise : FeatureNoise
         Of R jobs.
     scale : {"each", "common"}
+    detection : Detection
     exposures : tuple of tensor, optional
         From `mean_over_exposures`, where budgets or numbers of masks differ.
-    means : tensor, shape (n, R or 1, m), optional
+    means : tensor, shape (n, R or 1, k), optional
         x D of all scenes, where it is known.
 
     Returns
     -------
     tuple of tensor
-        Each (R, m), for scenes of unit reflectance: to be divided by the summed reflectance s.
+        Each (R, k), for scenes of unit reflectance: to be divided by the summed reflectance s.
     """
-    difference, total = masks()
+    arranged = detection.arrange_both(*masks())
     if noise.own is not None:
-        return _sampled_statistics(scenes, difference, total, noise, scale)
-    mean, counts = (project(scenes.mean(dim=0), rails) for rails in (difference, total))
+        return _sampled_statistics(scenes, arranged, noise, scale, detection)
+    difference, total = detection.masks_read(*arranged)
+    middle = detection.arrange(scenes.mean(dim=0))
+    mean, counts = (project(middle, rails, detection.count) for rails in (difference, total))
     power = torch.zeros_like(mean)
     for place, x in enumerate(scenes.split(CHUNK)):
         rows = slice(place * CHUNK, place * CHUNK + len(x))
-        expected = project(x, difference) if means is None else means[rows]
+        expected = (
+            project(detection.arrange(x), difference, detection.count)
+            if means is None
+            else means[rows]
+        )
         power += (expected - mean).square().sum(dim=0)
-    drawn = noise.variance(counts, readouts(difference, total))
+    drawn = noise.variance(counts, detection.readouts(*arranged))
     factor, often = exposures or (1.0, None)
     std = deviation(power / len(scenes) + drawn * factor, scale, often)
     return mean.expand_as(std), std, counts.expand_as(std)
 
 
 def _sampled_statistics(
-    scenes: Tensor, difference: Tensor, total: Tensor, noise: FeatureNoise, scale: Scale
+    scenes: Tensor,
+    arranged: tuple[Tensor, Tensor],
+    noise: FeatureNoise,
+    scale: Scale,
+    detection: Detection,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Statistics as `feature_statistics` gives them, of a draw of a user's own noise."""
-    read, moments = readouts(difference, total), []
+    """Statistics as `feature_statistics` gives them, of a draw of a user's own noise.
+
+    Parameters as there, but for the arranged difference and total of the masks.
+    """
+    read, moments = detection.readouts(*arranged), []
+    difference, total = detection.masks_read(*arranged)
     for x in scenes.split(CHUNK):
-        mean, counts = project_pair(x, difference, total, both=True)
+        light = detection.arrange(x)
+        mean, counts = project_pair(light, difference, total, True, detection.count)
         drawn = noise.counted(mean, counts, read).double()
         moments.append(torch.stack([drawn.sum(dim=0), drawn.square().sum(dim=0)]))
     first, second = torch.stack(moments).sum(dim=0) / len(scenes)
     std = deviation((second - first.square()).clamp(min=0).to(scenes.dtype), scale)
-    counts = project(scenes.mean(dim=0), total)
+    counts = project(detection.arrange(scenes.mean(dim=0)), total, detection.count)
     return first.to(scenes.dtype), std, counts.expand_as(std)
 
 

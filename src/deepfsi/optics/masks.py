@@ -88,18 +88,6 @@ class Learned(nn.Module):
             return self._shown(matrix, self._dwell()[..., 0, :, None].expand_as(matrix))
         return self._shown(matrix, matrix.abs())
 
-    def rails_to_measure(self) -> Tensor:
-        """Matrix M for `scanner.measure`, or difference and total (2, ..., m, N)."""
-        if self.disjoint:
-            return self.matrix()
-        return pair(*self())
-
-    def lit(self, difference: Tensor, total: Tensor) -> Tensor:
-        """Number of rails of each mask that are not dark, (..., m)."""
-        time = total[..., 0].detach() if self.light == "two-arm" else 0
-        least, most = difference.detach().aminmax(dim=-1)
-        return (most > -time).int() + (least < time).int()
-
     @property
     def disjoint(self) -> bool:
         """True if the total is |M|, and its gradient that of |M|.

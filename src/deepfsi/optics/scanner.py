@@ -1,12 +1,13 @@
 """The optical front end as a layer: photons per pixel in, noisy features out."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import Fixed
 from deepfsi.optics.noise import (
     OwnNoise,
@@ -20,7 +21,7 @@ from deepfsi.optics.noise import (
 
 
 class Scanner(nn.Module):
-    """Masks, detectors and their noise: (..., N) photons → (..., m) feature counts y⁺ − y⁻.
+    """Masks, detectors and their noise: (..., N) photons → (..., k) feature counts y⁺ − y⁻.
 
     An ordinary module: put it in front of any network and train both.
 
@@ -36,6 +37,9 @@ class Scanner(nn.Module):
         Read noise in counts rms per readout, for gaussian and camera noise.
     dark : float
         Expected dark counts of one detector in the whole exposure, for camera noise.
+    detection : Detection, optional
+        Several detectors, and what is read of two rails. One detector and the difference unless
+        given, for which k = m.
 
     Examples
     --------
@@ -51,6 +55,7 @@ class Scanner(nn.Module):
         noise: str | OwnNoise = "poisson",
         sigma: float = 1.0,
         dark: float = 0.0,
+        detection: Detection | None = None,
     ) -> None:
         super().__init__()
         if isinstance(masks, Tensor):
@@ -58,6 +63,7 @@ class Scanner(nn.Module):
         self.masks = masks
         self.noise, self._own = resolve(noise)
         self.sigma, self.dark = sigma, check_dark(dark, self.noise)
+        self.detection = detection or Detection()
 
     @classmethod
     def from_rails(
@@ -66,46 +72,50 @@ class Scanner(nn.Module):
         noise: str | OwnNoise = "poisson",
         sigma: float = 1.0,
         dark: float = 0.0,
+        detection: Detection | None = None,
     ) -> "Scanner":
         """Scanner with fixed rails (2 or 1, m, N); other parameters as for the class."""
-        return cls(Fixed(rails), noise, sigma, dark)
+        return cls(Fixed(rails), noise, sigma, dark, detection)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy features y⁺ − y⁻ (..., [replicas,] m) of expected photons (..., N), in counts.
+        """Noisy features (..., [replicas,] k) of expected photons (..., N), in counts.
 
         Differentiable in the masks. Under gaussian noise and `ml_gauss` the two rails' noise is
         drawn at once, which is the same in distribution.
         """
-        difference, total = self.masks()
+        seen = self.detection
         if self._own is not None:
-            return subtract(self.read(self.rates(photons), generator))
+            return seen.features(self.read(self.rates(photons), generator))
         if self.noise in ("poisson", "camera"):
             rates = self.rates(photons)
-            counts = subtract(self.read(rates.detach(), generator))
-            shown = readouts(difference, total)
+            counts = seen.features(self.read(rates.detach(), generator))
+            shown = seen.readouts(*seen.arrange_both(*self.masks()))
             dark = self.dark * shown.time.sum(dim=0)
-            light = rates.sum(dim=-2)
-            power = variance(light, shown.lit, self.noise, self.sigma, dark)
-            return attach_gradient(counts, subtract(rates), power)
-        _check_light(photons, difference.shape[-1])
+            power = variance(seen.totals(rates), shown.lit, self.noise, self.sigma, dark)
+            return attach_gradient(counts, seen.features(rates), power)
+        difference, total = seen.arrange_both(*self.masks())
+        x = self._light(photons)
+        pair = seen.masks_read(difference, total)
         if self.noise == "none":
-            return project(photons, difference)
-        mean, counts = project_pair(photons, difference, total, self.noise == "ml_gauss")
-        power = variance(counts, lit(difference, total), self.noise, self.sigma)
+            return project(x, pair[0], seen.count)
+        mean, counts = project_pair(x, *pair, self.noise == "ml_gauss", seen.count)
+        power = variance(counts, seen.readouts(difference, total).lit, self.noise, self.sigma)
         return mean + root(power) * torch.randn(
             mean.shape, generator=generator, device=mean.device, dtype=mean.dtype
         )
 
     def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy counts (..., [replicas,] rails, m) of photons (..., N), as detectors report.
+        """Noisy counts (..., [replicas,] rails, m · D) of photons (..., N), as detectors report.
 
-        A rail that is dark by construction reads 0.
+        Those of D detectors follow one another for each mask. A rail that is dark by construction
+        reads 0.
         """
         return self.read(self.rates(photons), generator)
 
     def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
-        every = readouts(*self.masks())
+        arranged = self.detection.arrange_both(*self.masks())
+        every = Detection(count=self.detection.count).readouts(*arranged)
         shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
         if self._own is not None:
             counts = self._own(torch.where(shown, rates, 1.0), generator)
@@ -116,9 +126,13 @@ class Scanner(nn.Module):
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""
-        difference, total = self.masks()
-        _check_light(photons, difference.shape[-1])
-        return project(photons, constraints.separate(difference, total))
+        rails = constraints.separate(*self.masks())
+        return project(self._light(photons), self.detection.arrange(rails), self.detection.count)
+
+    def _light(self, photons: Tensor) -> Tensor:
+        """Photons with the pixels of each detector together, checked."""
+        _check_light(photons, self.masks()[0].shape[-1])
+        return self.detection.arrange(photons)
 
 
 def _check_light(photons: Any, pixels: int) -> None:
@@ -137,20 +151,33 @@ def _check_light(photons: Any, pixels: int) -> None:
         )
 
 
-def project(photons: Tensor, masks: Tensor) -> Tensor:
+def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
     """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m).
 
-    Multiplies in the type of the scenes and returns the wider of theirs and the masks'.
+    Multiplies in the type of the scenes and returns the wider of theirs and the masks'. For several
+    parts, of arranged scenes and masks (`detection`), the product of each: (..., *lead, m · parts).
+
+    Parameters
+    ----------
+    photons : tensor, shape (..., N)
+    masks : tensor, shape (*lead, m, N)
+    parts : int
+        Detectors, D.
     """
-    product = photons @ masks.flatten(0, -2).to(photons.dtype).T
+    low = masks.flatten(0, -2).to(photons.dtype)
+    if parts == 1:
+        product = photons @ low.T
+    else:
+        pieces = (each.unflatten(-1, (parts, -1)) for each in (photons, low))
+        product = torch.einsum("...dp,kdp->...kd", *pieces).flatten(-2)
     wider = torch.promote_types(photons.dtype, masks.dtype)
-    return product.to(wider).unflatten(-1, masks.shape[:-1])
+    return product.to(wider).unflatten(-1, (*masks.shape[:-2], masks.shape[-2] * parts))
 
 
 def project_pair(
-    photons: Tensor, difference: Tensor, total: Tensor, both: bool
+    photons: Tensor, difference: Tensor, total: Tensor, both: bool, parts: int = 1
 ) -> tuple[Tensor, Tensor]:
-    """Products (..., *lead, m) of scenes with difference and total of rails.
+    """Products (..., *lead, m · parts) of scenes with difference and total of rails.
 
     A single rail's difference is its total, and so is their product.
 
@@ -160,18 +187,22 @@ def project_pair(
     difference, total : tensor, shape (*lead, m, N)
     both : bool
         If not, the product with the difference is returned twice.
+    parts : int
+        As for `project`.
     """
     if difference is total or not both:
-        mean = project(photons, difference)
+        mean = project(photons, difference, parts)
         return mean, mean
     pair = torch.stack([difference.to(photons.dtype), total.to(photons.dtype)])
     wider = torch.promote_types(photons.dtype, difference.dtype)
-    mean, counts = project(photons, pair).to(wider).unbind(-difference.ndim)
+    mean, counts = project(photons, pair, parts).to(wider).unbind(-difference.ndim)
     return mean, counts
 
 
-def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> Tensor:
-    """Features (B, *lead, m) of centred scenes under MLGauss noise, one step of training.
+def measure(
+    scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool, parts: int = 1
+) -> Tensor:
+    """Features (B, *lead, k) of centred scenes under MLGauss noise, one step of training.
 
     With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
     less the constant x̄ D.
@@ -181,90 +212,52 @@ def measure(scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool) -> T
     scenes : tensor, shape (B + 1, N)
         x_c, and x̄ as the last row. The products have its type; the rest that of the masks.
     rails : tensor, shape (*lead, m, N) or (2, *lead, m, N)
-        From `Learned.rails_to_measure`: D and S, or D alone where S follows from it.
-    epsilon : tensor, shape (B, *lead, m)
-        Normal draws, times the root of the noise's variance for unit x S.
+        D and S, or D alone where S follows from it.
+    epsilon : tensor, shape (B, *lead, k)
+        k = m · parts. Normal draws, times the root of the noise's variance for unit x S.
     disjoint : bool
         Whether S = |D|.
+    parts : int
+        As for `project`.
     """
-    return _Measure.apply(scenes, rails, epsilon, disjoint)  # type: ignore[no-untyped-call]
+    return _Measure.apply(scenes, rails, epsilon, disjoint, parts)  # type: ignore[no-untyped-call]
 
 
 class _Measure(torch.autograd.Function):
     """Written out because autograd's own graph of it takes twice the time of its products."""
 
     @staticmethod
-    def forward(ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, signed: bool) -> Tensor:
+    def forward(
+        ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, signed: bool, parts: int
+    ) -> Tensor:
         low = masks.to(scenes.dtype)
         if signed:
             ctx.sign = low.sgn()
             low = torch.stack([low, low.abs()])
-        products = project(scenes, low).to(epsilon.dtype)
+        products = project(scenes, low, parts).to(epsilon.dtype)
         single = products.ndim == epsilon.ndim
         mean, counts = (products, products) if single else products.unbind(1)
         deviation = (counts[:-1] + counts[-1]).clamp_(min=0).sqrt_()
         ctx.save_for_backward(scenes, epsilon, deviation)
-        ctx.signed, ctx.shape = signed, low.shape
+        ctx.signed, ctx.shape, ctx.parts = signed, low.shape, parts
         return torch.addcmul(mean[:-1], deviation, epsilon)
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None, None]:
         scenes, epsilon, deviation = ctx.saved_tensors
         by_counts = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
-        back = gradient.new_zeros(len(scenes), *ctx.shape[:-1])
+        back = gradient.new_zeros(len(scenes), *ctx.shape[:-2], gradient.shape[-1])
         mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
         mean[:-1] = gradient
         counts[:-1] += by_counts
         counts[-1] = by_counts.sum(dim=0)
-        product = (back.flatten(1).to(scenes.dtype).T @ scenes).view(ctx.shape)
+        low = back.flatten(1).to(scenes.dtype)
+        if ctx.parts == 1:
+            product = (low.T @ scenes).view(ctx.shape)
+        else:
+            pieces = low.unflatten(-1, (-1, ctx.parts)), scenes.unflatten(-1, (ctx.parts, -1))
+            product = torch.einsum("bkd,bdp->kdp", *pieces).reshape(ctx.shape)
         if ctx.signed:
             product = torch.addcmul(product[0], product[1], ctx.sign)
         by_draw = gradient * deviation if ctx.needs_input_grad[2] else None
-        return None, product.to(gradient.dtype), by_draw, None
-
-
-class Readouts(NamedTuple):
-    """Rails of masks as a detector reads them, the positive ones first.
-
-    Attributes
-    ----------
-    shown : tensor, shape (2, ..., m)
-        Which are not dark by construction, and are read out.
-    time : tensor, shape (2, ..., m)
-        Share of the exposure that each takes: the peak of its frame, the shortest in which one
-        device can pass its light. Two rails that share pixels are two arms, and see them at once.
-    """
-
-    shown: Tensor
-    time: Tensor
-
-    @property
-    def lit(self) -> Tensor:
-        """Number of rails that are read out for each mask, (..., m)."""
-        return self.shown.sum(dim=0)
-
-
-def readouts(difference: Tensor, total: Tensor) -> Readouts:
-    """Readouts of masks of a difference and a total of rails, each (..., m, N)."""
-    rails = torch.stack([total + difference, total - difference]) / 2
-    arms = (rails > 0).all(dim=0).any(dim=-1)
-    time = torch.where(arms, total.amax(dim=-1), rails.amax(dim=-1))
-    return Readouts((rails > 0).any(dim=-1), time)
-
-
-def rails_lit(difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
-    """Which masks have a positive and which a negative rail that is not dark, each (..., m)."""
-    return (total + difference > 0).any(dim=-1), (total - difference > 0).any(dim=-1)
-
-
-def lit(difference: Tensor, total: Tensor) -> Tensor:
-    """Number of rails that are read out for each mask, (..., m)."""
-    plus, minus = rails_lit(difference, total)
-    return plus.int() + minus.int()
-
-
-def subtract(counts: Tensor) -> Tensor:
-    """Feature y⁺ − y⁻ (..., m) of rail counts (..., 2 or 1, m)."""
-    if counts.shape[-2] == 1:
-        return counts[..., 0, :]
-    return counts[..., 0, :] - counts[..., 1, :]
+        return None, product.to(gradient.dtype), by_draw, None, None

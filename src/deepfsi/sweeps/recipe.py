@@ -19,7 +19,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
 from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.imports import PATTERN
-from deepfsi.optics import codes
+from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.noise import check_noise
@@ -237,7 +237,7 @@ class Recipe(BaseModel):
 
         Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper.
         """
-        low, high = codes.count_allowed(design, data)
+        low, high = tiles.count_allowed(design, data)
         asked = self.masks or [
             codes.mask_count(ratio, data.pixels) for ratio in self.ratios or PAPER_RATIOS
         ]

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.optics.detection import Readouts
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.scanner import Readouts
 from deepfsi.training.job import Job
 
 

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepfsi.design.adaptive import expose
+from deepfsi.design.adaptive import Dwells, expose
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.conditioning import Conditioning, first
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import (
     CHUNK,
     FeatureNoise,
@@ -25,7 +26,7 @@ from deepfsi.optics.features import (
 )
 from deepfsi.optics.masks import Fixed, Learned, pair
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import measure, project, project_pair, readouts
+from deepfsi.optics.scanner import measure, project, project_pair
 from deepfsi.training.draws import SeedStream, side_by_side
 from deepfsi.training.job import Job, product_dtype
 from deepfsi.training.training_set import TrainingSet
@@ -46,18 +47,30 @@ class FixedFeatures(Features):
     """Features of fixed masks, whose products with all scenes (n, N) are known."""
 
     def __init__(
-        self, streams: Streams, masks: Fixed, scenes: Tensor, noise: FeatureNoise, scale: Scale
+        self,
+        streams: Streams,
+        masks: Fixed,
+        scenes: Tensor,
+        noise: FeatureNoise,
+        scale: Scale,
+        detection: Detection,
     ) -> None:
         self.streams = streams
-        difference, total = masks()
+        arranged = detection.arrange_both(*masks())
+        difference, total = detection.masks_read(*arranged)
         photonic = noise.counting or noise.kind == "ml_gauss"
-        pairs = [project_pair(x, difference, total, photonic) for x in scenes.split(CHUNK)]
+        pairs = [
+            project_pair(detection.arrange(x), difference, total, photonic, detection.count)
+            for x in scenes.split(CHUNK)
+        ]
         self.means = torch.cat([mean for mean, _ in pairs])
         single = difference is total or not photonic
         totals = self.means if single else torch.cat([counts for _, counts in pairs])
         del pairs
-        self.mean, self.std, _ = feature_statistics(scenes, masks, noise, scale, means=self.means)
-        self.read = readouts(difference, total)
+        self.mean, self.std, _ = feature_statistics(
+            scenes, masks, noise, scale, detection, means=self.means
+        )
+        self.read = detection.readouts(*arranged)
         self.counting = noise.counting
         self.totals = totals if self.counting else root(totals) if photonic else None
         if photonic:
@@ -91,14 +104,16 @@ class LearnedFeatures(Features):
     streams : list of SeedStream
     masks : Learned
     x : tensor, shape (n + 1, N)
-        Centred scenes and their mean, from `TrainingSet.centred`.
+        Centred scenes and their mean, from `TrainingSet.centred`, arranged as the masks are.
     scale : {"each", "common"}
+    detection : Detection
     """
 
     streams: Streams
     masks: Learned
     x: Tensor
     scale: Scale
+    detection: Detection
 
     def at(self, step: int) -> Tensor:
         """Features (B, R, m), standardised in their batch."""
@@ -114,13 +129,17 @@ class MlGaussFeatures(LearnedFeatures):
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step; see `scanner.measure`."""
-        rails = self.masks.rails_to_measure()
+        both = self.detection.readout == "both"
+        disjoint = self.masks.disjoint and not both
+        parts = self.detection.count
+        rails = self.masks.matrix() if disjoint else pair(*self.detection.masks_read(*self.masks()))
         return [
             measure(
                 self.x.index_select(0, stream.with_mean[step]),
                 rails[..., stream.replicas, :, :],
-                stream.normal(rails.shape[-2]) * stream.noise.unit,
-                self.masks.disjoint,
+                stream.normal(rails.shape[-2] * parts) * stream.noise.unit,
+                disjoint,
+                parts,
             )
             for stream in self.streams
         ]
@@ -135,13 +154,15 @@ class CountedFeatures(LearnedFeatures):
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step."""
-        difference, total = self.masks()
-        read = readouts(difference, total)
+        masks = self.masks()
+        read = self.detection.readouts(*masks)
+        difference, total = self.detection.masks_read(*masks)
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
-            own = difference[stream.replicas], total[stream.replicas]
-            mean, counts = project_pair(x, *own, both=True)
+            own = difference[stream.replicas]
+            sums = own if total is difference else total[stream.replicas]
+            mean, counts = project_pair(x, own, sums, True, self.detection.count)
             expected = mean[:-1] + mean[-1], counts[:-1] + counts[-1]
             drawn = stream.noise.counted(*expected, stream.readouts(read))
             parts.append(drawn - (drawn.mean(dim=0) if stream.noise.own else mean[-1]))
@@ -153,11 +174,14 @@ class ReadNoiseFeatures(LearnedFeatures):
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step."""
-        difference, total = self.masks()
-        shown = self.masks.lit(difference, total)
+        masks = self.masks()
+        with torch.no_grad():
+            shown = self.detection.readouts(*masks).lit
+        difference, _ = self.detection.masks_read(*masks)
         parts = []
         for stream in self.streams:
-            mean = project(self.x.index_select(0, stream.rows[step]), difference[stream.replicas])
+            x = self.x.index_select(0, stream.rows[step])
+            mean = project(x, difference[stream.replicas], self.detection.count)
             parts.append(stream.noisy(mean, mean, shown[stream.replicas]))
         return parts
 
@@ -184,6 +208,7 @@ class ConditionedFeatures(Features):
     conditioning: Conditioning
     light: Light
     scale: Scale
+    detection: Detection
 
     def __post_init__(self) -> None:
         self.chances = self.conditioning.chances.to(self.x.device)
@@ -191,29 +216,31 @@ class ConditionedFeatures(Features):
         self.brightened = self.conditioning.nested > 0 and isinstance(self.masks, Learned)
 
     def at(self, step: int) -> Tensor:
-        """Features and conditioning inputs (B, R, m + 2)."""
+        """Features and conditioning inputs (B, R, k + 2)."""
         difference, total = self.masks()
-        rails = pair(difference, total)
+        rails = pair(*self.detection.masks_read(difference, total))
+        parts, width = self.detection.count, self.conditioning.width
         used = constraints.used(constraints.separate(difference, total), self.light)
         whole = used[..., -1:]
         used = used if self.brightened else used / whole
-        parts, ratios, counts = [], [], []
+        every, ratios, counts = [], [], []
         for stream in self.streams:
             budget, shown = stream.exposures(self.conditioning.span, self.chances)
             ratio = budget / stream.part(used)[:, shown[:, 0, 0] - 1].T.unsqueeze(-1)
-            parts.append(
+            every.append(
                 measure(
                     self.x.index_select(0, stream.with_mean[step]),
                     rails[..., stream.replicas, :, :] if len(difference) > 1 else rails,
-                    stream.normal(difference.shape[-2]) * stream.noise.unit / ratio.sqrt(),
+                    stream.normal(rails.shape[-2] * parts) * stream.noise.unit / ratio.sqrt(),
                     False,
+                    parts,
                 )
             )
             told = ratio * stream.part(whole) if self.brightened else ratio
-            ratios.append(told.expand(*parts[-1].shape[:2], 1))
+            ratios.append(told.expand(*every[-1].shape[:2], 1))
             counts.append(stream.repeated(shown))
-        seen, shown = side_by_side(parts), side_by_side(counts)
-        scaled = standardise(seen, self.scale, first(difference.shape[-2], shown))
+        seen, shown = side_by_side(every), side_by_side(counts)
+        scaled = standardise(seen, self.scale, first(seen.shape[-1], shown * width))
         return self.conditioning.inputs(scaled, side_by_side(ratios), shown)
 
 
@@ -231,6 +258,7 @@ class AdaptiveFeatures(Features):
         K.
     gain : tensor, shape (R, 1)
         Of all jobs, from `FeatureNoise`.
+    dwells : Dwells
     """
 
     streams: Streams
@@ -240,29 +268,34 @@ class AdaptiveFeatures(Features):
     looks: int
     gain: Tensor
     scale: Scale
+    detection: Detection
+    dwells: Dwells
 
     def at(self, step: int) -> Tensor:
-        """Features and dwells (K · B, R, 2 m) after each of K looks."""
-        rails, _ = self.masks()
+        """Features and dwells (K · B, R, k + q) after each of K looks."""
+        rails, detection = constraints.separate(*self.masks()), self.detection
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
-            parts.append(stream.repeated(project(x, stream.part(rails))))
+            products = project(x, stream.part(rails), detection.count)
+            parts.append(stream.repeated(products))
         products_of_all = side_by_side(parts)
-        centred, mean = products_of_all[:-1], products_of_all[-1]
-        counts = centred + mean
-        power = centred.square().mean(dim=0) + mean / self.gain
-        std = deviation(power, self.scale)
+        centred, middle = products_of_all[:-1], products_of_all[-1]
+        light, mean = centred + middle, detection.features(middle)
+        power = detection.features(centred).square().mean(dim=0)
+        std = deviation(power + detection.totals(middle) / self.gain, self.scale)
 
         def read(dwell: Tensor) -> tuple[Tensor, Tensor]:
-            rates = rails.shape[-2] * dwell * counts
+            rates = self.dwells.scaled(light, dwell)
+            expected, sums = detection.features(rates), detection.totals(rates)
             drawn = []
             for stream in self.streams:
-                own = rates[:, stream.replicas]
-                drawn.append(stream.noisy(own, own, own))
+                own = sums[:, stream.replicas]
+                drawn.append(stream.noisy(expected[:, stream.replicas], own, own))
             return side_by_side(drawn), dwell
 
-        every = expose(self.choose, read, self.looks, mean.expand_as(counts), std)
+        start = mean.expand(len(light), *mean.shape)
+        every = expose(self.choose, read, self.looks, self.dwells.count, start, std)
         return torch.cat([seen.inputs(mean, std) for seen in every])
 
 
@@ -279,18 +312,24 @@ def features_of(
     Parameters as for `loop.optimise`, of which `job` is one; streams are from `draws.seed_streams`,
     and the networks that choose dwells are for several looks.
     """
-    looks, scale, conditioning = job.training.looks, job.training.scale, job.conditioning
+    looks, scale, shape = job.training.looks, job.training.scale, training_set.data.image_shape
+    detection, conditioning = job.detection(shape), job.conditioning(shape)
     if isinstance(masks, Fixed) and looks == 1 and not conditioning:
-        return FixedFeatures(streams, masks, training_set.full, noise, scale)
+        return FixedFeatures(streams, masks, training_set.full, noise, scale, detection)
     # fixed masks see every pixel
     light: Light = job.optics[0] if isinstance(masks, Learned) else "two-arm"
-    x = training_set.centred(light, product_dtype(job, training_set.device))
+    x = training_set.centred(light, product_dtype(job, training_set.device), detection)
+    if isinstance(masks, Fixed):
+        masks = Fixed(detection.arrange(constraints.separate(*masks())))
     if looks > 1:
-        return AdaptiveFeatures(streams, masks, x, choose, looks, noise.gain, scale)
+        dwells = Dwells.of(job.masks, *job.optics)
+        return AdaptiveFeatures(
+            streams, masks, x, choose, looks, noise.gain, scale, detection, dwells
+        )
     if conditioning:
-        return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale)
+        return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale, detection)
     assert isinstance(masks, Learned)
     if noise.counting:
-        return CountedFeatures(streams, masks, x, scale)
+        return CountedFeatures(streams, masks, x, scale, detection)
     kind = MlGaussFeatures if job.noise == "ml_gauss" else ReadNoiseFeatures
-    return kind(streams, masks, x, scale)
+    return kind(streams, masks, x, scale, detection)

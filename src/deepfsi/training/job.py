@@ -10,12 +10,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive import LOOKING
 from deepfsi.design.conditioning import Conditioning
 from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.detection import ONE, Detection, Readout
 from deepfsi.optics.features import Scale
 from deepfsi.optics.noise import check_noise
 
@@ -176,16 +178,25 @@ class Job(BaseModel):
     )
     light: Light = "column"
     rails: Rails = "dual"
+    detectors: str | tuple[int, ...] = Field(
+        "1x1",
+        description="ROWSxCOLUMNS of parts of the device with a detector each; or each pixel's",
+    )
+    readout: Readout | None = Field(
+        None,
+        description="difference, or both: what the network reads of two rails; both for two-arm "
+        "unless given",
+    )
     seed: int = Field(0, ge=0, lt=2**32)
     training: TrainingSettings = TrainingSettings()
 
-    @property
-    def conditioning(self) -> Conditioning | None:
-        """Conditioning inputs of the classifier, if it has any."""
+    def conditioning(self, image_shape: tuple[int, ...]) -> Conditioning | None:
+        """Conditioning inputs of the classifier for scenes of a shape, if it has any."""
         settings = self.training
         if not settings.conditioned:
             return None
-        return Conditioning(self.photons, settings.span, self.masks, settings.nested)
+        width = self.detection(image_shape).width({"dual": 2, "single": 1}[self.optics[1]])
+        return Conditioning(self.photons, settings.span, self.masks, settings.nested, width)
 
     @property
     def code(self) -> codes.Code:
@@ -205,6 +216,16 @@ class Job(BaseModel):
         """
         light: Light = "column" if self.design == "impulse" else self.light
         return light, "single" if self.code.single_rail else self.rails
+
+    def detection(self, image_shape: tuple[int, ...]) -> Detection:
+        """Detectors of scenes of a shape, and what is read of two rails.
+
+        Impulse imaging has a detector for each pixel of the scene, whatever else is compared.
+        """
+        if self.design == "impulse":
+            return ONE
+        usual = "both" if self.optics[0] == "two-arm" else "difference"
+        return Detection.of(self.detectors, image_shape, self.readout or usual)
 
     def companions(self, device: torch.device) -> tuple[Any, ...]:
         """Key that jobs trained together share: all but budget, sigma and seed."""
@@ -285,8 +306,14 @@ def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> lis
         )
     try:
         constraints.check_light(*job.optics)
+        detection = job.detection(data.image_shape)
+        if detection.count > 1 and job.light == "column":
+            raise InputError(
+                "several detectors are parts of one device, and column is other optics: give "
+                "`light` equal-dwell, free-dwell or two-arm"
+            )
         if matrix is None:
-            codes.check_count(job.design, job.masks, data)
+            tiles.check_count(job.design, job.masks, data, detection)
         else:
             codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
             own_rails(matrix, *job.optics)
@@ -342,11 +369,16 @@ def _look_faults(job: Job) -> list[str]:
             f"{job.design} has one look only: several looks are for deepfsi and for named designs "
             "that one device shows"
         )
-    if job.optics != ("free-dwell", "single"):
-        light, rails = job.optics
+    light, rails = job.optics
+    if light not in LOOKING:
         faults.append(
-            f"several looks choose how long one device shows each frame, not {light} with {rails} "
-            'rails: use `light="free-dwell"` and `rails="single"`'
+            f"several looks choose how long one device shows each frame, not {light}: use "
+            '`light="free-dwell"` or "two-arm"'
+        )
+    elif (light, rails) == ("free-dwell", "dual") and job.readout != "both":
+        faults.append(
+            "several looks show each rail for a time of its own, whose counts are to be read by "
+            'themselves: use `readout="both"`, or `rails="single"`'
         )
     if job.training.conditioned or job.noise not in ("ml_gauss", "poisson"):
         faults.append(

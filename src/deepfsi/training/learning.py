@@ -14,14 +14,14 @@ from torch import Tensor, nn
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import counted
 from deepfsi.design.exposure import FixedDwells
 from deepfsi.design.memory import Memory
 from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import constraints, tiles
 from deepfsi.optics.budget import brightness, check_budget, check_one_budget
 from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.detection import Detectors, Readout
 from deepfsi.optics.features import (
     CHUNK,
     FeatureNoise,
@@ -75,6 +75,8 @@ def learn(
     dark: float = 0.0,
     light: Light = "column",
     rails: Rails = "dual",
+    detectors: Detectors = "1x1",
+    readout: Readout | None = None,
     seed: int = 0,
     span: float = 1.0,
     nested: int = 0,
@@ -121,6 +123,12 @@ def learn(
         Expected dark counts of one detector in a whole exposure, for camera noise.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     rails : {"dual", "single"}
+    detectors : str or array of int, shape (N,)
+        Parts of the device, each seen by a detector of its own: ``"2x2"`` for 2 rows and 2 columns,
+        or the detector of each pixel, from 0.
+    readout : {"difference", "both"}, optional
+        What the network reads of two rails: y⁺ − y⁻, or each rail's counts. Both for two-arm and
+        the difference else, unless given.
     seed : int
         Of the order of scenes, the initial weights and the noise.
     span : float
@@ -180,6 +188,8 @@ def learn(
     given["classifier"], given["classifier_arguments"] = describe(classifier, classifier_arguments)
     given["noise"], own_noise = resolve(noise)
     given["dark"] = check_dark(dark, given["noise"])
+    if not isinstance(detectors, str):
+        given["detectors"] = tuple(np.asarray(detectors).ravel().tolist())
     own = None if isinstance(classifier, str) else classifier
     with as_input_error():
         training = training_for(
@@ -272,6 +282,7 @@ def _initial_masks(
         return Fixed(learned)
     job = jobs[0]
     light, rails = job.optics
+    detection = job.detection(training_set.data.image_shape)
     levels, several = job.training.levels, job.training.looks > 1
     if matrix is not None:
         own = own_rails(matrix, light, rails).unsqueeze(0)
@@ -279,13 +290,19 @@ def _initial_masks(
     seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
     signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
     if job.code.learned:
-        start = signed[..., training_set.pixels(light).cpu()].expand(len(jobs), -1, -1).clone()
-        return Learned(start, "equal-dwell" if several else light, rails, levels)
+        kept = training_set.pixels(light).cpu()
+        start = detection.of_pixels(kept).arrange(signed[..., kept])
+        start = start.expand(len(jobs), -1, -1).clone()
+        equal = several and light != "two-arm"
+        masks = Learned(start, "equal-dwell" if equal else light, rails, levels)
+        if several and light == "two-arm":
+            masks.dwell.requires_grad_(False)  # equal from the start
+        return masks
     if job.design == "raster":  # its scale is what defines it
         fitted = signed.unsqueeze(1)
     else:
         fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
-    fitted = constraints.equalise(fitted) if several else fitted
+    fitted = constraints.equalise(fitted) if several and light != "two-arm" else fitted
     return Fixed(quantise(fitted, light, levels) if levels else fitted)
 
 
@@ -309,9 +326,10 @@ def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
     light, pixels = job.optics[0], training_set.pixels(job.optics[0])
     with torch.no_grad():
         learned = constraints.separate(*masks())
+    detection = job.detection(training_set.data.image_shape)
     rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
-    rails[..., pixels] = learned
-    if job.training.looks > 1:
+    rails[..., pixels] = detection.of_pixels(pixels).restore(learned)
+    if job.training.looks > 1 and light != "two-arm":
         # at the end only: its gradient would take from lit mirrors what they share
         rails = constraints.equalise(rails)
     if job.training.nested:
@@ -322,11 +340,12 @@ def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
 def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:
     """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design."""
     name, count = job.drawn_from, job.masks
+    detection = job.detection(training_set.data.image_shape)
     if job.optics[1] == "dual" or job.code.single_rail:
-        return torch.from_numpy(training_set.matrix(name, count, seed)).float()
-    least, most = codes.count_allowed(name, training_set.data)
+        return torch.from_numpy(training_set.matrix(name, count, seed, detection)).float()
+    least, most = tiles.count_allowed(name, training_set.data, detection)
     for masks in range(min(max(-(-count // 2), least), most), most + 1):
-        signed = torch.from_numpy(training_set.matrix(name, masks, seed)).float()
+        signed = torch.from_numpy(training_set.matrix(name, masks, seed, detection)).float()
         frames = constraints.frames(constraints.expand(signed, "column"))
         if len(frames) >= count:
             return frames[:count]
@@ -344,13 +363,16 @@ def _designs(
     """Designs of trained masks and networks, with the statistics of their features."""
     light, s = jobs[0].optics[0], training_set.summed_reflectance
     rails = constraints.separate(*masks())
-    exposures, conditioning = None, jobs[0].conditioning
+    shape, exposures = training_set.data.image_shape, None
+    detection, conditioning = jobs[0].detection(shape), jobs[0].conditioning(shape)
     if conditioning:
         used = constraints.used(rails, light)
-        exposures = mean_over_exposures(used, conditioning.span, conditioning.chances.to(used))
+        every = mean_over_exposures(used, conditioning.span, conditioning.chances.to(used))
+        later, often = (each.repeat_interleave(conditioning.width, dim=-1) for each in every)
+        exposures = later, often
     with torch.no_grad():
         mean, std, counts = feature_statistics(
-            training_set.full, masks, noise, jobs[0].training.scale, exposures
+            training_set.full, masks, noise, jobs[0].training.scale, detection, exposures
         )
     designs = [
         Design(
@@ -364,7 +386,8 @@ def _designs(
             light=light,
             image_shape=training_set.data.image_shape,
             classes=training_set.data.classes,
-            exposure=schedules[r] if schedules else job.conditioning or FixedDwells(),
+            exposure=schedules[r] if schedules else job.conditioning(shape) or FixedDwells(),
+            detection=detection,
         )
         for r, job in enumerate(jobs)
     ]
@@ -380,7 +403,7 @@ def _designs(
 
 
 def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
-    """Share of the budget (m,) that each mask counts, in the mean over training scenes."""
+    """Share of the budget (k,) that each feature counts, in the mean over training scenes."""
     scanner = design.scanner()
     generator = torch.Generator(training_set.device).manual_seed(job.seed)
     shares = torch.zeros_like(design.mean)
@@ -388,7 +411,8 @@ def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
         for x in training_set.full.split(CHUNK):
             rates = design.rates(scanner, x)
             *_, seen = design.expose(scanner, rates, generator, job.photons)
-            shares += counted(rates, seen.dwell).sum(dim=0)
+            shown = design.exposure.shown(rates, seen)
+            shares += design.detection.totals(shown).sum(dim=0)
     return shares / len(training_set.full)
 
 

@@ -18,7 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from deepfsi.design.adaptive import AdaptiveDwells
+from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive import AdaptiveDwells, Dwells
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.own import Given, OwnClassifier, make, seeded
 from deepfsi.errors import InputError
@@ -73,9 +74,7 @@ def optimise(
     replicas or of one for all, noise of the jobs. A classifier of a user's own trains alone.
     """
     job, settings, labels = jobs[0], jobs[0].training, training_set.labels
-    classifiers, choosers = _networks(
-        jobs, len(training_set.data.classes), labels.device, classifier
-    )
+    classifiers, choosers = _networks(jobs, training_set.data, labels.device, classifier)
     stacked = labels.device.type == "cuda"
     classify = Replicas(classifiers, stacked and not settings.own)
     choose = Replicas(choosers, stacked)
@@ -107,7 +106,8 @@ def optimise(
         if isinstance(network, Mlp):
             network.generator = None
         network.eval()
-    return classifiers, [AdaptiveDwells(chooser, settings.looks) for chooser in choosers]
+    dwells = Dwells.of(job.masks, *job.optics)
+    return classifiers, [AdaptiveDwells(dwells, each, settings.looks) for each in choosers]
 
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
@@ -159,10 +159,11 @@ def descend(
 
 
 def _networks(
-    jobs: Sequence[Job], classes: int, device: torch.device, own: Given | None
+    jobs: Sequence[Job], data: Dataset, device: torch.device, own: Given | None
 ) -> tuple[list[Classifier], list[Mlp]]:
     """Classifiers, and for several looks networks that choose dwells, untrained."""
-    job, settings = jobs[0], jobs[0].training
+    job, settings, classes = jobs[0], jobs[0].training, len(data.classes)
+    detection = job.detection(data.image_shape)
 
     def networks(inputs: int, outputs: int, dropout: float) -> list[Mlp]:
         seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
@@ -177,10 +178,12 @@ def _networks(
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
 
+    features = job.masks * detection.width({"dual": 2, "single": 1}[job.optics[1]])
     if settings.looks > 1:  # dwells besides features, and the share of the exposure that is left
-        inputs = 2 * job.masks
-        return classifiers(inputs), networks(inputs + 1, job.masks, 0.0)
-    return classifiers(job.masks + 2 * settings.conditioned), []
+        dwells = Dwells.of(job.masks, *job.optics).count
+        inputs = features + dwells
+        return classifiers(inputs), networks(inputs + 1, dwells, 0.0)
+    return classifiers(features + 2 * settings.conditioned), []
 
 
 def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:

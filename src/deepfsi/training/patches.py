@@ -27,6 +27,7 @@ from deepfsi.design.exposure import PatchExposure, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.budget import BUDGETS, summed_reflectance
+from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise, Scale, deviation, feature_statistics
 from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.optics.scanner import Scanner, project
@@ -204,7 +205,7 @@ def _design(
     with torch.no_grad():
         rails = constraints.separate(*masks())
         scenes = patches.x.flatten(0, 1)
-        statistics = feature_statistics(scenes, masks, noise, job.training.scale)
+        statistics = feature_statistics(scenes, masks, noise, job.training.scale, ONE)
     mean, std, counts = (each.squeeze(0) / s for each in statistics)
     return Design(
         name=job.design,

@@ -8,12 +8,13 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
-from deepfsi.optics import codes
+from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.detection import ONE, Detection
 
-Matrices = dict[tuple[str, int, int], np.ndarray]
-"""Sensing matrices (m, N) by design, number of masks and seed."""
+Matrices = dict[tuple[str, int, int, bytes], np.ndarray]
+"""Sensing matrices (m, N) by design, number of masks, seed and detectors."""
 
 
 class TrainingSet:
@@ -39,7 +40,7 @@ class TrainingSet:
         x = np.require(data.x_train, requirements="W")  # a cluster shares arrays read-only
         self.full = torch.from_numpy(x).to(self.device)
         self.matrices = {} if matrices is None else matrices
-        self._centred: dict[tuple[torch.dtype, bool], Tensor] = {}
+        self._centred: dict[tuple[torch.dtype, bool, bytes], Tensor] = {}
 
     @cached_property
     def varying(self) -> Tensor:
@@ -56,19 +57,26 @@ class TrainingSet:
         """
         return torch.ones_like(self.varying) if light == "two-arm" else self.varying
 
-    def centred(self, light: Light, kind: torch.dtype) -> Tensor:
+    def centred(self, light: Light, kind: torch.dtype, detection: Detection) -> Tensor:
         """Those pixels of the training scenes, less their mean, and the mean as the last row.
 
         The products of the last row with the masks, added to those of a scene, give the scene's
         own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
-        moves no mask through rounding.
+        moves no mask through rounding. Arranged by the detectors that see them.
+
+        Parameters
+        ----------
+        light : {"column", "equal-dwell", "free-dwell", "two-arm"}
+        kind : torch.dtype
+        detection : Detection
         """
         pixels = self.pixels(light)
-        key = (kind, bool(pixels.all()))
+        key = (kind, bool(pixels.all()), detection.key)
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
             centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
-            self._centred[key] = centred[:, pixels].to(kind)
+            arranged = detection.of_pixels(pixels).arrange(centred[:, pixels])
+            self._centred[key] = arranged.to(kind)
         return self._centred[key]
 
     @cached_property
@@ -83,17 +91,17 @@ class TrainingSet:
         if name == "pca" and self.data.pixels <= codes.FULL_BASIS_PIXELS:
             self.matrix(name, 1, 0)
 
-    def matrix(self, name: str, masks: int, seed: int) -> np.ndarray:
+    def matrix(self, name: str, masks: int, seed: int, detection: Detection = ONE) -> np.ndarray:
         """Sensing matrix of a fixed design; principal components are computed once for all m.
 
-        Parameters as for `codes.sensing_matrix`.
+        Parameters as for `tiles.sensing_matrix`.
         """
-        codes.check_count(name, masks, self.data)
-        all_at_once = name == "pca" and self.data.pixels <= codes.FULL_BASIS_PIXELS
-        whole = self.data.pixels if all_at_once else masks
-        key = (name, whole, seed if name == "random" else 0)
+        tiles.check_count(name, masks, self.data, detection)
+        _, most = tiles.count_allowed(name, self.data, detection)
+        whole = most if name == "pca" and most <= codes.FULL_BASIS_PIXELS else masks
+        key = (name, whole, seed if name == "random" else 0, detection.key)
         if key not in self.matrices:
-            self.matrices[key] = codes.sensing_matrix(name, whole, self.data, seed)
+            self.matrices[key] = tiles.sensing_matrix(name, whole, self.data, seed, detection)
         return self.matrices[key][:masks]
 
 

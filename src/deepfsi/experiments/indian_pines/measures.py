@@ -18,7 +18,6 @@ from deepfsi.datasets.indian_pines import WATER
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.experiments.experiment import best
-from deepfsi.optics.scanner import subtract
 from deepfsi.progress import SILENT, Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.masks import brightest
@@ -238,7 +237,7 @@ def _classify_pixels(
     with torch.no_grad():
         rates = scanner.rates(spectra / design.summed_reflectance) * photons
         counts = scanner.read(rates, torch.Generator().manual_seed(0))
-        guess = design.logits(subtract(counts), photons).argmax(dim=-1)
+        guess = design.logits(design.detection.features(counts), photons).argmax(dim=-1)
     seen = np.zeros(known.shape, int)
     seen[known] = guess.numpy() + 1
     return seen

@@ -1,0 +1,229 @@
+"""Detectors on parts of the device, and what a network reads of their counts.
+
+The device's area is divided among D detectors, and all see each frame at once: m masks give m · D
+readouts of each rail. A detector sees the part of a mask that lies on its pixels and is dark
+elsewhere, so that products are taken part by part and cost what the parts hold.
+
+Scenes and masks are *arranged* for that: pixels of one detector follow one another, and those of
+smaller parts are filled up with dark pixels to the size P of the largest.
+
+A network reads the difference y⁺ − y⁻ of the rails, or `both`: each rail's counts, mask by mask.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.errors import InputError, check_known
+from deepfsi.optics import constraints
+
+Readout = Literal["difference", "both"]
+"""What a network reads of two rails."""
+
+Detectors = str | Sequence[int] | np.ndarray
+"""ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """Which detector sees each pixel, and what is read of two rails.
+
+    Attributes
+    ----------
+    readout : {"difference", "both"}
+    count : int
+        D, number of detectors.
+    labels : tensor of int, shape (N,), or None
+        Detector of each pixel, 0 .. D-1; None where one detector sees all.
+    """
+
+    readout: Readout = "difference"
+    count: int = 1
+    labels: Tensor | None = None
+
+    @classmethod
+    def of(
+        cls, detectors: Detectors, image_shape: tuple[int, ...], readout: str = "difference"
+    ) -> "Detection":
+        """Detection by some detectors; parameters as of `detector_map` and the class."""
+        check_known("readout", readout, get_args(Readout))
+        labels = detector_map(detectors, image_shape)
+        count = int(labels.max()) + 1
+        return cls(readout, count, torch.from_numpy(labels) if count > 1 else None)  # type: ignore[arg-type]
+
+    @cached_property
+    def key(self) -> bytes:
+        """Tells which pixels have the same detectors."""
+        return b"" if self.labels is None else self.labels.numpy().tobytes()
+
+    @cached_property
+    def _order(self) -> Tensor:
+        """Pixel of each arranged one, (D · P,); N for those that are filled up."""
+        assert self.labels is not None
+        sizes = torch.bincount(self.labels, minlength=self.count)
+        order = self.labels.new_full((self.count, int(sizes.max())), len(self.labels))
+        for detector, size in enumerate(sizes.tolist()):
+            order[detector, :size] = (self.labels == detector).nonzero().flatten()
+        return order.flatten()
+
+    @cached_property
+    def _places(self) -> Tensor:
+        """Place of each pixel among the arranged ones, (N,)."""
+        assert self.labels is not None
+        places = torch.empty_like(self.labels)
+        real = (self._order < len(places)).nonzero().flatten()
+        places[self._order[real]] = real
+        return places
+
+    def arrange(self, pixels: Tensor) -> Tensor:
+        """Scenes or masks (..., D · P), those of each detector together, of (..., N)."""
+        if self.count == 1:
+            return pixels
+        order = self._order.to(pixels.device)
+        if len(order) > pixels.shape[-1]:
+            pixels = functional.pad(pixels, (0, 1))
+        return pixels.index_select(-1, order)
+
+    def restore(self, arranged: Tensor) -> Tensor:
+        """Inverse of `arrange`: (..., N) of (..., D · P)."""
+        if self.count == 1:
+            return arranged
+        return arranged.index_select(-1, self._places.to(arranged.device))
+
+    def arrange_both(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+        """Difference and total of masks, arranged; one tensor for a single rail."""
+        arranged = self.arrange(difference)
+        return arranged, arranged if total is difference else self.arrange(total)
+
+    def of_pixels(self, kept: Tensor) -> "Detection":
+        """Detection of some of the pixels, those where (N,) is true."""
+        if self.labels is None:
+            return self
+        return replace(self, labels=self.labels[kept.to(self.labels.device)])
+
+    def width(self, rails: int) -> int:
+        """Numbers that a network reads of each mask of so many rails."""
+        return self.count * (rails if self.readout == "both" else 1)
+
+    def masks_read(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+        """Difference and total of what is read as one: for `both`, one rail of 2 m frames.
+
+        Parameters
+        ----------
+        difference, total : tensor, shape (..., m, N)
+            One tensor for a single rail.
+        """
+        if self.readout == "difference" or difference is total:
+            return difference, total
+        every = constraints.separate(difference, total).transpose(-3, -2).flatten(-3, -2)
+        return every, every
+
+    def features(self, counts: Tensor) -> Tensor:
+        """Features (..., k) of counts of rails (..., 2 or 1, m · D): k is `width` · m."""
+        if counts.shape[-2] == 1:
+            return counts[..., 0, :]
+        if self.readout == "difference":
+            return counts[..., 0, :] - counts[..., 1, :]
+        return self._mask_by_mask(counts)
+
+    def totals(self, counts: Tensor) -> Tensor:
+        """Counts (..., k) in what is read of counts of rails (..., 2 or 1, m · D)."""
+        return counts.sum(dim=-2) if self.readout == "difference" else self.features(counts)
+
+    def _mask_by_mask(self, rails: Tensor) -> Tensor:
+        """Numbers (..., m · 2 · D) of rails (..., 2, m · D)."""
+        return rails.unflatten(-1, (-1, self.count)).transpose(-3, -2).flatten(-3)
+
+    def readouts(self, difference: Tensor, total: Tensor) -> "Readouts":
+        """Readouts of masks of a difference and a total of rails, each (..., m, D · P) arranged."""
+        rails = torch.stack([total + difference, total - difference]) / 2
+        arms = (rails > 0).all(dim=0).any(dim=-1)
+        time = torch.where(arms, total.amax(dim=-1), rails.amax(dim=-1))
+        shown = (rails > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
+        time = time.repeat_interleave(self.count, dim=-1)
+        if self.readout == "difference" or difference is total:
+            return Readouts(shown, time)
+        one = [self._mask_by_mask(each.movedim(0, -2)) for each in (shown, time)]
+        return Readouts(*(torch.stack([each, torch.zeros_like(each)]) for each in one))
+
+
+ONE = Detection()
+"""One detector that sees all, of whose rails the difference is read."""
+
+
+class Readouts(NamedTuple):
+    """Rails of masks as detectors read them, the positive ones first.
+
+    Attributes
+    ----------
+    shown : tensor, shape (2, ..., k)
+        Which are not dark by construction, and are read out.
+    time : tensor, shape (2, ..., k)
+        Share of the exposure that each takes: the peak of its frame, the shortest in which one
+        device can pass its light. Two rails that share pixels are two arms, and see them at once.
+    """
+
+    shown: Tensor
+    time: Tensor
+
+    @property
+    def lit(self) -> Tensor:
+        """Number of rails that are read out for each feature, (..., k)."""
+        return self.shown.sum(dim=0)
+
+
+def detector_map(detectors: Detectors, image_shape: tuple[int, ...]) -> np.ndarray:
+    """Detector (N,) of each pixel, 0 .. D-1, int64.
+
+    Parameters
+    ----------
+    detectors : str or sequence of int
+        ``"2x3"`` divides images into 2 rows and 3 columns of tiles, ``"4"`` spectra into 4 bands,
+        of equal size where they divide, else as equal as can be. Or the detector of each pixel.
+    image_shape : tuple of int
+        Of a scene, (H, W) or (B,).
+
+    Raises
+    ------
+    InputError
+        If these are no detectors for such scenes.
+    """
+    shape = "x".join(map(str, image_shape))
+    if isinstance(detectors, str):
+        if detectors == "1x1":
+            return np.zeros(int(np.prod(image_shape)), dtype=np.int64)
+        parts = detectors.lower().split("x")
+        whole = all(part.isdecimal() for part in parts) and len(parts) == len(image_shape)
+        if not whole or not all(
+            1 <= int(n) <= side for n, side in zip(parts, image_shape, strict=True)
+        ):
+            form = "ROWSxCOLUMNS" if len(image_shape) == 2 else "a number of bands"
+            raise InputError(
+                f"detectors {detectors!r} do not divide scenes of {shape}: give {form} from "
+                f"{'x'.join('1' for _ in image_shape)} to {shape}, or a map of each pixel's "
+                "detector"
+            )
+        labels: np.ndarray = np.zeros((), dtype=np.int64)
+        for n, side in zip(map(int, parts), image_shape, strict=True):
+            labels = labels[..., None] * n + np.arange(side) * n // side
+        return labels.ravel()
+    given = np.asarray(detectors)
+    pixels = int(np.prod(image_shape))
+    if given.dtype.kind not in "iu" or given.size != pixels:
+        raise InputError(
+            f"a map of detectors of shape {given.shape} and type {given.dtype} does not fit scenes "
+            f"of {shape}: give {pixels} whole numbers"
+        )
+    labels = given.ravel().astype(np.int64)
+    found = np.unique(labels)
+    if not np.array_equal(found, np.arange(len(found))):
+        raise InputError(
+            "a map of detectors must number them from 0 without a gap: each sees a pixel or more"
+        )
+    return labels

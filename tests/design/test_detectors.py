@@ -1,0 +1,179 @@
+"""Designs for several detectors, and designs whose network reads both rails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import RECIPE, generator, quick
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.design.onnx_graph import to_onnx
+from deepfsi.design.stopping import stop
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.detection import Detection
+from deepfsi.training.learning import learn
+from shared.design_files import refused, rewrite
+
+KINDS = {
+    "fixed": {},
+    "levels": {"levels": 2},
+    "range": {"span": 100.0, "nested": 2},
+    "looks": {"looks": 2, "noise": "poisson", "scale": "common"},
+}
+OPTICS = [
+    ("free-dwell", "single", None),
+    ("equal-dwell", "dual", "difference"),
+    ("free-dwell", "dual", "both"),
+    ("two-arm", "dual", None),
+    ("two-arm", "dual", "difference"),
+]
+
+
+def trained(digits, kind="fixed", light="free-dwell", rails="single", readout=None, **settings):
+    words = {"masks": 5, "detectors": "2x2", **KINDS[kind], **settings}
+    return quick(digits, light=light, rails=rails, readout=readout, **words)
+
+
+def possible(kind, light, rails, readout) -> bool:
+    return kind != "looks" or light != "equal-dwell"
+
+
+CASES = [(kind, *optics) for kind in KINDS for optics in OPTICS if possible(kind, *optics)]
+
+
+@pytest.mark.parametrize(("kind", "light", "rails", "readout"), CASES)
+def test_every_kind_of_design_works_with_several_detectors(
+    digits, tmp_path, kind, light, rails, readout
+):
+    """It obeys its law, is read back from its file, and classifies counts as it was tested."""
+    design = trained(digits, kind, light, rails, readout)
+    assert constraints.excess(design.rails, light) <= constraints.SLACK
+    assert design.counts_shape == ((5, 4) if rails == "single" else (2, 5, 4))
+    read = "both" if light == "two-arm" else "difference"
+    assert design.detection.readout == (readout or read)
+    loaded = Design.load(design.save(tmp_path / "design.safetensors"))
+    assert torch.equal(loaded.detection.labels, design.detection.labels)
+    first, second = (evaluate(each, digits, 1e4, draws=1)[0] for each in (design, loaded))
+    assert first == second
+    assert len(first.photons_per_mask) == 5
+    scanner, draw = loaded.scanner(), generator(7)
+    rates = loaded.rates(scanner, torch.from_numpy(digits.x_test[:30]))
+    if kind == "looks":
+        return
+    counts = scanner.read(rates * 1e4, draw)
+    shown = counts.reshape(30, *loaded.counts_shape).numpy()
+    with torch.no_grad():
+        logits = loaded.logits(loaded.detection.features(counts), 1e4)
+    np.testing.assert_allclose(loaded.classify(shown, 1e4), logits.softmax(-1), atol=1e-6)
+
+
+@pytest.mark.parametrize(("light", "rails", "readout"), [*OPTICS[:1], *OPTICS[2:]])
+def test_looks_at_a_camera_are_those_of_the_tests(digits, light, rails, readout):
+    """A camera that counts what is expected is classified as `classify` does its sums."""
+    design = trained(digits, "looks", light, rails, readout)
+    scene, seen, shares = torch.from_numpy(digits.x_test[3]), [], []
+    rates = design.rates(design.scanner("none"), scene)  # for frames of equal dwell
+
+    def camera(dwell):
+        shares.append(dwell)
+        frames = 10 if (light, rails) == ("free-dwell", "dual") else 5
+        assert dwell.shape == ((2, 5) if frames == 10 else (5,))
+        scaled = 1e4 * frames * dwell[..., None] * rates.reshape(design.counts_shape).numpy()
+        seen.append(scaled)
+        return scaled
+
+    chances = design.classify_live(camera, 1e4)
+    dwell = np.sum(shares, axis=0)
+    assert dwell.sum() == pytest.approx(1, abs=1e-6)
+    again = design.classify(np.sum(seen, axis=0), 1e4, dwell)
+    np.testing.assert_allclose(chances, again, atol=1e-5)
+    with pytest.raises(InputError, match="a look does not fit"):
+        design.classify_live(lambda dwell: np.zeros(3), 1e4)
+
+
+def test_the_light_of_all_detectors_is_that_of_one(digits):
+    """Tiles divide the light, they do not add to it."""
+    design = trained(digits, masks=6)
+    one = replace(design, detection=Detection())
+    x = torch.from_numpy(digits.x_train[:200])
+    rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
+    assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
+    assert float(design.shares.sum()) <= 1 + 1e-6
+
+
+def test_more_detectors_read_more_of_the_same_light(digits):
+    """With equal frames and dwells: more is known of where the light came from."""
+    how = {**RECIPE, "epochs": 30, "hidden": (64,), "scale": "common", "noise": "ml_gauss"}
+    found = []
+    for detectors in ("1x1", "4x4"):
+        design = learn(
+            digits, photons=1e3, masks=2, light="free-dwell", rails="single", detectors=detectors,
+            **how,
+        )  # fmt: skip
+        (result,) = evaluate(design, digits, 1e3, draws=4)
+        found.append(result)
+    assert found[1].low > found[0].high + 0.2
+
+
+def test_a_map_of_detectors_trains_as_its_tiles(digits):
+    tiles = Detection.of("2x2", digits.image_shape).labels.numpy()
+    one = trained(digits)
+    other = trained(digits, detectors=tiles)
+    assert torch.equal(one.rails, other.rails)
+    assert one.info["job"]["detectors"] == "2x2"
+    assert other.info["job"]["detectors"] == tiles.tolist()
+
+
+@pytest.mark.parametrize("kind", ["fixed", "range"])
+@pytest.mark.parametrize(("light", "rails", "readout"), OPTICS)
+def test_a_graph_reads_every_detector(digits, kind, light, rails, readout):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    design = trained(digits, kind, light, rails, readout)
+    rates = design.rates(design.scanner(), torch.from_numpy(digits.x_test[:20]))
+    counts = design.scanner().read(1e4 * rates, generator()).reshape(20, *design.counts_shape)
+    photons = np.full(20, 1e4, dtype=np.float32)
+    session = onnxruntime.InferenceSession(to_onnx(design), providers=["CPUExecutionProvider"])
+    [found] = session.run(None, {"counts": counts.numpy(), "photons": photons})
+    np.testing.assert_allclose(found, design.classify(counts, photons), atol=1e-4)
+
+
+def test_nested_masks_stop_for_all_detectors(digits):
+    kept = digits.hold_out(300)
+    design = trained(kept, "range", masks=6)
+    found = stop(design, digits, 1e4, held_out=300, draws=1)
+    assert found.rule.after == tuple(range(2, 7))
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"light": "column"}, "several detectors are parts of one device"),
+        ({"detectors": "9x9"}, "do not divide scenes of 8x8"),
+        ({"detectors": (0,) * 63}, "give 64 whole numbers"),
+        ({"design": "raster", "masks": 64}, "64 masks .* with 4 detectors: give exactly 16"),
+        ({"readout": "sum"}, "readout"),
+        ({"kind": "looks", "rails": "dual"}, 'use `readout="both"`'),
+    ],
+)
+def test_what_cannot_be_detected_is_told(digits, settings, match):
+    with pytest.raises(InputError, match=match):
+        trained(digits, **settings)
+
+
+@pytest.mark.parametrize("damage", ["gap", "short", "readout"])
+def test_damaged_detectors_are_refused(digits, tmp_path, damage):
+    path = trained(digits).save(tmp_path / "design.safetensors")
+
+    def change(header, tensors):
+        if damage == "readout":
+            header["readout"] = "both rails"
+        elif damage == "gap":
+            tensors["detectors"] = tensors["detectors"] * 2
+        else:
+            tensors["detectors"] = tensors["detectors"][:-1]
+
+    rewrite(path, change)
+    refused(path)

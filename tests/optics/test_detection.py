@@ -1,0 +1,209 @@
+"""Laws of several detectors and of reading both rails: where they are known cases, they agree."""
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import FLOAT32, every_optics, generator
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints, tiles
+from deepfsi.optics.constraints import expand, fit
+from deepfsi.optics.detection import ONE, Detection, detector_map
+from deepfsi.optics.masks import Fixed, Learned, pair
+from deepfsi.optics.noise import root
+from deepfsi.optics.scanner import Scanner, measure, project, project_pair
+
+SHAPE = (6, 8)
+MAPS = [
+    "1x1",
+    "2x2",
+    "4x3",  # tiles of unequal size
+    "6x8",
+    np.random.default_rng(0).permutation(np.arange(48) % 5),  # an arbitrary map
+]
+READOUTS = ["difference", "both"]
+
+
+def signed(masks: int = 5, pixels: int = 48) -> torch.Tensor:
+    return torch.randn(masks, pixels, generator=generator(1))
+
+
+def rails_for(light: str, rails: str) -> torch.Tensor:
+    matrix = signed() if rails == "dual" else signed().abs()
+    return fit(matrix, light, rails)
+
+
+def dense(rails: torch.Tensor, detection: Detection) -> torch.Tensor:
+    """Rails (.., m · D, N) of one detector each, dark beyond its part: the plain definition."""
+    if detection.labels is None:
+        return rails
+    parts = torch.stack([detection.labels == d for d in range(detection.count)]).to(rails)
+    return (rails.unsqueeze(-2) * parts).flatten(-3, -2)
+
+
+def photons(count: int = 7) -> torch.Tensor:
+    return 900 * torch.rand(count, 48, generator=generator(2))
+
+
+@every_optics
+@pytest.mark.parametrize("detectors", MAPS, ids=str)
+def test_each_detector_counts_what_its_part_of_the_mask_passes(detectors, light, rails):
+    frames, seen = rails_for(light, rails), Detection.of(detectors, SHAPE)
+    wanted = project(photons(), dense(frames, seen))
+    found = Scanner.from_rails(frames, "none", detection=seen).rates(photons())
+    assert torch.allclose(found, wanted, rtol=10 * FLOAT32, atol=1e-3)
+    whole = found.unflatten(-1, (5, -1)).sum(dim=-1)
+    assert torch.allclose(whole, Scanner.from_rails(frames).rates(photons()), rtol=10 * FLOAT32)
+
+
+def test_a_detector_for_each_pixel_and_one_open_frame_is_impulse_imaging():
+    open_frame = torch.ones(1, 1, 48)
+    every = Scanner.from_rails(open_frame, detection=Detection.of("6x8", SHAPE))
+    impulse = Scanner.from_rails(torch.eye(48).unsqueeze(0))
+    assert constraints.excess(open_frame, "free-dwell") == 0
+    assert torch.equal(every.rates(photons()), impulse.rates(photons()))
+    assert torch.equal(every(photons(), generator()), impulse(photons(), generator()))
+
+
+def test_frames_repeated_over_tiles_are_the_masks_of_a_patch():
+    patch = fit(signed(5, 12), "free-dwell")
+    frames = patch.unflatten(-1, (3, 4)).repeat(1, 1, 2, 2).flatten(-2)
+    scenes = photons()
+    cut = scenes.view(-1, 2, 3, 2, 4).transpose(2, 3).flatten(1, 2).flatten(-2)
+    wanted = Scanner.from_rails(patch).rates(cut)  # (scenes, patches, rails, masks)
+    found = Scanner.from_rails(frames, detection=Detection.of("2x2", SHAPE)).rates(scenes)
+    assert torch.allclose(
+        found.unflatten(-1, (5, 4)), wanted.permute(0, 2, 3, 1), rtol=10 * FLOAT32, atol=1e-3
+    )
+
+
+@every_optics
+@pytest.mark.parametrize("readout", READOUTS)
+@pytest.mark.parametrize("noise", ["poisson", "gaussian", "ml_gauss", "camera", "none"])
+def test_features_have_the_mean_and_variance_of_their_readouts(light, rails, readout, noise):
+    frames, seen = rails_for(light, rails), Detection.of("2x2", SHAPE, readout)
+    scanner = Scanner.from_rails(frames, noise, 3.0, 40.0 if noise == "camera" else 0.0, seen)
+    x, draws = photons(1), 4000
+    features = scanner(x.expand(draws, -1), generator())
+    rates = scanner.rates(x)[0]
+    counts = scanner.counts(x.expand(draws, -1), generator(5))
+    wanted = seen.features(rates)
+    other = seen.features(counts)
+    for found in (features, other):
+        assert found.shape == (draws, 5 * seen.width(len(frames)))
+        error = found.std(dim=0) / draws**0.5
+        assert ((found.mean(dim=0) - wanted).abs() <= 5 * error + 1e-3).all()
+    spread = 5 * (2 / draws) ** 0.5 * 1.5  # of a variance; Poisson counts of tens are nearly normal
+    some = other.var(dim=0) > 1
+    assert torch.allclose(features.var(dim=0)[some], other.var(dim=0)[some], rtol=2 * spread)
+
+
+def test_both_rails_are_read_mask_by_mask():
+    seen = Detection.of("1x2", (1, 2), "both")
+    rails = expand(torch.tensor([[0.5, -0.25], [-0.125, 0.0]]), "free-dwell")
+    counts = Scanner.from_rails(rails, "none", detection=seen).counts(torch.tensor([16.0, 8.0]))
+    assert counts.tolist() == [[8, 0, 0, 0], [0, 2, 2, 0]]  # (rails, mask by mask: 2 detectors)
+    assert seen.features(counts).tolist() == [8, 0, 0, 2, 0, 0, 2, 0]
+    assert Detection("both").features(counts[:1]).tolist() == [8, 0, 0, 0]
+
+
+@every_optics
+@pytest.mark.parametrize("detectors", MAPS, ids=str)
+@pytest.mark.parametrize("readout", READOUTS)
+def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors, readout):
+    draw, seen = generator(3), Detection.of(detectors, SHAPE, readout)
+    scenes = torch.rand(7, 48, generator=draw, dtype=torch.float64)
+    middle = scenes.mean(dim=0)
+    if light == "column" and seen.count > 1:
+        return
+    start = torch.randn(2, 5, 48, generator=draw, dtype=torch.float64)
+    arranged = seen.arrange(start.abs() if rails == "single" else start)
+    masks = Learned(arranged, light, rails)
+    width = 5 * seen.width(2 if rails == "dual" else 1)
+    epsilon = torch.randn(7, 2, width, generator=draw, dtype=torch.float64)
+    weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
+    disjoint = masks.disjoint and readout == "difference"
+
+    def ours() -> torch.Tensor:
+        given = masks.matrix() if disjoint else pair(*seen.masks_read(*masks()))
+        x = seen.arrange(torch.cat([scenes - middle, middle[None]]))
+        return measure(x, given, epsilon, disjoint, seen.count)
+
+    def plain() -> torch.Tensor:
+        every = seen.masks_read(*masks())
+        mean, total = project_pair(seen.arrange(scenes), *every, True, seen.count)
+        centre = project(seen.arrange(middle), every[0], seen.count)
+        return mean - centre + root(total) * epsilon
+
+    found = []
+    for features in (ours(), plain()):
+        masks.zero_grad()
+        (features * weight).sum().backward()
+        found.append((features.detach(), [p.grad.clone() for p in masks.parameters()]))
+    assert torch.allclose(found[0][0], found[1][0], rtol=0, atol=1e-12)
+    for one, other in zip(found[0][1], found[1][1], strict=True):
+        assert torch.allclose(one, other, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("detectors", MAPS, ids=str)
+def test_arranging_loses_nothing(detectors):
+    seen, scenes = Detection.of(detectors, SHAPE), photons()
+    arranged = seen.arrange(scenes)
+    assert torch.equal(seen.restore(arranged), scenes)
+    assert arranged.sum() == pytest.approx(float(scenes.sum()), rel=1e-6)
+    some = torch.rand(48, generator=generator(4)) < 0.4
+    part = seen.of_pixels(some)
+    assert part.count == seen.count
+    assert torch.equal(part.restore(part.arrange(scenes[:, some])), scenes[:, some])
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])
+def test_dark_counts_are_those_of_each_detector(light):
+    """Every detector counts its own dark counts for as long as a frame is shown."""
+    frames, seen = rails_for(light, "dual"), Detection.of("2x2", SHAPE)
+    one, four = (each.readouts(*seen.arrange_both(*Fixed(frames)())) for each in (ONE, seen))
+    assert torch.equal(four.time.unflatten(-1, (5, 4)), one.time.unsqueeze(-1).expand(2, 5, 4))
+
+
+@pytest.mark.parametrize("design", ["raster", "hadamard", "truncated-hadamard", "pca", "s-matrix"])
+def test_each_part_has_the_masks_of_the_design(digits, design):
+    seen = Detection.of("2x4", digits.image_shape)
+    _, high = tiles.count_allowed(design, digits, seen)
+    matrix = tiles.sensing_matrix(design, high, digits, detection=seen)
+    part = matrix.reshape(high, 2, 4, 4, 2).transpose(1, 3, 0, 2, 4).reshape(8, high, 8)
+    assert high == (11 if design == "s-matrix" else 8)
+    if design in ("raster", "hadamard", "truncated-hadamard", "s-matrix"):
+        assert (part == part[0]).all()
+    gram = part @ part.transpose(0, 2, 1)
+    if design != "s-matrix":
+        assert np.allclose(gram, gram[:, :1, :1] * np.eye(high), atol=1e-9)
+    if design == "raster":
+        assert matrix.sum() == pytest.approx(64 / 8)
+        assert float(matrix.max(axis=1).sum()) == 1  # frames of equal time
+    with pytest.raises(InputError, match=f"{high + 1} masks .* with 8 detectors"):
+        tiles.check_count(design, high + 1, digits, seen)
+
+
+@pytest.mark.parametrize(
+    ("detectors", "match"),
+    [
+        ("0x2", "give ROWSxCOLUMNS from 1x1 to 6x8"),
+        ("7x2", "from 1x1 to 6x8"),
+        ("2", "give ROWSxCOLUMNS"),
+        ("two", "do not divide"),
+        ("2x2x2", "do not divide"),
+        (np.zeros(47, int), "give 48 whole numbers"),
+        (np.zeros(48), "type float64"),
+        (np.arange(48) % 5 + 1, "number them from 0 without a gap"),
+        (np.array([0, 2] * 24), "without a gap"),
+    ],
+)
+def test_detectors_that_cannot_be_are_told(detectors, match):
+    with pytest.raises(InputError, match=match):
+        detector_map(detectors, SHAPE)
+
+
+def test_parts_are_as_equal_as_can_be():
+    assert detector_map("4", (10,)).tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3]
+    sizes = np.bincount(detector_map("3x3", (7, 8)))  # sides of 3, 2, 2 and 3, 3, 2
+    assert sizes.tolist() == [9, 9, 6, 6, 6, 4, 6, 6, 4]
