@@ -21,9 +21,9 @@ COMMANDS = [
 """Every command line that is shown, in order."""
 
 BRIEFLY = {
-    "compare": "--epochs 1 --trials 1",
+    "compare": "--epochs 1 --trials 1 --designs pca,deepfsi",
     "design": "--epochs 1",
-    "plan": "--epochs 1 --trials 1 --masks 3",
+    "plan": "--epochs 1 --trials 1 --masks 3 --designs pca,deepfsi",
 }
 """Options that make a command on MNIST take a moment."""
 
@@ -48,19 +48,23 @@ def test_no_line_is_left_out():
 
 @pytest.mark.slow
 def test_all_lines_in_order_in_one_folder(tmp_path, monkeypatch, done, digits):
-    """Word for word; MNIST is small here, and what trains on it is told to be brief.
+    """Word for word; MNIST is small here, what trains on it is told to be brief, and its study
+    is the shortest experiment of it.
 
     The camera's own lines are on digits and whole: all ten but one or two are right at 1e5 photons.
     The cluster's line is for `test_cluster`.
     """
+    from deepfsi import experiments
     from deepfsi.experiments import experiment
-    from shared.experiments import EVERY, tiny
+    from deepfsi.experiments.mnist import starts
+    from shared.experiments import tiny
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr(idx, "load_idx", lambda name, _: replace(digits, name=name))
-    recipes = {each.name: tiny(each, 1) for each in EVERY}
-    monkeypatch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
+    recipes = tiny(starts.EXPERIMENT, 1)
+    monkeypatch.setitem(experiments.STUDIES, "mnist", (starts.EXPERIMENT,))
+    monkeypatch.setattr(experiment.Experiment, "recipes", lambda *_: recipes)
     monkeypatch.setattr("deepfsi.cli.recipes.SHIPPED", tmp_path / "recipes")
     (tmp_path / "recipes").mkdir()
     (tmp_path / "recipes/mnist.toml").write_text(

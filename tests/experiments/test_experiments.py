@@ -11,20 +11,23 @@ import pytest
 from deepfsi import experiments
 from deepfsi.errors import InputError
 from deepfsi.experiments import experiment
+from deepfsi.experiments.camera import claims as camera
 from deepfsi.experiments.mnist import accuracy as mnist
 from shared.experiments import ALL, EVERY, run_all
 from shared.results import a_point, some_results
 
+WITHOUT_CAMERA = [each for each in EVERY if each is not camera.EXPERIMENT]
+
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
-    """Folder in which all experiments have been run with one trial."""
-    return run_all(tmp_path_factory.mktemp("one"), 1)
+    """Folder in which all experiments but the camera's have been run with one trial."""
+    return run_all(tmp_path_factory.mktemp("one"), 1, WITHOUT_CAMERA)
 
 
 @pytest.fixture(scope="module")
 def two(one, tmp_path_factory):
-    """Folder in which all have been run with two trials, one of which was there already."""
+    """Folder in which all are run with two trials, one of which was there but for the camera's."""
     folder = tmp_path_factory.mktemp("two")
     for part in ("trials", "designs"):
         shutil.copytree(one / part, folder / part)
@@ -40,7 +43,7 @@ def done(request):
 @pytest.mark.slow
 def test_every_experiment_ends_in_a_section(done):
     page = experiments.page(done).read_text()
-    for each in EVERY:
+    for each in run_in(done):
         section = each.section(done)
         for number in range(1, len(section.pictures) + 1):
             assert (done / f"{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
@@ -52,13 +55,17 @@ def test_every_experiment_ends_in_a_section(done):
         assert "nan" not in section.found
 
 
+def run_in(folder):
+    return EVERY if (folder / f"{camera.EXPERIMENT.name}.json").is_file() else WITHOUT_CAMERA
+
+
 def table(path):
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
 @pytest.mark.slow
 def test_numbers_behind_the_figures_are_there(done):
-    for each in EVERY:
+    for each in run_in(done):
         for name in each.section(done).files:
             rows = table(done / name)
             assert rows
@@ -70,7 +77,7 @@ def test_experiments_share_what_they_train(done):
     """MLGauss and quantisation test the designs of the comparison: two trainings each at most."""
     made = {path.stem for path in (done / "designs").glob("*.safetensors")}
     keys = {}
-    for each in EVERY:
+    for each in run_in(done):
         keys[each.name] = {row["key"] for row in table(done / f"{each.name}-trials.csv")}
     records = len(list((done / "trials").glob("*.json")))
     assert len(set.union(*keys.values())) == records

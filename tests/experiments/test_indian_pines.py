@@ -38,7 +38,7 @@ def label_map():
     """Sixteen classes in four small fields each, in a scene of Indian Pines' size."""
     labels = np.zeros((145, 145), np.uint8)
     for number, (i, j) in enumerate(itertools.product(range(8), range(8))):
-        labels[18 * i + 2 : 18 * i + 8, 18 * j + 2 : 18 * j + 8] = 1 + number % 16
+        labels[18 * i + 2 : 18 * i + 6, 18 * j + 2 : 18 * j + 6] = 1 + number % 16
     return labels
 
 
@@ -64,34 +64,34 @@ def add_cube(home):
     savemat(home / "Indian_pines.mat", {"indian_pines": cube})
 
 
-def run(folder, patch, trials, photons=(1e2, 1e4)):
-    """Run the study on a grid of a moment."""
+def run(folder, patch, **grid):
+    """Run the study with one trial on a grid of a moment."""
     whole = experiment.Experiment.recipes
+    grid = {"photons": (1e2, 1e4), **grid}
 
     def recipes(self, quick, trials=None):
         how = {"epochs": (1,), "batch": (100,), "hidden": ((8,),)}
-        changes = {"photons": photons, "ratios": (0.02,), "training": how, "draws": 1}
+        changes = {"ratios": (0.02,), "training": how, "draws": 1, **grid}
         coarse = whole(self, True, trials)
         return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
 
     patch.setattr(experiment.Experiment, "recipes", recipes)
-    results = EXPERIMENT.run(folder, command="deepfsi reproduce indian-pines", trials=trials)
+    results = EXPERIMENT.run(folder, command="deepfsi reproduce indian-pines", trials=1)
     patch.setattr(experiment.Experiment, "recipes", whole)
     return results, EXPERIMENT.section(folder)
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
-    """Run the study on a simulated scene: (folder, with one trial, with two)."""
+    """Run the study on a simulated scene: (folder, results, section)."""
     root = tmp_path_factory.mktemp("simulated")
     with pytest.MonkeyPatch.context() as patch:
         make_home(root, patch)
-        one = run(root / "out", patch, trials=1)
-        yield root / "out", one, run(root / "out", patch, trials=2)
+        yield root / "out", *run(root / "out", patch)
 
 
 def test_what_is_simulated_says_so_wherever_it_shows(simulated):
-    folder, _, (results, section) = simulated
+    folder, results, section = simulated
     assert "simulated" in section.title
     assert SIMULATED in section.title
     assert section.found.startswith("These are not numbers of the real scene")
@@ -112,7 +112,7 @@ def test_what_is_simulated_says_so_wherever_it_shows(simulated):
 
 
 def test_both_splits_are_trained_and_tested_apart(simulated):
-    _, (results, section), _ = simulated
+    _, results, section = simulated
     keys = {
         split: {key for point in experiment.points(results, split=split) for key in point.keys}
         for split in ("random", "blocks")
@@ -131,7 +131,7 @@ def test_both_splits_are_trained_and_tested_apart(simulated):
 
 
 def test_maps_show_what_the_design_says_of_each_pixel(simulated):
-    _, (results, _), _ = simulated
+    _, results, _ = simulated
     extra = results.extra
     scene = load_spectra(SIMULATED)
     for row in extra["maps"]:
@@ -148,7 +148,7 @@ def test_the_real_scene_is_used_where_it_is_at_hand(home, tmp_path, monkeypatch)
     add_cube(home)
     assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines"
     (home / "92AV3C.spc").unlink()
-    _, section = run(tmp_path / "out", monkeypatch, trials=1, photons=(1e4,))
+    _, section = run(tmp_path / "out", monkeypatch, photons=(1e4,))
     said = json.dumps([section.title, section.found, *(p.caption for p in section.pictures)])
     assert "simulated" not in said
     assert "surrogate" not in said

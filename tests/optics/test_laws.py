@@ -205,10 +205,10 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
     whole = load_dataset("mnist")
     data = replace(
         whole,
-        x_train=whole.x_train[:5_000],
-        y_train=whole.y_train[:5_000],
-        x_test=whole.x_train[-2_000:],
-        y_test=whole.y_train[-2_000:],
+        x_train=whole.x_train[:3_000],
+        y_train=whole.y_train[:3_000],
+        x_test=whole.x_train[-1_000:],
+        y_test=whole.y_train[-1_000:],
     )
     training_set = TrainingSet(data, "cpu")
     settings = TrainingSettings(

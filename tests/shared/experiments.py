@@ -1,5 +1,6 @@
 """The paper's experiments on digits, small."""
 
+import pickle
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from deepfsi import experiments
 from deepfsi.experiments import experiment
 from deepfsi.experiments.camera import laboratory
+from deepfsi.experiments.experiment import Experiment
 from deepfsi.experiments.flexible import claims as flexible
 from deepfsi.experiments.indian_pines import claims as indian_pines
 from deepfsi.sweeps.recipe import Recipe
@@ -40,12 +42,20 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
     return type(quick)(**{**kept, **changes})
 
 
-def run_all(folder: Path, trials: int) -> Path:
-    """Run every experiment on digits into a folder, which may hold some of their trials."""
-    recipes = {each.name: tiny(each, trials) for each in EVERY}
+def here(work, shared, tasks, count):
+    """Results of tasks as worker processes give them, from this one, which torch is in already."""
+    work, shared = pickle.loads(pickle.dumps((work, shared)))
+    for task in tasks:
+        yield pickle.loads(pickle.dumps(work(shared, pickle.loads(pickle.dumps(task)))))
+
+
+def run_all(folder: Path, trials: int, chosen: list[Experiment] = EVERY) -> Path:
+    """Run experiments on digits into a folder, which may hold some of their trials."""
+    recipes = {each.name: tiny(each, trials) for each in chosen}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(laboratory, "DRAWS", 2)
-        for each in EVERY:
+        patch.setattr(laboratory, "processes", here)
+        for each in chosen:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
     return folder

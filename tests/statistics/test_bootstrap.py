@@ -150,7 +150,7 @@ def test_the_papers_intervals_follow_from_rates_that_have_its_mean():
     assert (low, high) == (pytest.approx(0.939, abs=2e-3), pytest.approx(0.998, abs=2e-3))
 
 
-TRIALS = 2000
+TRIALS = 800
 
 
 def coverage(interval, draw, mean: float, seed: int, trials: int = TRIALS) -> float:

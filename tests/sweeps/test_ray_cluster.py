@@ -86,7 +86,7 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, connected, tmp_path):
         designs=("pca", "deepfsi"),
         photons=(1e3, 1e4),
         masks=(3, 6),
-        trials=2,
+        trials=1,
         draws=1,
         training={"epochs": 4, "batch": 32},
     )

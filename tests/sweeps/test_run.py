@@ -21,11 +21,15 @@ FILES = {
 
 
 RECIPES = {
-    " ".join(filter(None, (name, part, "quick" * quick))): settings
+    f"{name} {part}".strip(): settings
     for name, file in FILES.items()
-    for quick in (False, True)
-    if not quick or "quick" in file
-    for part, settings in parts(file, quick).items()
+    for part, settings in parts(file).items()
+}
+COARSE = {
+    f"{name} {part}".strip(): settings
+    for name, file in FILES.items()
+    if "quick" in file
+    for part, settings in parts(file, quick=True).items()
 }
 
 
@@ -63,17 +67,22 @@ def test_noise_of_the_training_may_be_another_than_that_of_the_test(digits, tmp_
     assert kinds == {(train, "poisson") for train in ("ml_gauss", "poisson", "gaussian")}
 
 
+@pytest.mark.parametrize("settings", COARSE.values(), ids=COARSE)
+def test_every_coarse_recipe_is_sound(settings):
+    assert Recipe(**settings)
+
+
 @pytest.mark.parametrize("settings", RECIPES.values(), ids=RECIPES)
 def test_every_recipe_runs_small(settings, digits, tmp_path):
-    Recipe(**settings)
     nested = settings.get("training", {}).get("nested", 0)
     tiny = {
         "data": "digits",
         "masks": max(4, *nested) if isinstance(nested, list) else max(4, nested),
         "ratios": (),
         "photons": 1e3,
+        "gaussian_photons": 1e3 if "gaussian_photons" in settings else (),
         "trials": 1,
-        "training": {**settings.get("training", {}), "epochs": 1},
+        "training": {**settings.get("training", {}), "epochs": 1, "batch": 500},
     }
     recipe = Recipe(**{**settings, **tiny})
     results, _ = compare(recipe, digits, tmp_path, command="deepfsi")

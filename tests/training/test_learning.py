@@ -163,15 +163,14 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
     assert ((together[0].rails > 0) != (together[1].rails > 0)).any()
 
 
-@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
     ("light", "rails"),
     [("equal-dwell", "single"), ("free-dwell", "single"), ("two-arm", "dual"), ("column", "dual")],
 )
-def test_learning_two_levels_beats_rounding_to_them(digits, light, rails, seed):
+def test_learning_two_levels_beats_rounding_to_them(digits, light, rails):
     """By more than five sigma of the noise draws, in which alone the two tests differ."""
     draws = 20
-    settings = {"light": light, "rails": rails, "seed": seed, "hidden": (40, 128), "lr": 1e-2}
+    settings = {"light": light, "rails": rails, "hidden": (40, 128), "lr": 1e-2}
     learned, continuous = (
         quick(digits, masks=10, epochs=30, mask_lr=1e-1, scale="common", levels=levels, **settings)
         for levels in (2, 0)
