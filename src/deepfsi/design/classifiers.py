@@ -205,6 +205,8 @@ class Replicas(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Logits (B, R, C) of features (B, R, m)."""
+        if len(self.networks) == 1 and not self.stacked:
+            return self.networks[0](features.squeeze(1)).unsqueeze(1)
         if not self.stacked:
             pairs = zip(self.networks, features.unbind(1), strict=True)
             return torch.stack([network(own) for network, own in pairs], dim=1)

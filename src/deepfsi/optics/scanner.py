@@ -245,7 +245,8 @@ class _Measure(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None, None]:
         scenes, epsilon, deviation = ctx.saved_tensors
-        by_counts = (gradient * epsilon / deviation).mul_(0.5).masked_fill_(deviation == 0, 0)
+        # 0, not infinite, where a mask is dark; passes over booleans take many times longer
+        by_counts = (epsilon / deviation).nan_to_num_(0, 0, 0).mul_(gradient).mul_(0.5)
         back = gradient.new_zeros(len(scenes), *ctx.shape[:-2], gradient.shape[-1])
         mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
         mean[:-1] = gradient

@@ -44,7 +44,11 @@ class Features(ABC):
 
 
 class FixedFeatures(Features):
-    """Features of fixed masks, whose products with all scenes (n, N) are known."""
+    """Features of fixed masks, whose products with all scenes (n, N) are known.
+
+    Where no counts are drawn the products are standardised once, for the first of the replicas that
+    share them; what the others have in place of that is a factor.
+    """
 
     def __init__(
         self,
@@ -72,11 +76,21 @@ class FixedFeatures(Features):
         )
         self.read = detection.readouts(*arranged)
         self.counting = noise.counting
-        self.totals = totals if self.counting else root(totals) if photonic else None
-        if photonic:
-            self.gain = noise.unit / self.std
-        else:
+        self.totals = totals if photonic else None
+        if not self.counting:
+            self._standardise(noise)
+
+    def _standardise(self, noise: FeatureNoise) -> None:
+        held = self.means.shape[1]
+        self.alone = held == len(self.std)
+        self.ratio = self.std[:held] / self.std
+        if self.totals is None:
             self.gain = noise.variance(self.mean, self.read).sqrt() / self.std
+        else:
+            gain = noise.unit / self.std
+            self.totals = root(self.totals).mul_(gain[:held])
+            self.gain = gain / gain[:held]
+        self.means.sub_(self.mean[:held]).div_(self.std[:held])
 
     def at(self, step: int) -> Tensor:
         """Features (B, R, m), standardised as those of the whole training set."""
@@ -84,15 +98,18 @@ class FixedFeatures(Features):
 
     def _of(self, stream: SeedStream, step: int) -> Tensor:
         expected = stream.products(self.means, step)
-        mean, std = stream.part(self.mean), stream.part(self.std)
         if self.counting:
             assert self.totals is not None
+            mean, std = stream.part(self.mean), stream.part(self.std)
             totals, read = stream.products(self.totals, step), stream.readouts(self.read)
             return (stream.noise.counted(expected, totals, read) - mean) / std
-        draws = stream.normal(expected.shape[-1])
+        draws, gain = stream.normal(expected.shape[-1]), stream.part(self.gain)
         if self.totals is not None:
             draws = draws * stream.products(self.totals, step)
-        return torch.addcmul((expected - mean) / std, draws, stream.part(self.gain))
+            if self.alone:
+                return expected.add_(draws)
+        scaled = expected if self.alone else expected * stream.part(self.ratio)
+        return torch.addcmul(scaled, draws, gain)
 
 
 @dataclass
@@ -136,7 +153,7 @@ class MlGaussFeatures(LearnedFeatures):
         return [
             measure(
                 self.x.index_select(0, stream.with_mean[step]),
-                rails[..., stream.replicas, :, :],
+                rails if len(self.streams) == 1 else rails[..., stream.replicas, :, :],
                 stream.normal(rails.shape[-2] * parts) * stream.noise.unit,
                 disjoint,
                 parts,

@@ -192,12 +192,11 @@ def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
     Scenes have the weights (C,) of their classes, if there are any.
     """
     looks = len(logits) // len(labels)
+    # sums over few classes are many times faster along a leading axis
+    by_class, truth = logits.flatten(0, 1).T.contiguous()[None], labels.repeat(looks, 1).view(1, -1)
     if looks == 1:
-        return functional.cross_entropy(
-            logits.flatten(0, 1), labels.flatten(), weights, reduction="sum"
-        )
-    truth = labels.repeat(looks, 1).flatten()
-    each = functional.cross_entropy(logits.flatten(0, 1), truth, weights, reduction="none")
+        return functional.cross_entropy(by_class, truth, weights, reduction="sum")
+    each = functional.cross_entropy(by_class, truth, weights, reduction="none")
     *early, last = each.view(looks, -1).sum(dim=1)
     return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 
