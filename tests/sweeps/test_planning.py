@@ -11,7 +11,7 @@ from deepfsi.sweeps.planning import Crossing, check_plan, crossing, next_budget,
 from deepfsi.sweeps.recipe import Recipe
 
 DECADES = (1e2, 1e3, 1e4, 1e5, 1e6)
-TARGET, REPEATS = 0.9, 200
+TARGET, REPEATS = 0.9, 100
 
 
 class MadeUp:

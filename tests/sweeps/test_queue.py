@@ -63,7 +63,7 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, mon
     """Also where file locks do nothing, as on network folders that are mounted without them."""
     monkeypatch.setattr(fcntl, "flock", lambda *_: None)
     monkeypatch.setattr(fcntl, "lockf", lambda *_: None)
-    trials = plan(small(trials=4, designs=("pca", "random", "lda")), digits)
+    trials = plan(small(trials=2, designs=("pca", "random", "lda")), digits)
     with ThreadPoolExecutor() as pool:
         runs = [pool.submit(train_trials, trials, digits, tmp_path) for _ in range(3)]
         found = [run.result() for run in runs]
@@ -108,7 +108,7 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path):
 
 @pytest.mark.slow
 def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
-    recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=2)
+    recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=1)
     trials = plan(recipe, digits) + plan(shared_training(), digits)
     wild = plan(small(designs="pca", masks=6, training={"epochs": 2, "lr": 1e30}), digits)
     mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))

@@ -48,7 +48,7 @@ def together_and_alone(
 ) -> list[tuple[Design, Design]]:
     training_set = TrainingSet(digits, "cpu")
     same = {"design": design, "light": light, "rails": rails, "noise": noise}
-    jobs = [Job(masks=6, photons=photons, training=SETTINGS, **same) for photons in (1e3, 1e4, 1e6)]
+    jobs = [Job(masks=6, photons=photons, training=SETTINGS, **same) for photons in (1e3, 1e6)]
     return list(
         zip(train(training_set, jobs), [train(training_set, [job])[0] for job in jobs], strict=True)
     )
@@ -107,7 +107,7 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change):
     change = {"training": SETTINGS.model_copy(update={"start": "random"}), **change}
     jobs = [
         Job(design=design, masks=6, photons=photons, seed=seed, **change)
-        for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4), (7, 1e3))
+        for seed, photons in ((3, 1e3), (4, 1e5), (7, 1e3))
     ]
     training_set = TrainingSet(digits, "cpu")
     alone = [train(training_set, [job])[0] for job in jobs]
@@ -118,7 +118,7 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change):
         together = train(training_set, jobs)
         for one, other in zip(together, alone, strict=True):
             assert apart(one, other, varies) <= tight
-        assert apart(together[0], together[3], varies) > 0.01
+        assert apart(together[0], together[2], varies) > 0.01
 
 
 def test_replicas_learn_for_their_own_budget(digits):
