@@ -1,0 +1,188 @@
+"""Designs beside published masks of a single-photon-detection neural network, on the same light.
+
+    python benchmarks/published.py FOLDER -o runs/published     # the table of docs/limits.md
+    python benchmarks/published.py FOLDER --neurons 10 --epochs 1 -o runs/short
+
+FOLDER holds `incoherent_nK.npz` with `masks` (K, 784), `readout` (10, K) and `bias` (10,), K = 10,
+50, 100 and 400: weights of the incoherent networks for MNIST of S.-Y. Ma, T. Wang, J. Laydevant,
+L. G. Wright, P. L. McMahon, "Quantum-limited stochastic optical neural networks operating at a few
+quanta per activation", Nature Communications 16 (2025), doi 10.1038/s41467-024-55220-y. They are
+public at github.com/mcmahon-lab/Single-Photon-Detection-Neural-Networks under the licence Creative
+Commons Attribution 4.0, as PyTorch models: save those arrays with `numpy.savez`.
+
+A scene x in [0, 1]^784 gives a neuron the rate u = masks · x; it clicks with the probability
+1 − exp(−u), once, and the classes are readout · clicks + bias. Masks M that see λ = Φ x / s are
+these at M = masks · s / Φ, so that there is a smallest budget Φ at which they obey a constraint.
+Designs of ours are trained under that constraint at that budget, with rails and number of masks
+chosen on validation images, and tested once on exact counts; then again, under `column`, at budgets
+at which they count as many photons as the network clicks.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.design.evaluation import evaluate
+from deepfsi.optics import constraints
+from deepfsi.optics.budget import summed_reflectance
+from deepfsi.optics.constraints import Light
+from deepfsi.statistics.intervals import wilson
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.results import Point
+from deepfsi.sweeps.run import compare
+from deepfsi.training.learning import learn
+
+NEURONS = (10, 50, 100, 400)
+"""Sizes of the published networks."""
+
+LAWS: tuple[Light, ...] = ("column", "free-dwell")
+"""Constraints that the masks are brought to."""
+
+MASKS = {"column": (64,), "free-dwell": (32,)}
+"""Numbers of masks that ours are chosen from."""
+
+HIDDEN = (512, 256)
+"""Hidden layers of our classifier."""
+
+SOURCE = "github.com/mcmahon-lab/Single-Photon-Detection-Neural-Networks (CC BY 4.0)"
+"""Where the published weights are."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """Published network: masks (K, N), readout (C, K) and bias (C,)."""
+
+    masks: np.ndarray
+    readout: np.ndarray
+    bias: np.ndarray
+
+    @classmethod
+    def read(cls, path: Path, pixels: int) -> "Network":
+        """Network of a file, its masks padded with dark pixels to scenes of so many."""
+        with np.load(path) as file:
+            parts = {name: file[name].astype(np.float64) for name in ("masks", "readout", "bias")}
+        side, wide = (round(count**0.5) for count in (parts["masks"].shape[1], pixels))
+        edge = (wide - side) // 2
+        images = parts["masks"].reshape(-1, side, side)
+        padded = np.pad(images, ((0, 0), (edge, edge), (edge, edge)))
+        return cls(padded.reshape(len(images), -1), parts["readout"], parts["bias"])
+
+    def clicks(self, x: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Clicks (n, K) of scenes (n, N), one shot."""
+        rates = x @ self.masks.T
+        return np.random.default_rng(seed).random(rates.shape) < -np.expm1(-rates)
+
+    def classes(self, clicks: np.ndarray) -> np.ndarray:
+        """Classes (n,) of clicks (n, K)."""
+        return (clicks @ self.readout.T + self.bias).argmax(axis=1)
+
+    def least_photons(self, light: Light, s: float) -> float:
+        """Smallest budget at which the masks obey a constraint, for a summed reflectance s."""
+        rails = torch.from_numpy(self.masks)[None]
+        return s * (1 + constraints.excess(rails, light))
+
+
+def recipe(light: Light, photons: Sequence[float], epochs: int, data: str = "mnist") -> Recipe:
+    """Recipe of ours under a constraint."""
+    return Recipe(
+        data=data,
+        designs="deepfsi",
+        photons=tuple(photons),
+        masks=MASKS[light],
+        light=light,
+        rails=("dual", "single"),
+        draws=1,
+        training={"epochs": epochs, "hidden": HIDDEN},
+    )
+
+
+def chosen(points: Sequence[Point], photons: float) -> Point:
+    """Of the points at a budget, the one that validation chooses."""
+    here = [point for point in points if np.isclose(point.photons, photons)]
+    return max(here, key=lambda point: point.validation or 0)
+
+
+def print_networks(networks: dict[int, Network], data: Dataset) -> None:
+    """Table of the published networks: accuracy, clicks, and budgets at which their masks fit."""
+    print(f"| neurons | accuracy, their own | clicks | {' | '.join(f'Φ, {x}' for x in LAWS)} |")
+    print("| --- " * (3 + len(LAWS)) + "|")
+    s = summed_reflectance(data.x_train)
+    for size, network in networks.items():
+        clicks = network.clicks(data.x_test)
+        right = float((network.classes(clicks) == data.y_test).mean())
+        low, high = wilson(right, len(data.y_test))
+        budgets = " | ".join(f"{network.least_photons(light, s):.0f}" for light in LAWS)
+        seen = f"{right:.4f} [{low:.4f}, {high:.4f}] | {clicks.sum(axis=1).mean():.1f}"
+        print(f"| {size} | {seen} | {budgets} |", flush=True)
+
+
+def print_ours(
+    networks: dict[int, Network], data: Dataset, light: Light, epochs: int, folder: Path
+) -> list[Point]:
+    """Table of ours at the budgets of the networks; returns the designs chosen."""
+    s = summed_reflectance(data.x_train)
+    budgets = [network.least_photons(light, s) for network in networks.values()]
+    wanted = recipe(light, budgets, epochs, data.name)
+    results, _ = compare(wanted, data, folder, command="benchmarks/published.py")
+    best = [chosen(results.points, photons) for photons in budgets]
+    print(f"\n| {light}, Φ of | Φ | ours | rails, masks | counts |")
+    print("| --- | --- | --- | --- | --- |")
+    for size, point in zip(networks, best, strict=True):
+        seen = f"{point.accuracy:.4f} [{point.low:.4f}, {point.high:.4f}]"
+        kind = f"{point.rails}, {point.masks}"
+        print(
+            f"| {size} | {point.photons:.0f} | {seen} | {kind} | {point.counts:.0f} |", flush=True
+        )
+    return best
+
+
+def print_same_counts(
+    networks: dict[int, Network], data: Dataset, epochs: int, best: list[Point]
+) -> None:
+    """Table of ours at the counts of the networks, with the rails and masks chosen at their Φ.
+
+    Under `column`, of whose light least is lost, and trained on exact counts: a readout has few.
+    """
+    print("\n| column, counts of | counts | ours | Φ |")
+    print("| --- | --- | --- | --- |")
+    for (size, network), point in zip(networks.items(), best, strict=True):
+        made = learn(
+            data.hold_out(),
+            counts=float(network.clicks(data.x_test).sum(axis=1).mean()),
+            masks=point.masks,
+            light="column",
+            rails=point.rails,
+            noise="poisson",
+            epochs=epochs,
+            hidden=HIDDEN,
+        )
+        [seen] = evaluate(made, data, made.info["job"]["photons"], draws=1)
+        accuracy = f"{seen.accuracy:.4f} [{seen.low:.4f}, {seen.high:.4f}]"
+        print(f"| {size} | {seen.counts:.1f} | {accuracy} | {seen.photons:.0f} |", flush=True)
+
+
+def main(words: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="of incoherent_nK.npz, as the text above says")
+    parser.add_argument("-o", "--out", type=Path, default=Path("runs/published"))
+    parser.add_argument("--data", default="mnist")
+    parser.add_argument("--neurons", type=int, nargs="+", default=list(NEURONS))
+    parser.add_argument("--epochs", type=int, default=15)
+    asked = parser.parse_args(words)
+    files = {size: asked.folder / f"incoherent_n{size}.npz" for size in asked.neurons}
+    if missing := [str(path) for path in files.values() if not path.is_file()]:
+        parser.error(f"{', '.join(missing)} missing: --help names the source, {SOURCE}")
+    data = load_dataset(asked.data, rescale=(0.0, 1.0))
+    networks = {size: Network.read(path, data.pixels) for size, path in files.items()}
+    print_networks(networks, data)
+    best = {light: print_ours(networks, data, light, asked.epochs, asked.out) for light in LAWS}
+    print_same_counts(networks, data, asked.epochs, best["column"])
+
+
+if __name__ == "__main__":
+    main()
