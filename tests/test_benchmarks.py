@@ -373,3 +373,9 @@ def test_published_networks_reach_what_was_published():
         assert clicks.sum(axis=1).mean() == pytest.approx(clicked, rel=0.01)
         found = [network.least_photons(light, s) for light in published.LAWS]
         assert found == pytest.approx(budgets, abs=0.6)
+
+
+def test_products_of_detectors_are_those_of_masks_that_are_dark_elsewhere(capsys):
+    """It compares the two results before it times them."""
+    benchmark("detectors").main(["--side", "8", "--repeats", "1"])
+    assert len(capsys.readouterr().out.splitlines()) == 6
