@@ -135,6 +135,17 @@ def test_no_other_rule_is_better_on_scenes_of_the_prior(good, digits, photons):
     assert bound.accuracy > ideal.accuracy - 5 * spread, "column designs route impulse imaging's"
 
 
+@pytest.mark.parametrize("readout", ["difference", "both"])
+def test_several_detectors_tell_more_than_one(digits, readout):
+    """Frames are those of one detector: tiles seen apart hold what their sum holds, and more."""
+    settings = {"light": "two-arm", "readout": readout, "design": "pca", "masks": 4}
+    one = quick(digits, **settings)
+    several = quick(digits, detectors="2x2", **settings)
+    sums, apart = (ideal_observer(each, digits, 1e3)[0] for each in (one, several))
+    assert apart.accuracy > sums.accuracy + 0.1
+    assert apart.counts == pytest.approx(1e3 * apart.throughput, rel=0.03)
+
+
 def test_results_are_those_of_an_evaluation(good, digits):
     """Accuracy with its interval, throughput and counts of each mask; the same seed repeats."""
     one, two = ideal_observer(good, digits, [100.0, 1e4], draws=2)

@@ -41,6 +41,21 @@ def test_several_looks_count_as_many(digits):
     assert counted(learn(digits, counts=40.0, looks=2, **settings)) == pytest.approx(40, rel=NEAR)
 
 
+@pytest.mark.parametrize(
+    "optics",
+    [
+        {"detectors": "2x2", "light": "free-dwell", "rails": "single"},
+        {"detectors": "2x2", "light": "two-arm", "readout": "both"},
+    ],
+)
+@pytest.mark.parametrize("design", ["deepfsi", "pca"])
+def test_detectors_count_as_many_together(digits, design, optics):
+    made = learn(digits, counts=40.0, design=design, **{**BRIEF, **optics})
+    assert counted(made) == pytest.approx(40, rel=NEAR)
+    [result] = evaluate(made, digits, made.info["job"]["photons"], draws=1)
+    assert result.counts == pytest.approx(40, rel=0.06)
+
+
 def test_a_named_design_is_trained_once_and_as_at_its_budget(digits):
     made = learn(digits, counts=40.0, design="pca", **BRIEF)
     again = learn(digits, photons=made.info["job"]["photons"], design="pca", **BRIEF)

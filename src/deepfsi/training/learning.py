@@ -310,11 +310,10 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     """Share of the budget that the masks count before training; parameters as for `train`."""
     check_job(job, training_set.data, matrix)
     masks = _initial_masks(training_set, [job], matrix)
-    total = masks()[1].detach()
-    mean = training_set.full.mean(dim=0).to(total.device)
-    if isinstance(masks, Learned):
-        mean = mean[training_set.pixels(job.optics[0])]
-    return float((total[0] @ mean).sum()) / training_set.summed_reflectance
+    shown = _final_masks(masks, training_set, job) if isinstance(masks, Learned) else masks
+    _, total = shown.to(training_set.device)()
+    counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
+    return counts / training_set.summed_reflectance
 
 
 def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
