@@ -27,6 +27,8 @@ def a_point(accuracy: float = 0.9, half: float = 0.01, **fields: Any) -> Point:
         "trained_under": "ml_gauss",
         "light": "column",
         "rails": "dual",
+        "detectors": "1x1",
+        "readout": "difference" if fields.get("rails", "dual") == "dual" else "",
         "design": design,
         "trained_at": photons,
         "variant": "",

@@ -8,18 +8,18 @@ from deepfsi.sweeps.summary import summarise
 from shared.trials import small
 
 
-def record(photons, masks, seed, validation, test, noise="ml_gauss"):
+def record(photons, masks, seed, validation, test, noise="ml_gauss", detectors="1x1"):
     result = {"noise": "poisson", "photons": photons, "throughput": 0.5, "low": 0.1, "high": 0.9}
     result["counts"] = 0.5 * photons
     result |= {"levels": 0, "balanced": 0.4, "balanced_low": 0.2, "balanced_high": 0.6}
     result["rates"] = [0.4] * 10
     result["confusion"] = np.ones((10, 10)).tolist()
     job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
-    job["noise"] = noise
+    job |= {"noise": noise, "readout": "difference"}
     return {
         "key": f"{masks}-{seed}",
         "design": f"{masks}-{seed}",
-        "trial": {"job": job, "variant": ""},
+        "trial": {"job": job, "variant": "", "detectors": detectors},
         "validation": [{**result, "accuracy": validation}],
         "test": [{**result, "accuracy": test}],
         "info": {"seconds": 1.0, "device": "cpu"},
@@ -64,6 +64,23 @@ def test_trials_of_different_training_noise_are_different_points(digits):
         ("ml_gauss", 1),
         ("gaussian", 1),
     ]
+
+
+def test_trials_of_other_detectors_are_other_points_with_masks_of_their_own(digits):
+    records = [
+        record(1e3, masks, 0, validation, 0.5, detectors=detectors)
+        for detectors, masks, validation in (("1x1", 3, 0.6), ("1x1", 6, 0.7), ("2x2", 3, 0.8))
+    ]
+    best = {(p.detectors, p.masks) for p in summary(digits, records) if p.best}
+    assert best == {("1x1", 6), ("2x2", 3)}
+
+
+def test_trials_that_read_rails_otherwise_are_other_points(digits):
+    records = [record(1e3, 3, 0, 0.8, 0.5) for _ in range(3)]
+    for entry, readout in zip(records, ("difference", "both", None), strict=True):
+        entry["trial"]["job"]["readout"] = readout
+    points = summary(digits, records)
+    assert [(p.readout, p.trials) for p in points] == [("difference", 1), ("both", 1), ("", 1)]
 
 
 def test_without_validation_nothing_is_chosen(digits):

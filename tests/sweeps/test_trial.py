@@ -1,5 +1,6 @@
 """Recipes and the trials that they plan."""
 
+import numpy as np
 import pytest
 
 from deepfsi.datasets import load_dataset
@@ -37,6 +38,7 @@ def test_paper_ratios_are_the_default(digits):
         {"draws": 2},
         {"validation": 100},
         {"light": "free-dwell"},
+        {"readout": "both"},
         {"noise": "gaussian"},
         {"test_noise": "ml_gauss"},
         {"tuned": {"deepfsi": {"lr": 1e-3}, "pca": {"lr": 1e-3}}},
@@ -119,3 +121,63 @@ def test_the_control_group_is_for_photon_noise(digits):
 def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
     with pytest.raises(InputError, match="two-arm"):
         plan(small(light="two-arm", rails="single"), digits)
+
+
+TILES = {"light": "free-dwell", "rails": "single", "photons": 1e3}
+"""Light that several detectors can have."""
+
+
+def test_detectors_and_readout_are_axes_with_keys_of_their_own(digits):
+    trials = plan(small(**TILES, detectors=("1x1", "2x2")), digits)
+    assert [trial.detectors for trial in trials] == ["1x1"] * 4 + ["2x2"] * 4
+    assert len({trial.key for trial in trials}) == 8
+    dual = {**TILES, "rails": "dual", "readout": ("both", "difference"), "masks": 3}
+    found = [(trial.job.design, trial.job.readout) for trial in plan(small(**dual), digits)]
+    assert found == [(d, r) for d in ("pca", "deepfsi") for r in ("both", "difference")]
+
+
+def test_readout_is_that_in_force(digits):
+    """A single rail has none, and to name the usual one makes no other trial."""
+    single = [plan(small(**TILES, readout=each), digits) for each in ((), "both")]
+    assert [each.key for each in single[0]] == [each.key for each in single[1]]
+    usual, told = (plan(small(light="two-arm", readout=each), digits) for each in ((), "both"))
+    assert [each.key for each in usual] == [each.key for each in told]
+    assert {each.job.readout for each in told} == {"both"}
+
+
+def test_mask_counts_are_those_of_a_part(digits):
+    settings = {**TILES, "masks": (6, 20), "detectors": "2x2"}
+    trials = plan(small(designs=("raster", "deepfsi", "impulse"), **settings), digits)
+    found = [(each.job.design, each.job.masks, each.detectors) for each in trials]
+    assert found == [("raster", 16, "2x2"), ("deepfsi", 6, "2x2"), ("impulse", 64, "1x1")]
+
+
+def test_a_map_of_detectors_is_known_by_its_content(digits, tmp_path):
+    """Renamed it is the same, changed it is another."""
+    keys = []
+    for name, shift in (("a.npy", 0), ("b.npy", 0), ("a.npy", 8)):
+        np.save(tmp_path / name, np.roll(np.arange(64) // 32, shift))
+        trials = plan(small(**TILES, detectors=str(tmp_path / name)), digits)
+        assert {each.detectors for each in trials} == {str(tmp_path / name)}
+        keys.append([each.key for each in trials])
+    assert keys[0] == keys[1]
+    assert not set(keys[0]) & set(keys[2])
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"detectors": "2x2"}, "column is other optics"),
+        ({**TILES, "detectors": ("9x9", "none.npy")}, "do not divide scenes of 8x8.*none.npy"),
+    ],
+)
+def test_detectors_that_cannot_be_had_are_all_told(digits, settings, told):
+    with pytest.raises(InputError, match=told):
+        plan(small(**settings), digits)
+
+
+def test_several_detectors_are_left_out_where_light_is_that_of_other_optics(digits):
+    settings = {**TILES, "light": ("column", "free-dwell"), "detectors": ("1x1", "2x2")}
+    trials = plan(small(designs="pca", masks=3, **settings), digits)
+    found = [(trial.job.light, trial.detectors) for trial in trials]
+    assert found == [("column", "1x1"), ("free-dwell", "1x1"), ("free-dwell", "2x2")]

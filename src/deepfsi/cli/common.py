@@ -177,6 +177,18 @@ def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
     return f"{rate:.3f} ({short(name, width)})"
 
 
+def size(made: "Design") -> str:
+    """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
+    parts = [f"{made.masks} masks"]
+    if made.exposure.looks > 1:
+        parts.append(f"{made.exposure.looks} looks")
+    if made.detection.count > 1:
+        parts.append(f"{made.detection.count} detectors")
+    if len(made.rails) == 2 and made.detection.readout == "both":
+        parts.append("both rails read")
+    return ", ".join(parts)
+
+
 def print_designs(names: Iterable[str]) -> None:
     """Say which designs the labels of a table are."""
     from deepfsi.optics.codes import DESIGNS

@@ -37,12 +37,17 @@ def export(
     design = common.open_design(file, trust)
     write_atomically(target, to_onnx(design))
     if as_json:
-        sizes = {"rails": len(design.rails), "masks": design.masks, "classes": design.classes}
+        sizes = {
+            "rails": len(design.rails),
+            "masks": design.masks,
+            "detectors": design.detection.count,
+            "classes": design.classes,
+        }
         common.print_json("export", {"graph": str(target), **sizes})
         return
-    shape = f"(batch, 2, {design.masks})" if len(design.rails) == 2 else f"(batch, {design.masks})"
+    shape = ", ".join(map(str, ("batch", *design.counts_shape)))
     print(
-        f"in: counts {shape}, photons (batch,)\n"
+        f"in: counts ({shape}), photons (batch,)\n"
         f"out: probabilities (batch, {len(design.classes)})\nsaved: {target}"
     )
 
@@ -65,13 +70,15 @@ def plan(
     sigma: options.Sigmas = 1.0,
     light: options.Lights = "column",
     rails: options.RailsAxis = "dual",
+    detectors: options.DetectorsAxis = "1x1",
+    readout: options.ReadoutAxis = None,
     trials: options.Trials = 2,
     epochs: options.Epochs = None,
     device: options.Device = "auto",
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
-    """Say how many photons and masks a target accuracy needs, for each design.
+    """Say how many photons, masks and detectors a target accuracy needs, for each design.
 
     Every design is trained at a few budgets, then where its curve meets the target; what lies
     between is interpolated, and the interval says how far that can be trusted. Stopped, it goes on
@@ -107,7 +114,8 @@ def plan(
     if as_json:
         common.print_json("plan", found)
         return
-    _print_needs(found, [axis for axis in ("light", "rails") if len(getattr(recipe, axis)) > 1])
+    axes = ("light", "rails", "detectors", "readout")
+    _print_needs(found, [axis for axis in axes if len(getattr(recipe, axis)) > 1])
     print(f"plan: {out / 'plan.json'}")
 
 
@@ -138,7 +146,7 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
             interval(need),
             str(need["masks"]),
             str(len(need["tried"])),
-            *(need[axis] for axis in axes),
+            *(need[axis] or "–" for axis in axes),
         )
         for need in needs
     ]

@@ -30,6 +30,8 @@ def design(
     dark: options.Dark = 0.0,
     light: options.Light = "column",
     rails: options.Rails = "dual",
+    detectors: options.Detectors = "1x1",
+    readout: options.Readout = None,
     nested: options.Nested = 0,
     levels: options.Levels = 0,
     looks: options.Looks = 1,
@@ -73,8 +75,8 @@ def design(
     common.print_data(scenes)
     for result in results:
         print(
-            f"{made.name} with {made.masks} masks at {common.budget(result.photons)} photons: test "
-            f"accuracy {common.share(result.accuracy, result.low, result.high)}, "
+            f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
+            f"test accuracy {common.share(result.accuracy, result.low, result.high)}, "
             f"{common.budget(result.counts)} counts (a share of {result.throughput:.3f})\n"
             f"balanced accuracy "
             f"{common.share(result.balanced, result.balanced_low, result.balanced_high)}, "
@@ -149,7 +151,8 @@ def evaluate(
             [{"classes": made.classes, **result.as_dict()} for result in every]
             for every in (results, bounds)
         )
-        said = {"design": str(file), "notes": notes, "results": tests, "ideal": best}
+        optics = {"detectors": made.detection.count, "readout": made.detection.readout}
+        said = {"design": str(file), **optics, "notes": notes, "results": tests, "ideal": best}
         common.print_json("evaluate", said)
         return
     common.print_data(scenes, notes)
@@ -202,7 +205,7 @@ def stop(
         common.print_json("stop", {"design": str(file), "notes": notes, **found.as_dict()})
         return
     common.print_data(scenes, notes)
-    _print_stopped(found, _size(made))
+    _print_stopped(found, common.size(made))
 
 
 def _print_results(
@@ -220,7 +223,7 @@ def _print_results(
         for r in sorted(results, key=lambda r: r.photons)
     ]
     heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted")
-    common.print_table(f"{made.name}, {_size(made)}, {noise} noise", heads, rows)
+    common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
     if bounds:
         common.print_table(
             "ideal observer of these counts, training scenes as prior",
@@ -233,11 +236,6 @@ def _print_results(
     print(f"± half of the 95 % interval: {results[0].covers}")
     print("counts: photons that detectors count, in the mean over test scenes")
     print("counted: share of the budget that they count, in the mean over training scenes")
-
-
-def _size(made: "Design") -> str:
-    looks = f" and {made.exposure.looks} looks" if made.exposure.looks > 1 else ""
-    return f"{made.masks} masks{looks}"
 
 
 def _print_stopped(found: "Stopped", size: str) -> None:
@@ -284,7 +282,7 @@ def show(
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = Design.load(file)
     budget = made.info.get("job", {}).get("photons")
-    title = f"{made.name}, {made.masks} masks" + (
+    title = f"{made.name}, {common.size(made)}" + (
         f", {common.budget(budget)} photons" if budget else ""
     )
     figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
+    from deepfsi.optics.detection import Detection
 
 MOST_INPUTS = 64
 """Inputs of a photon counter at most."""
@@ -97,6 +98,20 @@ Light = Annotated[
 Rails = Annotated[
     str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
 ]
+Detectors = Annotated[
+    str,
+    typer.Option(
+        help="detectors on parts of the device: ROWSxCOLUMNS, a number of bands, or a .npy map of "
+        "each pixel's detector, from 0"
+    ),
+]
+Readout = Annotated[
+    str | None,
+    typer.Option(
+        help="what the network reads of two rails: both, or their difference; both for two-arm "
+        "unless given"
+    ),
+]
 Nested = Annotated[
     int, typer.Option(help="fewest masks, first ones, that must do by themselves; 0: all")
 ]
@@ -130,6 +145,12 @@ Darks = Annotated[
 ]
 Lights = Annotated[str | None, typer.Option(help="light constraints")]
 RailsAxis = Annotated[str | None, typer.Option(help="dual, single")]
+DetectorsAxis = Annotated[
+    str | None, typer.Option(help="detectors on parts of the device: 1x1,2x2,map.npy")
+]
+ReadoutAxis = Annotated[
+    str | None, typer.Option(help="what is read of two rails: both, difference")
+]
 Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
 
 
@@ -280,21 +301,25 @@ def job_settings(
     The options are by the names of their parameters. The data decides how many masks a design of a
     fixed number has; the matrix, (m, N), is the user's own.
     """
+    from deepfsi.optics.detection import Detection, read_detectors
     from deepfsi.sweeps.recipe import training_noise
 
     usual = training_noise(options["noise"])
     if options["looks"] > 1 and usual == "ml_gauss":
         usual = "poisson"  # a look shows many masks too shortly for MLGauss
-    design, masks = _design_and_masks(options["name"], options["masks"], data, matrix)
+    labels = read_detectors(options["detectors"])
+    detection = Detection.of(labels, data.image_shape)
+    design, masks = _design_and_masks(options["name"], options["masks"], data, matrix, detection)
     trained = options["train_noise"] or usual
     same = (
-        *("sigma", "light", "rails", "seed", "nested", "levels", "looks", "epochs"),
+        *("sigma", "light", "rails", "readout", "seed", "nested", "levels", "looks", "epochs"),
         *("classifier", "balance"),
     )
     settings = {name: options[name] for name in same if options[name] is not None}
     return settings | {
         "design": design,
         "masks": masks,
+        "detectors": labels,
         **light_settings(options["photons"], options["counts"]),
         "noise": trained,
         "dark": options["dark"] if trained == "camera" else 0.0,
@@ -302,7 +327,11 @@ def job_settings(
 
 
 def _design_and_masks(
-    name: str | None, masks: str | None, data: "Dataset", matrix: "np.ndarray | None"
+    name: str | None,
+    masks: str | None,
+    data: "Dataset",
+    matrix: "np.ndarray | None",
+    detection: "Detection",
 ) -> tuple[str, int]:
     from deepfsi.optics import codes, tiles
 
@@ -317,7 +346,8 @@ def _design_and_masks(
         return design, whole_number("masks", masks)
     if not codes.DESIGNS[design].fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
-    return design, tiles.count_allowed(design, data)[1]
+    seen = (detection,) if design != "impulse" else ()
+    return design, tiles.count_allowed(design, data, *seen)[1]
 
 
 def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
@@ -328,7 +358,7 @@ def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict
     """
     if options["masks"] is not None and options["ratios"] is not None:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
-    axes = ("designs", "noise", "train_noise", "light", "rails")
+    axes = ("designs", "noise", "train_noise", "light", "rails", "detectors", "readout")
     given = {name: words(options.get(name)) for name in axes} | {
         "data": options["data"],
         "size": size_of(options["size"]),

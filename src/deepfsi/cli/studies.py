@@ -35,6 +35,8 @@ def compare(
     dark: options.Darks = None,
     light: options.Lights = None,
     rails: options.RailsAxis = None,
+    detectors: options.DetectorsAxis = None,
+    readout: options.ReadoutAxis = None,
     trials: options.Trials = None,
     epochs: options.Epochs = None,
     balance: options.Balance = False,
@@ -311,6 +313,8 @@ CROWDED, CROWDED_WIDTH = 3, 7
 def _axis(name: str, value: Any) -> str:
     if name == "levels":
         return str(value) if value else "any"
+    if name == "readout":
+        return value or "–"
     return common.budget(value) if name == "trained_at" else str(value)
 
 

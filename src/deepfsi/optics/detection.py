@@ -13,6 +13,7 @@ A network reads the difference y⁺ − y⁻ of the rails, or `both`: each rail'
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -20,6 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.datasets.array_files import read_npy
 from deepfsi.errors import InputError, check_known
 from deepfsi.optics import constraints
 
@@ -178,6 +180,25 @@ class Readouts(NamedTuple):
         return self.shown.sum(dim=0)
 
 
+def read_detectors(name: str) -> str | tuple[int, ...]:
+    """Detectors of an option or a recipe: a map (N,) from its .npy file, any other name as it is.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it holds no whole numbers.
+    """
+    if not name.endswith(".npy"):
+        return name.lower()
+    labels = read_npy(Path(name))
+    if labels.dtype.kind not in "iu":
+        raise InputError(
+            f"{name} holds numbers of type {labels.dtype}: give the detector of each pixel as a "
+            "whole number, from 0"
+        )
+    return tuple(labels.ravel().tolist())
+
+
 def detector_map(detectors: Detectors, image_shape: tuple[int, ...]) -> np.ndarray:
     """Detector (N,) of each pixel, 0 .. D-1, int64.
 
@@ -207,7 +228,7 @@ def detector_map(detectors: Detectors, image_shape: tuple[int, ...]) -> np.ndarr
             raise InputError(
                 f"detectors {detectors!r} do not divide scenes of {shape}: give {form} from "
                 f"{'x'.join('1' for _ in image_shape)} to {shape}, or a map of each pixel's "
-                "detector"
+                "detector, a .npy file"
             )
         labels: np.ndarray = np.zeros((), dtype=np.int64)
         for n, side in zip(map(int, parts), image_shape, strict=True):

@@ -50,7 +50,7 @@ LINE_HEIGHT = 0.06
 
 Fields = tuple[str, ...]
 
-CHOSEN: Fields = ("design", "light", "rails")
+CHOSEN: Fields = ("design", "light", "rails", "detectors")
 
 
 def series_axes(results: Results) -> Fields:
@@ -62,6 +62,9 @@ def series_axes(results: Results) -> Fields:
     pairs = {(p.noise, p.trained_under) for p in points}
     if len(pairs) > len({noise for noise, _ in pairs}):
         apart.append("trained_under")
+    optics = {(p.light, p.rails, p.readout) for p in points}
+    if len(optics) > len({pair[:2] for pair in optics}):
+        apart.append("readout")
     if results.chosen_on == "nothing":
         apart.append("masks")
     return (*CHOSEN, *apart)
@@ -73,6 +76,8 @@ def axis_text(axis: str, value: Any) -> str:
         return f"{value} levels" if value else "continuous"
     if axis == "trained_at":
         return f"from {style.photons_text(value)}"
+    if axis == "detectors":
+        return "1 detector" if value == "1x1" else f"{value} detectors"
     return f"from {value}" if axis == "trained_under" else str(value)
 
 
@@ -106,7 +111,7 @@ def series_names(
             for i in range(1, len(axes))
             if len({other[i] for other in kin}) > 1
         ]
-        names[key] = " ".join([getattr(members[0], field), *apart])
+        names[key] = " ".join(filter(None, [getattr(members[0], field), *apart]))
     return names
 
 

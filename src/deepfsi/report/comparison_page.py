@@ -4,7 +4,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,12 +107,21 @@ def page_text(results: Results, designs: Path) -> str:
         else None,
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
+        optics=optics_shown(points),
         facts=[
             ("Data", list(flat({k: v for k, v in data.as_dict().items() if k != "classes"}))),
             ("Recipe", list(flat(results.recipe))),
             ("Made with", list(flat(results.provenance.as_dict()))),
         ],
     )
+
+
+def optics_shown(points: Iterable[Point]) -> list[str]:
+    """Fields of the optics that the table of all results has: the usual ones, and what is not."""
+    every = list(points)
+    several = any(p.detectors != "1x1" for p in every)
+    both = any(p.readout == "both" for p in every)
+    return ["light", "rails", *["detectors"] * several, *["readout"] * both]
 
 
 def scene_text(shape: tuple[int, ...]) -> str:
@@ -128,7 +137,7 @@ def chosen(results: Results, noise: str) -> list[Point]:
 
 
 def ranking(points: list[Point], photons: float) -> list[Point]:
-    """One-detector designs at a budget, most accurate first; impulse imaging if it is alone.
+    """Designs that one device shows at a budget, most accurate first; impulse imaging if alone.
 
     Of a design that was trained in several ways on the same light, the one that validation chose.
     """
@@ -158,7 +167,9 @@ def summary(results: Results, noise: str) -> str:
 
     text = f"Under {noise_text(noise)}, "
     if len(names) > 1:
-        text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets})
+        one = all(p.detectors == "1x1" for p in points)
+        where = "with one detector" if one else "beside impulse imaging"
+        text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets}, where)
     text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
     for photons in dict.fromkeys([budgets[0], budgets[-1]]):
         first, *others = ranking(points, photons)
@@ -188,8 +199,8 @@ def _reach(point: Point) -> str:
     return f"{share_text(point.accuracy)} ({low}–{high})"
 
 
-def _winners(names: dict[float, list[str]]) -> str:
-    """Beginning of a sentence: the most accurate designs by budget."""
+def _winners(names: dict[float, list[str]], among: str) -> str:
+    """Beginning of a sentence: the most accurate designs by budget, and among which."""
     wins: dict[tuple[str, ...], list[str]] = {}
     for photons, best in names.items():
         wins.setdefault(tuple(best), []).append(photons_text(photons))
@@ -204,7 +215,7 @@ def _winners(names: dict[float, list[str]]) -> str:
         for who, where in rest
     ]
     where = f"at {listed(first_wins)} photons{''.join(then)}"
-    return f"{listed([*first])} {verb} with one detector {where}; "
+    return f"{listed([*first])} {verb} {among} {where}; "
 
 
 def listed(words: list[str]) -> str:
@@ -223,9 +234,9 @@ def accuracy_panels(results: Results) -> Iterator[Panel]:
 
 def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
     """Accuracy against mask count for each noise and budget, if any design has several counts."""
-    counts: dict[tuple[str, str, str, str], set[int]] = {}
+    counts: dict[tuple[str, ...], set[int]] = {}
     for p in results.points:
-        counts.setdefault((p.noise, p.design, p.light, p.rails), set()).add(p.masks)
+        counts.setdefault((p.noise, p.design, p.light, p.rails, p.detectors), set()).add(p.masks)
     if max(map(len, counts.values())) < 2:
         return
     for i, noise in enumerate(accuracy.noises(results)):

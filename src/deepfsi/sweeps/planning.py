@@ -34,7 +34,7 @@ mask counts that are best beside it."""
 LEAST_DECADES = 0.2
 """Decades between two budgets that are worth a training each."""
 
-CURVE_AXES = ("light", "rails", "design")
+CURVE_AXES = ("light", "rails", "detectors", "readout", "design")
 """Fields that tell two curves apart."""
 
 Curve = dict[float, Point]
@@ -191,7 +191,7 @@ def photons_needed(
     workers: Workers = HERE,
     report: Report = SILENT,
 ) -> tuple[dict[str, Any], Results]:
-    """Photons and masks that a target accuracy needs, for each design, light and rails.
+    """Photons and masks that a target accuracy needs, for each design, its light and detectors.
 
     Mask counts and the budgets that are added are chosen on validation data, and the crossings
     found on test data.
@@ -199,8 +199,8 @@ def photons_needed(
     Parameters
     ----------
     recipe : Recipe
-        First comparison: designs, three budgets or more, mask counts or ratios, light and rails,
-        under one noise and with one training setting each.
+        First comparison: designs, three budgets or more, mask counts or ratios, light, rails,
+        detectors and readout, under one noise and with one training setting each.
     data : Dataset
     target : float
         Accuracy, above that of guessing and below 1.
@@ -216,8 +216,8 @@ def photons_needed(
     -------
     plan : dict
         JSON types only. ``plan["needs"]`` has for each curve the fields of its `Crossing`, its
-        ``design``, ``light`` and ``rails``, the ``masks`` that were best at the tried budget
-        nearest to the crossing, and what was ``tried``.
+        ``design``, ``light``, ``rails``, ``detectors`` and ``readout``, the ``masks`` that were
+        best at the tried budget nearest to the crossing, and what was ``tried``.
     results : Results
 
     Raises
@@ -279,7 +279,8 @@ def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
     if any(len(values) > 1 for values in axes) or recipe.test_photons or recipe.test_noise:
         raise InputError(
             "a plan has one noise, one training of each design, and tests at the budget of the "
-            "training: leave other axes than designs, photons, masks, ratios, light and rails out"
+            "training: leave other axes than designs, photons, masks, ratios, light, rails, "
+            "detectors and readout out"
         )
 
 
@@ -299,8 +300,15 @@ def _more(recipe: Recipe, kind: tuple[str, ...], curve: Curve, target: float) ->
         return None
     above = next(place for place, each in enumerate(tried) if each > budget)
     masks = {curve[tried[place]].masks for place in (above - 1, above)}
-    light, rails, design = kind
-    one = {"designs": (design,), "light": (light,), "rails": (rails,), "photons": (budget,)}
+    light, rails, detectors, readout, design = kind
+    one = {
+        "designs": (design,),
+        "light": (light,),
+        "rails": (rails,),
+        "detectors": (detectors,),
+        "readout": (readout,) if readout else (),
+        "photons": (budget,),
+    }
     counts = {"masks": tuple(sorted(masks)), "ratios": (), "gaussian_photons": ()}
     return recipe.model_copy(update={**one, **counts})
 

@@ -22,6 +22,7 @@ from deepfsi.imports import PATTERN
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import BUDGETS
 from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.detection import ONE, Detection, Readout
 from deepfsi.optics.noise import check_noise
 from deepfsi.sweeps.workers import Resources
 from deepfsi.training.job import MLP, Levels, TrainingNoise, TrainingSettings, training_for
@@ -168,6 +169,13 @@ class Recipe(BaseModel):
     )
     light: Filled[Light] = ("column",)
     rails: Filled[Rails] = ("dual",)
+    detectors: Filled[str] = Field(
+        ("1x1",),
+        description="detectors on parts of the device: ROWSxCOLUMNS, bands, or a .npy map",
+    )
+    readout: Axis[Readout] = Field(
+        (), description="what is read of two rails; both for two-arm, else difference unless given"
+    )
     trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
     validation: int | None = Field(
         None, ge=0, description="training scenes held out to choose on; a sixth unless given"
@@ -232,12 +240,19 @@ class Recipe(BaseModel):
         """Budgets to train at under a noise."""
         return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
 
-    def mask_counts(self, design: str, data: Dataset) -> list[int]:
+    def mask_counts(self, design: str, data: Dataset, detection: Detection = ONE) -> list[int]:
         """Mask counts of one design: those asked for that it can have, else the most it can have.
 
         Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper.
+
+        Parameters
+        ----------
+        design : str
+            A key of `codes.DESIGNS`.
+        data : Dataset
+        detection : Detection
         """
-        low, high = tiles.count_allowed(design, data)
+        low, high = tiles.count_allowed(design, data, detection)
         asked = self.masks or [
             codes.mask_count(ratio, data.pixels) for ratio in self.ratios or PAPER_RATIOS
         ]

@@ -15,7 +15,7 @@ from deepfsi.sweeps.trial import mask_faults, trial_faults
 SOURCE = {"data", "size", "split"}
 """Fields that say which data to load."""
 
-OPTICS = {"designs", "light", "rails", "train_noise"}
+OPTICS = {"designs", "light", "rails", "detectors", "readout", "train_noise"}
 """Fields whose defaults would make mistakes of their own in place of those that are lost."""
 
 

@@ -147,6 +147,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         settings["training_levels"] = settings.pop("levels")
         settings["hidden"] = "-".join(map(str, settings["hidden"]))
         settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
+        settings["detectors"] = trial["detectors"]
         del settings["training"]
         for index, test in enumerate(record["test"]):
             validation = record["validation"][index] if record["validation"] else None

@@ -52,6 +52,10 @@ class Point(Frozen):
         Budget of the training and of the test.
     levels : int
         Grey levels of the masks in the test; 0 for continuous ones.
+    detectors : str
+        Detectors on parts of the device: ROWSxCOLUMNS, bands of a spectrum, or a map's name.
+    readout : {"difference", "both", ""}
+        What the network reads of two rails; empty of a single one.
     label, title : str
         Short and long name of the design.
     specific, learned : bool
@@ -93,6 +97,8 @@ class Point(Frozen):
     trained_under: str
     light: str
     rails: str
+    detectors: str
+    readout: str
     design: str
     trained_at: float
     variant: str

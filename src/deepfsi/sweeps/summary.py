@@ -25,6 +25,8 @@ AXES = (
     "design",
     "trained_at",
     "variant",
+    "detectors",
+    "readout",
     "noise",
     "photons",
     "levels",
@@ -61,8 +63,9 @@ def summarise(
     groups = defaultdict(list)
     for record in records:
         for index, test in enumerate(record["test"]):
-            job = record["trial"]["job"]
-            trained = (*(job[axis] for axis in TRAINED), record["trial"]["variant"])
+            trial, job = record["trial"], record["trial"]["job"]
+            named = (trial["variant"], trial["detectors"], job["readout"] or "")
+            trained = (*(job[axis] for axis in TRAINED), *named)
             key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
             groups[key].append((record, index))
     measure = "balanced" if recipe.balances else "accuracy"

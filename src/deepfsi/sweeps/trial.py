@@ -5,6 +5,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -14,15 +15,20 @@ from deepfsi.errors import InputError
 from deepfsi.imports import UNNAMED, source_hash
 from deepfsi.optics import codes
 from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.detection import ONE, Detection, read_detectors
 from deepfsi.sweeps.recipe import Noise, Recipe
 from deepfsi.sweeps.records import content_hash
-from deepfsi.training.job import REVISION, Job, job_faults
+from deepfsi.training.job import ONE_DEVICE, REVISION, Job, job_faults
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
 
 SCHEMA = 2
 """Version of what the keys of trials are hashes of."""
+
+
+NAMES = {"data", "variant", "detectors"}
+"""Fields of a trial that only name what other fields hold."""
 
 
 class Trial(BaseModel):
@@ -32,6 +38,7 @@ class Trial(BaseModel):
 
     job: Job
     variant: str = Field("", description="which of several training settings, in words")
+    detectors: str = Field("1x1", description="name of its detectors: as given, or of their map")
     data: str = Field(description="name")
     data_hash: str
     matrix_hash: str = ""
@@ -45,13 +52,13 @@ class Trial(BaseModel):
     @property
     def key(self) -> str:
         """Content hash that names the record."""
-        return self._hash({"data", "variant"})
+        return self._hash(NAMES)
 
     @property
     def design_key(self) -> str:
         """Content hash that names the design: of what the training depends on."""
         tests = {"draws", "test_photons", "test_noise", "test_levels"}
-        return self._hash({"data", "variant", *tests})
+        return self._hash({*NAMES, *tests})
 
     def _hash(self, exclude: set[str]) -> str:
         settings = self.model_dump(mode="json", exclude=exclude)
@@ -62,7 +69,8 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
     """All trials of a recipe, each once.
 
     Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
-    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail.
+    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail;
+    several detectors under the law of other optics, `column`.
 
     Parameters
     ----------
@@ -80,11 +88,12 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
         raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
     hashed = functools.cache(source_hash)
-    for noise, variant, job in _jobs(recipe, data, matrix):
-        test_noise = recipe.test_noise or (noise,)
+    for kind, variant, job in _jobs(recipe, data, matrix):
+        test_noise = recipe.test_noise or (kind.noise,)
         trial = Trial(
             job=job,
             variant=variant,
+            detectors="1x1" if job.design == "impulse" else kind.detectors,
             data=data.name,
             data_hash=data.hash,
             matrix_hash=_matrix_hash(matrix if job.design == "custom" else None),
@@ -119,6 +128,8 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 
     Parameters as of `plan`.
     """
+    if faults := _detector_faults(recipe, data):
+        return faults
     count = count_trials(recipe, data, matrix)
     if count > MOST_TRIALS:
         return [f"{count} trials are not allowed: a recipe has at most {MOST_TRIALS}; take less"]
@@ -130,10 +141,10 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
         ]
     found: dict[str, None] = {}
     names: dict[str, None] = {}
-    for noise, _, job in _jobs(recipe, data, matrix):
+    for kind, _, job in _jobs(recipe, data, matrix):
         own = matrix if job.design == "custom" else None
         found |= dict.fromkeys(job_faults(job, data, own))
-        test_noise = recipe.test_noise or (noise,)
+        test_noise = recipe.test_noise or (kind.noise,)
         if job.training.looks > 1 and set(test_noise) - {"poisson", "ml_gauss", "none"}:
             found["several looks are tested under photon noise: leave others out of noise"] = None
         names |= dict.fromkeys(_own_names(job, test_noise))
@@ -151,62 +162,103 @@ def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
     Parameters as of `plan`.
     """
     return sum(
-        len(_counts(recipe, design, data, matrix))
-        * len(recipe.train_noises(noise))
-        * math.prod(map(len, recipe.training_axes(design).values()))
+        len(_counts(recipe, kind, data, matrix))
+        * len(recipe.train_noises(kind.noise))
+        * math.prod(map(len, recipe.training_axes(kind.design).values()))
+        * len(recipe.readout or (None,))
         * recipe.trials
-        * len(recipe.budgets(noise))
-        for design, noise, _, _ in _kinds(recipe)
+        * len(recipe.budgets(kind.noise))
+        for kind in _kinds(recipe, data)
     )
 
 
-def _kinds(recipe: Recipe) -> Iterator[tuple[str, str, Light, Rails]]:
-    """Yield design, noise of the tests, light and rails of all that can be."""
-    for kind in product(recipe.designs, recipe.noise, recipe.light, recipe.rails):
-        if _possible(*kind):
-            yield kind
+class Kind(NamedTuple):
+    """Design, optics and noise of tests of some trials.
+
+    Attributes
+    ----------
+    detectors : str
+        Name of them.
+    labels : str or tuple of int
+        The same as `Job.detectors`.
+    detection : Detection
+    """
+
+    design: str
+    noise: str
+    light: Light
+    rails: Rails
+    detectors: str
+    labels: str | tuple[int, ...]
+    detection: Detection
 
 
-def _counts(recipe: Recipe, design: str, data: Dataset, matrix: np.ndarray | None) -> Sequence[int]:
-    if design == "custom" and matrix is not None:
+def _kinds(recipe: Recipe, data: Dataset) -> Iterator[Kind]:
+    """Yield all kinds of trials that can be."""
+    for name in recipe.detectors:
+        labels = read_detectors(name)
+        detection = Detection.of(labels, data.image_shape)
+        for optics in product(recipe.designs, recipe.noise, recipe.light, recipe.rails):
+            own = ONE if optics[0] == "impulse" else detection
+            kind = Kind(*optics, name, labels, own)
+            if _possible(kind):
+                yield kind
+
+
+def _detector_faults(recipe: Recipe, data: Dataset) -> list[str]:
+    """Detectors of a recipe that cannot be had."""
+    faults, most = list[str](), 1
+    for name in recipe.detectors:
+        try:
+            most = max(most, Detection.of(read_detectors(name), data.image_shape).count)
+        except InputError as error:
+            faults.append(str(error))
+    return faults + [ONE_DEVICE] * (most > 1 and set(recipe.light) == {"column"})
+
+
+def _counts(recipe: Recipe, kind: Kind, data: Dataset, matrix: np.ndarray | None) -> Sequence[int]:
+    if kind.design == "custom" and matrix is not None:
         return [len(matrix)]
-    return recipe.mask_counts(design, data)
+    return recipe.mask_counts(kind.design, data, kind.detection)
 
 
 def _jobs(
     recipe: Recipe, data: Dataset, matrix: np.ndarray | None
-) -> Iterator[tuple[str, str, Job]]:
-    """Yield noise of the tests, variant of the training and job of every trial that can be."""
-    for design, noise, light, rails in _kinds(recipe):
-        for masks, train_noise, (variant, training), seed, photons in product(
-            _counts(recipe, design, data, matrix),
-            recipe.train_noises(noise),
-            recipe.trainings(design),
+) -> Iterator[tuple[Kind, str, Job]]:
+    """Yield kind, variant of the training and job of every trial that can be."""
+    for kind in _kinds(recipe, data):
+        for masks, train_noise, (variant, training), readout, seed, photons in product(
+            _counts(recipe, kind, data, matrix),
+            recipe.train_noises(kind.noise),
+            recipe.trainings(kind.design),
+            recipe.readout or (None,),
             range(recipe.trials),
-            recipe.budgets(noise),
+            recipe.budgets(kind.noise),
         ):
             job = Job(
-                design=design,
+                design=kind.design,
                 masks=masks,
                 photons=photons,
                 noise=train_noise,
                 sigma=recipe.sigma,
                 dark=recipe.dark,
-                light=light,
-                rails=rails,
+                light=kind.light,
+                rails=kind.rails,
+                detectors=kind.labels,
+                readout=readout,
                 seed=seed,
                 training=training,
             )
-            in_force = dict(zip(("light", "rails"), job.optics, strict=True))
-            yield noise, variant, job.model_copy(update=in_force)
+            yield kind, variant, job.in_force
 
 
-def _possible(design: str, noise: str, light: str, rails: str) -> bool:
-    one_rail = codes.DESIGNS[design].single_rail and design != "impulse"
+def _possible(kind: Kind) -> bool:
+    one_rail = codes.DESIGNS[kind.design].single_rail and kind.design != "impulse"
     return not (
-        (design == "control" and noise != "poisson")
-        or (light == "two-arm" and (one_rail or rails == "single"))
-        or (design == "hadamard" and rails == "single")
+        (kind.design == "control" and kind.noise != "poisson")
+        or (kind.light == "two-arm" and (one_rail or kind.rails == "single"))
+        or (kind.design == "hadamard" and kind.rails == "single")
+        or (kind.light == "column" and kind.detection.count > 1)
     )
 
 

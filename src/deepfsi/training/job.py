@@ -65,6 +65,13 @@ MLP = "mlp"
 """Name of the paper's classifier in settings."""
 
 
+ONE_DEVICE = (
+    "several detectors are parts of one device, and column is other optics: give light "
+    "equal-dwell, free-dwell or two-arm"
+)
+"""Said where detectors are asked for under the light law `column`."""
+
+
 def _classifier(name: str) -> str:
     if name not in (MLP, UNNAMED) and not re.fullmatch(PATTERN, name):
         raise ValueError(f"give {MLP}, or module:factory of your own")
@@ -224,8 +231,25 @@ class Job(BaseModel):
         """
         if self.design == "impulse":
             return ONE
-        usual = "both" if self.optics[0] == "two-arm" else "difference"
-        return Detection.of(self.detectors, image_shape, self.readout or usual)
+        return Detection.of(self.detectors, image_shape, self._read)
+
+    @property
+    def _read(self) -> Readout:
+        usual: Readout = "both" if self.optics[0] == "two-arm" else "difference"
+        return self.readout or usual
+
+    @property
+    def in_force(self) -> "Job":
+        """Job with the light, rails, detectors and readout that its design has.
+
+        Impulse imaging has a detector for each pixel, and a single rail is read as it is.
+        """
+        light, rails = self.optics
+        readout = self._read if rails == "dual" else None
+        told: dict[str, Any] = {"light": light, "rails": rails, "readout": readout}
+        if self.design == "impulse":
+            told["detectors"] = "1x1"
+        return self.model_copy(update=told)
 
     def companions(self, device: torch.device) -> tuple[Any, ...]:
         """Key that jobs trained together share: all but budget, sigma and seed."""
@@ -308,10 +332,7 @@ def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> lis
         constraints.check_light(*job.optics)
         detection = job.detection(data.image_shape)
         if detection.count > 1 and job.light == "column":
-            raise InputError(
-                "several detectors are parts of one device, and column is other optics: give "
-                "`light` equal-dwell, free-dwell or two-arm"
-            )
+            raise InputError(ONE_DEVICE)
         if matrix is None:
             tiles.check_count(job.design, job.masks, data, detection)
         else:

@@ -150,6 +150,8 @@ def summarise(records: Sequence[Mapping[str, Any]]) -> list[Point]:
             "noise": "poisson",
             "light": "column",
             "rails": "dual",
+            "detectors": "1x1",
+            "readout": "difference",
             "masks": masks,
         }
         made = point(axes, members, masks)
