@@ -146,7 +146,7 @@ def print_same_counts(
 ) -> None:
     """Table of ours at the counts of the networks, with the rails and masks chosen at their Φ.
 
-    Under `column`, of whose light least is lost, and trained on exact counts: a readout has few.
+    Under `column`, of whose light least is lost.
     """
     print("\n| column, counts of | counts | ours | Φ |")
     print("| --- | --- | --- | --- |")
@@ -157,7 +157,6 @@ def print_same_counts(
             masks=point.masks,
             light="column",
             rails=point.rails,
-            noise="poisson",
             epochs=epochs,
             hidden=HIDDEN,
         )
