@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import psutil
 import pytest
 import torch
 from torch import Tensor
@@ -252,14 +253,16 @@ def test_the_bound_rises_with_the_budget(capsys):
 
 
 @pytest.mark.slow
-def test_a_training_is_timed_beside_busy_processes(capsys, monkeypatch):
+def test_a_training_is_timed_and_processes_beside_it_can_be_busy(capsys, monkeypatch):
     """One way of the three, each of which takes a process that imports torch."""
     load = benchmark("load")
     monkeypatch.setattr(load, "WAYS", {"one thread": load.WAYS["one thread"]})
     few = ["--data", "digits", "--scenes", "200", "--masks", "3", "--epochs", "1"]
-    load.main([*few, "--busy", "1", "--rounds", "1"])
+    load.main([*few, "--busy", "0", "--rounds", "1"])
     printed = capsys.readouterr().out
-    assert "| 1 | one thread |" in printed
+    assert "| 0 | one thread |" in printed
+    with load.busy(2):
+        assert len(psutil.Process().children()) >= 2
 
 
 def test_light_for_a_calibration_is_tabled(capsys):

@@ -119,14 +119,16 @@ def test_a_negative_matrix_cannot_be_a_single_rail(digits):
 
 
 @every_optics
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-@pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian", "none"])
-def test_a_two_level_design_shows_dark_and_peak_alone(digits, light, rails, noise, precision):
+@pytest.mark.parametrize(
+    ("noise", "precision"),
+    [("ml_gauss", "float32"), ("poisson", "bfloat16"), ("gaussian", "float32")],
+)
+def test_a_two_level_design_shows_dark_and_peak_alone(digits, made, light, rails, noise, precision):
     settings = {"light": light, "rails": rails, "noise": noise, "precision": precision}
     one = quick(digits, levels=2, **settings)
     assert two_valued(one.rails)
     assert torch.allclose(one.quantised(2).rails, one.rails, rtol=FLOAT32, atol=0)
-    assert not two_valued(quick(digits, **settings).rails)
+    assert not two_valued(made("deepfsi", light, rails).rails)
     constraints.check(one.rails, light)
 
 
@@ -223,8 +225,16 @@ def test_a_common_scale_is_the_same_for_all_features(digits):
     assert torch.equal(each.mean, common.mean)
 
 
-@pytest.mark.parametrize("scale", ["each", "common"])
-@pytest.mark.parametrize("noise", ["ml_gauss", "poisson", "gaussian", "none"])
+@pytest.mark.parametrize(
+    ("noise", "scale"),
+    [
+        ("ml_gauss", "each"),
+        ("ml_gauss", "common"),
+        ("poisson", "each"),
+        ("gaussian", "common"),
+        ("none", "each"),
+    ],
+)
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "control"])
 def test_every_noise_and_scale_trains(digits, design, noise, scale):
     one = quick(digits, design, noise=noise, scale=scale, epochs=6)
