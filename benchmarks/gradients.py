@@ -31,7 +31,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import constraints
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import Learned, pair
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.scanner import measure, project
 from deepfsi.training.job import Job, TrainingSettings
@@ -237,7 +237,8 @@ def learn(
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
-    x, count = training_set.centred(job.light, torch.float32), len(training_set.labels)
+    detection = job.detection(training_set.data.image_shape)
+    x, count = training_set.centred(job.light, torch.float32, detection), len(training_set.labels)
     batch = min(settings.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, weight_decay=settings.decay, fused=True)
@@ -252,7 +253,7 @@ def learn(
             chosen = x.index_select(0, functional.pad(rows, (0, 1), value=count))
             labels = training_set.labels[rows]
             if estimator is None:
-                rails = masks.rails_to_measure()
+                rails = masks.matrix() if masks.disjoint else pair(*masks())
                 features = measure(chosen, rails, epsilon * gain**-0.5, masks.disjoint)
                 size = torch.linalg.vector_norm(features) / features.numel() ** 0.5
                 scaled = features.squeeze(1) / size
@@ -414,7 +415,7 @@ def interval(values: np.ndarray, style: str) -> str:
     return f"{values.mean():{style}} ± {half:.4f}"
 
 
-def pair(text: str) -> tuple[float, float]:
+def rates_of(text: str) -> tuple[float, float]:
     lr, mask_lr = text.split(":")
     return float(lr), float(mask_lr)
 
@@ -430,7 +431,7 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--images", type=int, default=20_000, help="to train on, at most")
     parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument(
-        "--grid", type=pair, nargs="+", default=GRID, help="LR:MASK_LR; only one: no choice"
+        "--grid", type=rates_of, nargs="+", default=GRID, help="LR:MASK_LR; only one: no choice"
     )
     parser.add_argument("--controls", nargs="*", choices=CONTROLS, default=CONTROLS)
     parser.add_argument("--longer", type=int, default=3, help="times the epochs")
