@@ -64,7 +64,7 @@ def test_two_arms_have_two_inputs(done, refuse, lab):
     assert content["inputs"] == [1, 0]
     words = ["--scenes", lab / "scenes.csv", "-o", lab / "other"]
     assert "need 2" in refuse("camera", "prepare", lab / "arms", *words, "--input", 1)
-    assert "two inputs" in refuse(
+    assert "an input of its own" in refuse(
         "camera", "prepare", lab / "arms", *words, "--input", 1, "--input", 1
     )
 

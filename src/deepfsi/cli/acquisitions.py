@@ -42,10 +42,9 @@ def camera_prepare(
     paths.check_there(patterns, "a folder of patterns")
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.recording.acquisition import plan_acquisition, prepare
+    from deepfsi.hardware.recording.acquisition import name_inputs, plan_acquisition, prepare
 
     manifest = read_patterns(patterns).manifest
-    wired = {"inputs": (0, 1) if manifest.two_arm else (0,), **options.wiring(inputs, marker)}
     planned = plan_acquisition(
         manifest,
         _scenes(scenes),
@@ -53,7 +52,7 @@ def camera_prepare(
         settle_s=options.optional_seconds("settle", settle),
         repeats=repeats,
         flux=flux,
-        **wired,
+        **options.wiring(inputs, marker),
     )
     made = prepare(out, patterns, planned)
     if as_json:
@@ -61,11 +60,11 @@ def camera_prepare(
             "camera.prepare", {"folder": str(out), "acquisition": made.model_dump(mode="json")}
         )
         return
-    seen = " and ".join(str(each + 1) for each in made.inputs)
     print(
         f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:.4g} s each, "
         f"{manifest.pass_s:.4g} s a pass\n"
-        f"photons on input {seen}, a trigger on marker input {made.marker_bit.bit_length() - 1}\n"
+        f"photons on input {name_inputs(made.inputs)}, a trigger on marker input "
+        f"{made.marker_bit.bit_length() - 1}\n"
         f"acquisition: {out}; show the patterns once for each scene, put the recording there as "
         f"photons.ptu, then: deepfsi camera count {out}"
     )

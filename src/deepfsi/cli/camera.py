@@ -41,8 +41,6 @@ MOST_EVENTS = 1e8
 EVENT_BYTES = 4
 """Bytes of a photon in its file."""
 
-RunArgument = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
-
 
 @camera.command("simulate")
 def camera_simulate(
@@ -60,6 +58,7 @@ def camera_simulate(
     ] = "pmt",
     settle: options.Settle = None,
     repeats: options.Repeats = None,
+    inputs: options.Inputs = None,
     seed: Annotated[int, typer.Option(min=0, help="repeats exactly")] = 0,
     yes: Annotated[bool, typer.Option("--yes", help="write a large file without asking")] = False,
     as_json: options.Json = False,
@@ -79,6 +78,7 @@ def camera_simulate(
         options.optional_seconds("settle", settle),
         repeats,
         seed,
+        **options.wiring(inputs, None),
     )
     shown = read_patterns(patterns)
     images = _shown(scene, patterns, shown.manifest.design_sha256 is not None)
@@ -120,7 +120,7 @@ def _shown(scene: Path, patterns: Path, has_design: bool) -> "Display":
 
 @camera.command("count")
 def camera_count(
-    folder: RunArgument,
+    folder: options.Run,
     exposure: options.Exposure = None,
     settle: options.Settle = None,
     repeats: options.Repeats = None,
@@ -206,7 +206,7 @@ def _drifted(drift: float) -> str:
 @camera.command("classify")
 def camera_classify(
     file: Annotated[Path, typer.Argument(help="design file whose patterns were shown")],
-    folder: RunArgument,
+    folder: options.Run,
     photons: Annotated[
         float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
     ] = None,
@@ -310,7 +310,7 @@ def _named(fault: "Fault", names: "Sequence[str]") -> str:
 
 @camera.command("image")
 def camera_image(
-    folder: RunArgument,
+    folder: options.Run,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="picture; picture.png in the folder if none")
     ] = None,
@@ -373,80 +373,6 @@ def _print_contents(file: Path, contents: "Contents") -> None:
         *(("problem", problem) for problem in contents.problems),
     ]
     common.print_table(str(file), ("what", "value"), rows)
-
-
-@camera.command("spots")
-def camera_spots(
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
-    size: Annotated[str, typer.Option(help="pixels of the display, HEIGHTxWIDTH")] = "32x32",
-    side: Annotated[int, typer.Option(min=1, help="pixels of a spot; larger is brighter")] = 2,
-    as_json: options.Json = False,
-) -> None:
-    """Write the pictures that calibrate a camera: bright spots, all white, all black.
-
-    Show them to the camera with the patterns of `deepfsi dmd export hadamard`, count, and give the
-    run to `deepfsi camera calibrate`.
-
-    Example: deepfsi camera spots --size 32x32 -o spots
-    """
-    paths.check_new_folder(out)
-    import numpy as np
-
-    from deepfsi.datasets import write_pictures
-    from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
-
-    shape = options.size_of(size) or (32, 32)
-    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
-    uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
-    common.print_pictures(
-        "camera.spots", write_pictures({**pictures, **uniform}, out), out, as_json
-    )
-
-
-@camera.command("calibrate")
-def camera_calibrate(
-    folder: RunArgument,
-    spots: Annotated[Path, typer.Option(help="the pictures that were shown")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
-    as_json: options.Json = False,
-) -> None:
-    """Fit the camera's view of its display to a run of spots: place, blur, flat field, dark rate.
-
-    `deepfsi design --view` then trains on what the camera sees.
-
-    Example: deepfsi camera calibrate run_spots --spots spots -o calibration
-    """
-    paths.check_folder(out)
-    from deepfsi.datasets import read_display
-    from deepfsi.hardware.calibration.fit import calibrate_run
-    from deepfsi.hardware.calibration.view import save_calibration
-    from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.counts import read_counts
-    from deepfsi.hardware.recording.picture import reconstruct
-
-    acquisition, patterns = read_acquisition(folder)
-    shown = read_display(spots)
-    found = calibrate_run(
-        dict(zip(shown.names, shown.x, strict=True)),
-        [scene.name for scene in acquisition.scenes],
-        reconstruct(folder),
-        read_counts(folder),
-        patterns,
-    )
-    path = save_calibration(found, out)
-    if as_json:
-        about = found.model_dump(mode="json", exclude={"flat"})
-        common.print_json(
-            "camera.calibrate", {"calibration": str(path), **about, "warnings": found.doubts}
-        )
-        return
-    print(
-        f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); the "
-        f"view is known to {found.error:.2f} cells at the display's corners\n"
-        f"dark {found.dark:.4g} counts/s, ambient {found.ambient:.4g} counts/s\ncalibration: {path}"
-    )
-    for doubt in found.doubts:
-        print(f"deepfsi: warning: {doubt}", file=sys.stderr)
 
 
 def _ask_for_room(events: float) -> None:

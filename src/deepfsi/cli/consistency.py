@@ -59,8 +59,9 @@ def check_counts(
         return TestedCounts([untested] * len(usable), None, [UNTESTED])
     often = usable.sum(axis=1)
     some = often > 0
-    signal = counts.signal().sum(axis=1, where=usable[..., None, None])[some]
-    background = (counts.background * often[:, None, None])[some]
+    exposures = counts.by_readout(usable)
+    signal = counts.signal().sum(axis=1, where=exposures)[some]
+    background = (counts.background * exposures.sum(axis=1))[some]
     found = design.consistency(
         design.readouts(signal), (budgets * often)[some], design.readouts(background)
     )

@@ -93,6 +93,7 @@ def _rails(file: Path, size: str | None) -> "DesignRails":
         )
     paths.check_design(file)
     from deepfsi.design.artifact import Design
+    from deepfsi.hardware.patterns.detectors import Detectors
     from deepfsi.hardware.patterns.sequence import Brightness
 
     made = Design.load(file)
@@ -102,6 +103,8 @@ def _rails(file: Path, size: str | None) -> "DesignRails":
     known = made.info.get("brightness")
     with as_input_error(str(file)):
         brightness = None if known is None else Brightness.model_validate(known)
+    labels = made.detection.labels
+    cells = None if labels is None else tuple(labels.tolist())
     return DesignRails(
         made.rails.numpy(),
         made.light,
@@ -109,6 +112,8 @@ def _rails(file: Path, size: str | None) -> "DesignRails":
         made.summed_reflectance,
         file.read_bytes(),
         brightness,
+        None if cells is None else Detectors(count=made.detection.count, cells=cells),
+        made.detection.readout,
     )
 
 

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.optics.detection import Detection
 
-MOST_INPUTS = 64
-"""Inputs of a photon counter at most."""
-
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
 
@@ -165,12 +162,13 @@ Settle = Annotated[
 Repeats = Annotated[
     int | None, typer.Option(min=1, help="exposures in one pass; as many as fit if none")
 ]
+Run = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
 Inputs = Annotated[
     list[int] | None,
     typer.Option(
         "--input",
-        help="input of the counter, 1 for the first, as `inspect` numbers them; on two arms give "
-        "two, first the one that sees mirrors ON",
+        help="input of the counter, 1 for the first, as `inspect` numbers them; one for each "
+        "detector, on two arms first those that see mirrors ON",
     ),
 ]
 Marker = Annotated[
@@ -238,6 +236,8 @@ def optional_seconds(option: str, text: str | None) -> float | None:
 
 def wiring(inputs: list[int] | None, marker: int | None) -> dict[str, Any]:
     """Settings of an acquisition that say which inputs of the counter are used, as far as given."""
+    from deepfsi.hardware.recording.acquisition import MOST_INPUTS
+
     for each in inputs or ():
         if not 1 <= each <= MOST_INPUTS:
             raise InputError(f"--input {each} is not allowed: give 1 to {MOST_INPUTS}")

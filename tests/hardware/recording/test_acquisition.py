@@ -46,7 +46,7 @@ def test_bad_files_are_named(run, name, content):
         ({"settle_s": 0.9}, "acquisition.json: an exposure"),
         ({"repeats": 99}, "acquisition.json: 99 repeats do not fit"),
         ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),
-        ({"inputs": [1, 1]}, "two arms need two inputs"),
+        ({"inputs": [1, 1]}, "each detector needs an input of its own"),
         ({"inputs": [3]}, "no light on input 4: .* 25764 photons on input 3"),
         (
             {"marker_bit": 1},

@@ -21,6 +21,7 @@ import numpy as np
 from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns import frame_files, mirrors, sequence
+from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.progress import SILENT, Report
 
 SENTINELS = 4
@@ -46,6 +47,10 @@ class DesignRails:
         The design's file, to be kept beside the frames.
     brightness : Brightness, optional
         By how much training scenes differ in it.
+    detectors : Detectors, optional
+        Which see which cells; one sees all unless given.
+    readout : {"difference", "both"}
+        What the design's network reads of two rails.
     """
 
     rails: np.ndarray
@@ -54,6 +59,8 @@ class DesignRails:
     summed_reflectance: float
     file: bytes | None = None
     brightness: sequence.Brightness | None = None
+    detectors: Detectors | None = None
+    readout: sequence.Readout = "difference"
 
 
 def export_patterns(
@@ -101,6 +108,8 @@ def export_patterns(
             dimmed=counted.dimmed,
             summed_reflectance=float(design.summed_reflectance),
             brightness=design.brightness,
+            detectors=design.detectors,
+            readout=design.readout,
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,

@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, check_known, closest
+from deepfsi.hardware.patterns.detectors import Detectors
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -45,6 +46,9 @@ Role = Literal["mask", "on", "off"]
 
 Rail = Literal["plus", "minus", "both"]
 """Rail of a mask that a frame shows; both on two arms."""
+
+Readout = Literal["difference", "both"]
+"""What the network of a design reads of two rails; `optics.detection` says more."""
 
 Selection = Literal["ordered", "random"]
 """Choice of the mirrors of a grey cell."""
@@ -343,6 +347,8 @@ class Manifest(BaseModel):
         s, the training scenes' mean summed reflectance.
     brightness : Brightness or None
         By how much scenes differ from it, where that is known.
+    detectors : Detectors or None
+        Which see which cells; None where one sees all that an arm sends.
     seed : int
         Of the random selection.
     mirrors_sha256 : str
@@ -364,6 +370,8 @@ class Manifest(BaseModel):
     dimmed: float = Field(gt=0, le=1)
     summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
     brightness: Brightness | None = None
+    detectors: Detectors | None = None
+    readout: Readout = "difference"
     selection: Selection
     seed: int = 0
     format: Format
@@ -386,6 +394,9 @@ class Manifest(BaseModel):
         check_known("light constraint", self.light, get_args(Light))
         if self.two_arm != (self.light == "two-arm") or not seen:
             raise ValueError(f"the rails are not those of {self.light}")
+        cells = self.detectors and self.detectors.cells
+        if cells and len(cells) != math.prod(self.image_shape):
+            raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")
         find_grid(self.device, self.image_shape)  # the device must hold the cells
         return self
 
@@ -423,6 +434,26 @@ class Manifest(BaseModel):
     def two_arm(self) -> bool:
         """True where a second detector sees the mirrors that are OFF."""
         return any(frame.rail == "both" for frame in self.frames)
+
+    @property
+    def detector_count(self) -> int:
+        """D, detectors of an arm."""
+        return self.detectors.count if self.detectors else 1
+
+    @property
+    def inputs(self) -> int:
+        """Inputs of a counter that are needed, one for each detector of each arm."""
+        return (2 if self.two_arm else 1) * self.detector_count
+
+    @property
+    def several(self) -> tuple[int, ...]:
+        """Shape of what several detectors count of a readout: (D,), or () of one detector."""
+        return (self.detectors.count,) if self.detectors else ()
+
+    @property
+    def readouts(self) -> int:
+        """Numbers that an exposure counts at most, dark rails among them."""
+        return self.detector_count * max(len(self.shown), self.rails * self.masks)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,9 @@ from deepfsi.hardware.recording.alignment import MOST_FRAMES
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
 
+MOST_INPUTS = 64
+"""Inputs of a photon counter at most."""
+
 LARGEST_JSON = 2**24
 """Bytes of acquisition.json at most."""
 
@@ -64,8 +67,8 @@ class Acquisition(BaseModel):
     marker_bit : {1, 2, 4, 8}
         Which of the counter's marker inputs the device's trigger is wired to.
     inputs : tuple of int
-        Of the counter, 0 for input 1: one, or on two arms the one that sees mirrors ON and the one
-        that sees mirrors OFF.
+        Of the counter, 0 for input 1: one for each detector; on two arms first those that see
+        mirrors ON, then those that see mirrors OFF.
     flux : float or None
         Photons/s on the device for the training scenes' mean, where known.
     camera : dict or None
@@ -84,7 +87,9 @@ class Acquisition(BaseModel):
     settle_s: float = Field(ge=0, allow_inf_nan=False)
     repeats: int = Field(ge=1, le=MOST_READOUTS)
     marker_bit: Literal[1, 2, 4, 8] = 1
-    inputs: tuple[Annotated[int, Field(ge=0, le=63)], ...] = Field((0,), min_length=1, max_length=2)
+    inputs: tuple[Annotated[int, Field(ge=0, lt=MOST_INPUTS)], ...] = Field(
+        (0,), min_length=1, max_length=MOST_INPUTS
+    )
     flux: Positive | None = None
     camera: dict[str, Any] | None = None
     seed: int | None = None
@@ -93,14 +98,16 @@ class Acquisition(BaseModel):
     @model_validator(mode="after")
     def _distinct(self) -> Self:
         if len(set(self.inputs)) < len(self.inputs):
-            raise ValueError("two arms need two inputs")
+            raise ValueError("each detector needs an input of its own")
         return self
 
     def rewired(self, inputs: tuple[int, ...] | None, marker_bit: int | None) -> Self:
         """Settings with other inputs of the counter, as far as given, or `InputError`."""
-        arms = len(self.inputs)
-        if inputs is not None and len(inputs) != arms:
-            raise InputError(f"{len(inputs)} inputs are given, and {arms} are needed: one an arm")
+        needed = len(self.inputs)
+        if inputs is not None and len(inputs) != needed:
+            raise InputError(
+                f"{len(inputs)} inputs are given, and {needed} are needed: one for each detector"
+            )
         given = {"inputs": inputs, "marker_bit": marker_bit}
         changes = {name: value for name, value in given.items() if value is not None}
         with as_input_error():
@@ -136,21 +143,23 @@ def plan_acquisition(
     repeats : int, optional
         As many as fit, and can be counted at once, unless given.
     **others
-        Further fields of `Acquisition`.
+        Further fields of `Acquisition`; the counter's first inputs are used unless given.
 
     Raises
     ------
     InputError
         If the gates do not fit the frames, or a field is not allowed.
     """
+    others = {"inputs": tuple(range(manifest.inputs)), **others}
     settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
     exposure = exposure_s
     if exposure is None:
         longest = longest_exposure(manifest, settle + usual_tolerance(manifest))
         exposure = max(longest, 0) / (repeats or 1)
     gates = find_gates(manifest, exposure, settle, repeats)
-    readouts = len(scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
+    readouts = len(scenes) * manifest.readouts
     countable = max(MOST_READOUTS // max(readouts, 1), 1)
+    check_inputs(manifest, MOST_INPUTS, "a counter")
     with as_input_error():
         return Acquisition(
             scenes=scenes,
@@ -238,16 +247,16 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             f"{name} has patterns without an all-ON and an all-OFF frame at both ends: export them "
             "with `deepfsi dmd export`"
         )
-    arms = 2 if manifest.two_arm else 1
-    if len(acquisition.inputs) != arms:
+    if len(acquisition.inputs) != manifest.inputs:
         raise InputError(
-            f"{name} has {len(acquisition.inputs)} inputs, and its patterns need {arms}: give one "
-            "for each arm"
+            f"{name} has {len(acquisition.inputs)} inputs, and its patterns need "
+            f"{manifest.inputs}: give one for each detector"
         )
-    if len(acquisition.scenes) * len(roles) > MOST_FRAMES:
+    most = MOST_FRAMES // manifest.detector_count
+    if len(acquisition.scenes) * len(roles) > most:
         raise InputError(
             f"{name} has {len(acquisition.scenes)} scenes of {len(roles)} frames, and at most "
-            f"{MOST_FRAMES} frames are allowed: split it"
+            f"{most} frames are allowed: split it"
         )
     try:
         gates_of(acquisition, manifest)
@@ -277,7 +286,7 @@ def gates_of(
             f"a settle time of {settle:g} s leaves nothing of the all-ON and all-OFF frames: give "
             f"less than {shortest:g}"
         )
-    each = len(acquisition.scenes) * max(len(manifest.shown), manifest.rails * manifest.masks)
+    each = len(acquisition.scenes) * manifest.readouts
     most = MOST_READOUTS // each
     if most < 1:
         raise InputError(
@@ -289,6 +298,32 @@ def gates_of(
     if wanted is not None:
         raise InputError(f"{wanted} repeats are too many to count at once: give at most {most}")
     return Gates(gates.settle_s, gates.length_s, most)
+
+
+def check_inputs(manifest: Manifest, most: int, name: str) -> None:
+    """Raise `InputError` if a counter, or its files, have fewer inputs than there are detectors.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Of the patterns to be shown.
+    most : int
+        Inputs that it has.
+    name : str
+        What to call it.
+    """
+    if manifest.inputs > most:
+        raise InputError(
+            f"{name} has up to {most} inputs, and these patterns need {manifest.inputs}, one for "
+            "each detector: use a counter with more, or a design with fewer `detectors`"
+        )
+
+
+def name_inputs(inputs: tuple[int, ...]) -> str:
+    """Inputs as people number them: `1`, `1 and 2`, or `1 to 4`."""
+    if len(inputs) > 2 and inputs == tuple(range(inputs[0], inputs[0] + len(inputs))):
+        return f"{inputs[0] + 1} to {inputs[-1] + 1}"
+    return " and ".join(str(each + 1) for each in inputs)
 
 
 def read_limited(path: Path, largest: int, hint: str) -> bytes:

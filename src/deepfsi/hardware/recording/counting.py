@@ -11,7 +11,13 @@ from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import inspect
-from deepfsi.hardware.recording.acquisition import Acquisition, gates_of, read_acquisition
+from deepfsi.hardware.recording.acquisition import (
+    Acquisition,
+    check_inputs,
+    gates_of,
+    name_inputs,
+    read_acquisition,
+)
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.faults import Fault
@@ -37,7 +43,7 @@ _READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {
     "minus": ((1, 0),),
     "both": ((0, 0), (1, 1)),
 }
-"""Rails for which a frame is read, and the place of their input."""
+"""Rails for which a frame is read, and the arm that sees them."""
 
 
 def count(
@@ -75,8 +81,7 @@ def count(
     recorded, patterns = read_acquisition(folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
-    header = read_header(Path(folder) / "photons.ptu")
-    _check_ticks(header, gates)
+    header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)
     frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
     check_gates(header, gates, manifest, frames)
     windows = Windows.of(manifest, gates, frames)
@@ -86,12 +91,13 @@ def count(
         header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
-    fits = _show_ends(header, photons[..., 0], spent)
+    detectors, wired = manifest.detector_count, _wired(acquisition.inputs, manifest)
+    fits = _show_ends(header, photons[..., :detectors].sum(axis=-1), spent)
     lost = np.flatnonzero(whole)[~fits]
     faults += [_shifted(scene) for scene in lost.tolist()]
-    faults += find_lateness(windows, found[fits, :, 0], seconds[fits])
+    faults += find_lateness(windows, found[fits, :, :detectors].sum(axis=-1), seconds[fits])
     whole[whole] = fits
-    light = find_light(_see(parts, parted, fits, whole, acquisition.inputs), manifest, lost)
+    light = find_light(*_see(parts, parted, fits, whole, wired), manifest, lost)
     _check_lit(header, acquisition, light)
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
@@ -111,13 +117,16 @@ def _shifted(scene: int) -> Fault:
     return Fault(kind="lost", scene=scene, frame=None, detail=detail)
 
 
-def _check_ticks(header: Header, gates: Gates) -> None:
-    """Raise `InputError` if the counter's times are too coarse for the gates."""
+def _read_counter(path: Path, gates: Gates, manifest: Manifest) -> Header:
+    """Header of a counter's file with enough inputs, and times fine enough for the gates."""
+    header = read_header(path)
+    check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
     if gates.length_s.min() < LEAST_GATE_TICKS * header.tick_s:
         raise InputError(
             f"{header.path} has times in steps of {header.tick_s:g} s, too coarse for gates of "
             f"{gates.length_s.min():g} s: give a longer exposure"
         )
+    return header
 
 
 def _count_windows(
@@ -161,29 +170,42 @@ def _count_windows(
     return out
 
 
+def _wired(inputs: tuple[int, ...], manifest: Manifest) -> list[tuple[int, ...]]:
+    """Inputs of the detectors of each arm."""
+    count = manifest.detector_count
+    return [inputs[first : first + count] for first in range(0, len(inputs), count)]
+
+
 def _see(
     parts: FrameParts,
     parted: tuple[np.ndarray, np.ndarray],
     fits: np.ndarray,
     whole: np.ndarray,
-    inputs: tuple[int, ...],
-) -> list[Seen]:
-    """Photons of each input in the parts of frames, of the passes that fit."""
+    wired: list[tuple[int, ...]],
+) -> tuple[list[Seen], list[Seen]]:
+    """Photons in the parts of frames, of the passes that fit, for `find_light`.
+
+    Of each arm's detectors together, and of each detector where an arm has several.
+    """
     photons, seconds = (each[fits] for each in parted)
     frames = len(parts.middles)
     on, off = (0, frames - 2), (1, frames - 1)
     shape = len(photons), *parts.middles.shape
-    return [
-        Seen(
-            photons[..., column].reshape(shape),
+    arms, detectors = [], []
+    for arm, inputs in enumerate(wired):
+        together = Seen(
+            photons[..., arm * len(inputs) : (arm + 1) * len(inputs)].sum(axis=-1).reshape(shape),
             seconds.reshape(shape),
             parts.middles,
             np.flatnonzero(whole),
-            *((on, off) if column == 0 else (off, on)),
-            f" on input {each + 1}" if len(inputs) > 1 else "",
+            *((on, off) if arm == 0 else (off, on)),
+            f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
         )
-        for column, each in enumerate(inputs)
-    ]
+        arms.append(together)
+        for column, each in enumerate(inputs if len(inputs) > 1 else (), arm * len(inputs)):
+            own, name = photons[..., column].reshape(shape), f" on input {each + 1}"
+            detectors.append(replace(together, photons=own, name=name, part=True))
+    return arms, detectors
 
 
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
@@ -192,7 +214,7 @@ def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
         return
     contents = inspect(header.path)
     seen = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
-    asked = " and ".join(str(each + 1) for each in acquisition.inputs)
+    asked = name_inputs(acquisition.inputs)
     raise InputError(
         f"{header.path} has no light on input {asked}: no all-ON frame is brighter than the "
         f"all-OFF ones. The file holds {seen or 'no photons'}: give the input that the detector is "
@@ -233,26 +255,29 @@ def _assemble(
 ) -> Counts:
     """Counts of windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
     scenes, rails, masks = len(whole), manifest.rails, manifest.masks
-    counts = np.zeros((scenes, gates.repeats, rails, masks), np.int64)
+    detectors, several = manifest.detector_count, manifest.several
+    counts = np.zeros((scenes, gates.repeats, rails, masks, detectors), np.int64)
+    found = found.reshape(*found.shape[:2], -1, detectors)
     lengths = np.zeros((rails, masks))
     for place, length, own in zip(manifest.shown, gates.length_s, windows.gates, strict=True):
         frame = manifest.frames[place]
-        for rail, column in _READ_BY[frame.rail]:
-            counts[whole, :, rail, frame.mask] = found[:, own, column]
+        for rail, arm in _READ_BY[frame.rail]:
+            counts[whole, :, rail, frame.mask] = found[:, own, arm]
             lengths[rail, frame.mask] = length
     on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
     on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
-    on_rate[whole], off_rate[whole] = on[:, 0], off[:, 0]
-    flux, dark = np.full(scenes, np.nan), np.zeros((scenes, rails))
-    flux[whole], dark[whole] = light.flux, light.dark_rate  # of one arm, or of both
+    on_rate[whole], off_rate[whole] = (each[:, :detectors].sum(axis=1) for each in (on, off))
+    flux, dark = np.full(scenes, np.nan), np.zeros((scenes, rails, detectors))
+    flux[whole] = light.flux
+    dark[whole] = light.dark_rate.reshape(len(rates), -1, detectors)  # of one arm, or of both
     return Counts(
-        counts=counts,
+        counts=counts.reshape(*counts.shape[:4], *several),
         valid=np.repeat(whole[:, None], gates.repeats, axis=1),
         gate_s=gates.length_s,
         on_rate=on_rate,
         off_rate=off_rate,
         flux=flux,
-        dark_rate=dark,
+        dark_rate=dark.reshape(scenes, rails, *several),
         exposure_s=exposure_s,
         settle_s=gates.settle_s,
         lengths_s=lengths,

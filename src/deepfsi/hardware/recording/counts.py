@@ -54,18 +54,20 @@ class Counts:
 
     Attributes
     ----------
-    counts : array, shape (S, R, rails, m)
-        int64; 0 for a rail that is dark and for an exposure that is not valid.
+    counts : array, shape (S, R, rails, m[, D])
+        int64; D only of several detectors. 0 for a rail that is dark and for an exposure that is
+        not valid.
     valid : array, shape (S, R)
         bool; whether all readouts of an exposure were recorded.
     gate_s : array, shape (f,)
         For how long each mask's frame is counted, seconds.
     on_rate, off_rate : array, shape (S,)
-        Counts/s of the first input in all-ON and all-OFF frames; NaN where a scene is not valid.
+        Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together; NaN
+        where a scene is not valid.
     flux : array, shape (S,)
         Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two changes
         of the lamp. NaN where a scene is not valid.
-    dark_rate : array, shape (S, rails)
+    dark_rate : array, shape (S, rails[, D])
         Counts/s of the input that reads each rail, when no mirror sends it light: of all-OFF
         frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree.
     exposure_s : float
@@ -98,12 +100,17 @@ class Counts:
 
     @property
     def background(self) -> np.ndarray:
-        """Dark counts that each readout is expected to hold, float64 (S, rails, m)."""
-        return self.dark_rate[..., None] * self.lengths_s
+        """Dark counts that each readout is expected to hold, float64 (S, rails, m[, D])."""
+        lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
+        return self.dark_rate[:, :, None] * lengths
 
     def signal(self) -> np.ndarray:
-        """Counts less the background, float64 (S, R, rails, m)."""
-        return self.counts - self.background[:, None] * self.valid[..., None, None]
+        """Counts less the background, float64 (S, R, rails, m[, D])."""
+        return self.counts - self.background[:, None] * self.by_readout(self.valid)
+
+    def by_readout(self, exposures: np.ndarray) -> np.ndarray:
+        """Array (S, R) of exposures, with further axes so that it goes with `counts`."""
+        return np.expand_dims(exposures, tuple(range(2, self.counts.ndim)))
 
     @property
     def photons(self) -> np.ndarray:
@@ -174,13 +181,13 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
                 raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
             scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
             kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-                "counts": ("<i8", (scenes, about.repeats, rails, masks)),
+                "counts": ("<i8", (scenes, about.repeats, rails, masks, *manifest.several)),
                 "valid": ("|b1", (scenes, about.repeats)),
                 "gate_s": ("<f8", (len(manifest.shown),)),
                 "on_rate": ("<f8", (scenes,)),
                 "off_rate": ("<f8", (scenes,)),
                 "flux": ("<f8", (scenes,)),
-                "dark_rate": ("<f8", (scenes, rails)),
+                "dark_rate": ("<f8", (scenes, rails, *manifest.several)),
                 "lengths_s": ("<f8", (rails, masks)),
             }
             arrays = {name: _member(archive, name, *kind) for name, kind in kinds.items()}

@@ -39,6 +39,7 @@ class Fault(BaseModel):
         Of the light. `dark`: there is none. `unsteady`: it changed within the pass. `brighter`: a
         mask sends more than all mirrors ON. `flicker`: it has a rhythm, in all passes. `level`: it
         is of another brightness from this scene on. `background`: so are the dark frames.
+        `blind`: one of several detectors saw none in any scene.
     scene, frame : int or None
         Which, from 0; None where no pass or no one frame is meant.
     detail : str
@@ -49,7 +50,7 @@ class Fault(BaseModel):
 
     kind: Literal[
         "missing", "extra", "late", "lost",
-        "dark", "unsteady", "brighter", "flicker", "level", "background",
+        "dark", "unsteady", "brighter", "flicker", "level", "background", "blind",
     ]  # fmt: skip
     scene: int | None
     frame: int | None

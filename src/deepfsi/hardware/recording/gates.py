@@ -93,7 +93,7 @@ def find_frames(
             manifest,
             len(acquisition.scenes),
             tolerance_s=tolerance_s,
-            counter=_photon_counter(header, acquisition.inputs[:1], until),
+            counter=_photon_counter(header, acquisition.inputs[: manifest.detector_count], until),
             cut=bool(header.problems),
         )
     except InputError as error:
@@ -132,14 +132,14 @@ def _check_markers(header: Header, bits: np.ndarray, wanted: int) -> None:
 
 
 def _photon_counter(header: Header, inputs: tuple[int, ...], until: float) -> Counter:
-    """Count photons on an input in any windows, as far as all are in the file."""
+    """Count photons on some inputs in any windows, as far as all are in the file."""
     tick_s = header.tick_s
     end = max(int(until / tick_s), 0) if np.isfinite(until) else None
 
     def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
         edges = np.clip(np.stack([in_ticks(starts, tick_s), in_ticks(stops, tick_s)]), 0, end)
         unique, places = np.unique(edges, return_inverse=True)
-        found = count_gates(header.path, unique[:-1], unique[1:], inputs)[:, 0]
+        found = count_gates(header.path, unique[:-1], unique[1:], inputs).sum(axis=1)
         before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
         return before[1] - before[0]
 
@@ -252,7 +252,7 @@ def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) ->
     windows : Windows
         Of a pass.
     photons, seconds : arrays, shape (S, g)
-        Photons of the first input in the windows of each scene, and how long they were open.
+        Photons of what sees mirrors ON in the windows of each scene, and how long they were open.
     """
     found, found_s = windows.sum_frames(photons), windows.sum_frames(seconds)
     (dark, light), (dark_s, light_s) = found[:, 1:3].T, found_s[:, 1:3].T

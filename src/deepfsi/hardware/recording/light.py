@@ -42,7 +42,7 @@ class Light:
     flux : array, shape (P,)
         Counts/s of the scenes' light with all mirrors ON, mean over the passes that agree with
         each.
-    dark_rate : array, shape (P, arms)
+    dark_rate : array, shape (P, inputs)
         Counts/s of each input without light.
     lit : array, shape (P,)
         bool; passes with light.
@@ -55,27 +55,37 @@ class Light:
     faults: tuple[Fault, ...]
 
 
-def find_light(arms: list[Seen], manifest: Manifest, lost: np.ndarray) -> Light:
+def find_light(
+    arms: list[Seen], detectors: list[Seen], manifest: Manifest, lost: np.ndarray
+) -> Light:
     """Light of an acquisition.
 
     Parameters
     ----------
     arms : list of Seen
-        What each input saw; the first one tells the flux.
+        What the detectors of each arm saw together; the first one tells the flux.
+    detectors : list of Seen
+        What each saw by itself, arm by arm; empty where an arm has but one.
     manifest : Manifest
         Of the patterns that were shown.
     lost : array of int
         Scenes whose first and last frames did not look like all ON and all OFF.
     """
-    chance = FALSE_ALARMS / len(arms)
+    chance = FALSE_ALARMS / (len(arms) + len(detectors))
     checked = [check_light(seen, manifest, lost, chance) for seen in arms]
+    alone = [check_light(seen, manifest, lost, chance) for seen in detectors]
     faults = [fault for each in checked for fault in each.faults]
+    told = {(fault.kind, fault.scene) for fault in faults}
+    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in told]
     flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
-    for seen, each in zip(arms, checked, strict=True):
+    for seen, each in zip(detectors or arms, alone or checked, strict=True):
         faults += _name_backgrounds(seen, each.background)
     faults += changes
+    faults += [
+        _name_blind(seen) for seen, each in zip(detectors, alone, strict=True) if not each.lit.any()
+    ]
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
-    rates = np.stack([each.background.rate for each in checked], axis=1)
+    rates = np.stack([each.background.rate for each in alone or checked], axis=1)
     lit = np.logical_and.reduce([each.lit for each in checked])
     return Light(flux, rates, lit, tuple(faults))
 
@@ -164,6 +174,15 @@ class _Spread:
         noise = SPREAD_SIGMAS * known.within * np.sqrt(1 / one + 1 / other)
         most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
         return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
+
+
+def _name_blind(seen: Seen) -> Fault:
+    """A detector that no scene sends light."""
+    detail = (
+        f"no light{seen.name} in any scene: their parts that this detector sees are dark, or it "
+        "is not wired to that input"
+    )
+    return Fault(kind="blind", scene=None, frame=None, detail=detail)
 
 
 def _name_backgrounds(seen: Seen, background: Background) -> list[Fault]:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counts import load_counts
 
@@ -40,9 +41,22 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
         raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")
     valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
-    mean = np.einsum("sr,srkm->skm", weights, counts.signal())[valid]
+    mean = np.einsum("sr,sr...->s...", weights, counts.signal())[valid]
     read = counts.lengths_s > 0
-    found = lstsq(patterns.rails[read], mean[:, read].T, cond=LEAST_SINGULAR_VALUE)[0].T
-    out = np.full((len(valid), found.shape[1]), np.nan)
+    out = np.full((len(valid), patterns.on.shape[1]), np.nan)
+    found = _solve(patterns.rails[read], mean[:, read], patterns.manifest.detectors)
     out[valid] = found * (patterns.manifest.summed_reflectance / budget)
     return out.reshape(len(valid), *patterns.manifest.image_shape)
+
+
+def _solve(masks: np.ndarray, counts: np.ndarray, detectors: Detectors | None) -> np.ndarray:
+    """Pictures (S, N) of counts (S, k[, D]) behind masks (k, N): each detector's of its cells."""
+    if detectors is not None and detectors.cells is not None:
+        out = np.empty((len(counts), masks.shape[1]))
+        labels = np.array(detectors.cells)
+        for place in range(detectors.count):
+            own = labels == place
+            out[:, own] = _solve(masks[:, own], counts[..., place], None)
+        return out
+    every = counts if detectors is None else counts.sum(axis=-1)
+    return np.asarray(lstsq(masks, every.T, cond=LEAST_SINGULAR_VALUE)[0].T)

@@ -57,7 +57,9 @@ _NAMED_FRAMES = 5
 
 @dataclass(frozen=True)
 class Seen:
-    """Photons of one input in equal parts of each frame of the passes that were recorded.
+    """Photons in equal parts of each frame of the passes that were recorded.
+
+    Those of an arm's detectors together, or of one of them.
 
     Attributes
     ----------
@@ -68,9 +70,11 @@ class Seen:
     scenes : array, shape (P,)
         Scene of each pass.
     bright, dark : tuple of int
-        Places of the two frames that send this input all light, and of those that send it none.
+        Places of the two frames that send it all light, and of those that send it none.
     name : str
-        What to call the input in a fault; empty if there is but one.
+        What to call the inputs in a fault; empty if there is but one arm.
+    part : bool
+        True for a detector that sees a part of the device, which may be dark.
     """
 
     photons: np.ndarray
@@ -80,6 +84,7 @@ class Seen:
     bright: tuple[int, int]
     dark: tuple[int, int]
     name: str
+    part: bool = False
 
     def of(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Photons and seconds of some frames, each (P, frames)."""
@@ -116,7 +121,7 @@ class Background:
 
 @dataclass(frozen=True)
 class Checked:
-    """Findings on the light of one input.
+    """Findings on the light of an arm, or of one of its detectors.
 
     Attributes
     ----------
@@ -133,7 +138,7 @@ class Checked:
 
 
 def check_light(seen: Seen, manifest: Manifest, lost: np.ndarray, chance: float) -> Checked:
-    """Check the light that one input saw.
+    """Check the light of an arm, or of one of its detectors.
 
     Parameters
     ----------
@@ -148,14 +153,15 @@ def check_light(seen: Seen, manifest: Manifest, lost: np.ndarray, chance: float)
     each = chance / LAWS
     background = find_background(seen, each)
     lit = _find_lit(seen, background, each)
+    looked_at = np.ones_like(lit) if seen.part else lit  # what sees a part need not be lit
     drift = _find_drifts(seen, background, each)
     restless = _find_restless(seen, background, each)
     brighter = _find_brighter(seen, each)
     rhythm = _find_rhythm(seen, manifest, each)
     faults = list(rhythm)
-    sound = lit.copy()
+    sound = looked_at.copy()
     for place, scene in enumerate(seen.scenes.tolist()):
-        if not lit[place]:
+        if not looked_at[place]:
             faults.append(_name_dark(seen, place, scene))
             continue
         if brighter[place].any():
@@ -167,7 +173,7 @@ def check_light(seen: Seen, manifest: Manifest, lost: np.ndarray, chance: float)
             faults.append(_name_unsteady(seen, manifest, place, *why))
         sound[place] &= not unsteady
     if not rhythm:
-        faults += _find_restless_lamp(seen, lit, sound, lost)
+        faults += _find_restless_lamp(seen, looked_at, sound, lost)
     return Checked(background, lit, sound, tuple(faults))
 
 

@@ -28,6 +28,7 @@ from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest, Patterns
 from deepfsi.hardware.patterns.timing import Gates
+from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
@@ -183,9 +184,9 @@ def arrival_rates(
 
     Returns
     -------
-    array, shape (S, F, arms)
-        Photons that are detected and dark counts, 1/s. The second of two arms is the one that
-        sees the mirrors that are OFF.
+    array, shape (S, F, inputs)
+        Photons that are detected and dark counts, 1/s, of each detector that sees mirrors ON, and
+        on two arms then of each that sees those that are OFF.
 
     Raises
     ------
@@ -195,24 +196,52 @@ def arrival_rates(
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
     _check_flux(flux)
-    arms = 2 if manifest.two_arm else 1
+    mirrors, count = _mirrors_seen(manifest), manifest.detector_count
     frames = len(manifest.frames)
-    out = np.empty((len(images), frames, arms))
+    out = np.empty((len(images), frames, manifest.inputs))
     device = manifest.device
     stray = camera.ambient / (device.rows * device.columns)
+    inside = _inside(manifest)
     for first in range(0, len(images), SCENES_AT_ONCE):
         part = images[first : first + SCENES_AT_ONCE]
         image = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
+        light = [image[:, places] for places in mirrors]
         for place, on in _blocks(patterns_folder, device):
-            for arm in range(arms):
-                seen = on if arm == 0 else 1 - on
-                area = seen.reshape(-1, device.rows, device.columns)[:, *manifest.grid.window]
-                signal = (seen @ image.T).astype(np.float64) * (flux / manifest.summed_reflectance)
-                photons = signal + area.sum(axis=(1, 2))[:, None] * stray
-                out[first : first + len(part), place : place + len(on), arm] = photons.T
+            for column in range(manifest.inputs):
+                arm, detector = divmod(column, count)
+                seen = on[:, mirrors[detector]]
+                seen = seen if arm == 0 else 1 - seen
+                signal = (seen @ light[detector].T).astype(np.float64)
+                photons = signal * (flux / manifest.summed_reflectance)
+                photons += (seen @ inside[mirrors[detector]])[:, None] * stray
+                out[first : first + len(part), place : place + len(on), column] = photons.T
             done = first * frames + (place + len(on)) * len(part)
             report(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
+
+
+def _mirrors_seen(manifest: Manifest) -> list[np.ndarray | slice]:
+    """Mirrors of a device (rows x columns in a row) that each detector of an arm sees."""
+    if manifest.detectors is None:
+        return [slice(None)]
+    cells = manifest.detectors.cells
+    if cells is None:
+        raise InputError(
+            "these patterns do not say which detector sees which cells, as a virtual camera must "
+            "know: export a design with `detectors`"
+        )
+    grid = manifest.grid
+    seen = np.array(cells).reshape(grid.down, grid.across)
+    labels = np.full((manifest.device.rows, manifest.device.columns), -1)
+    labels[grid.window] = seen.repeat(grid.height, axis=0).repeat(grid.width, axis=1)
+    return [np.flatnonzero(labels == each) for each in range(manifest.detectors.count)]
+
+
+def _inside(manifest: Manifest) -> np.ndarray:
+    """Mirrors of a device, in a row, that are of a cell: float32, 1 or 0."""
+    out = np.zeros((manifest.device.rows, manifest.device.columns), np.float32)
+    out[manifest.grid.window] = 1
+    return out.ravel()
 
 
 def expected_events(patterns: Patterns, scenes: np.ndarray, camera: Camera, flux: float) -> float:
@@ -235,7 +264,7 @@ def expected_events(patterns: Patterns, scenes: np.ndarray, camera: Camera, flux
     white = flux * grid.down * grid.across / manifest.summed_reflectance
     area = grid.down * grid.across * grid.mirrors / (manifest.device.columns * manifest.device.rows)
     light = white * images.mean(axis=(1, 2)).sum() + camera.ambient * area * len(images)
-    dark = camera.dark * (2 if manifest.two_arm else 1) * len(images)
+    dark = camera.dark * manifest.inputs * len(images)
     return float(camera.efficiency * light * lit_s + dark * manifest.pass_s)
 
 
@@ -272,7 +301,7 @@ def draw_counts(
 
     Parameters
     ----------
-    rates : array, shape (S, F, arms)
+    rates : array, shape (S, F, inputs)
         Of `arrival_rates`.
     gates : Gates
         Any number of repeats: they are drawn independently.
@@ -281,7 +310,7 @@ def draw_counts(
 
     Returns
     -------
-    int64 array, shape (S, R, rails, m)
+    int64 array, shape (S, R, rails, m[, D])
         0 for rails that are dark and not shown.
     """
     shown = [manifest.frames[place] for place in manifest.shown]
@@ -289,11 +318,14 @@ def draw_counts(
         rates[:, None, manifest.shown], (len(rates), gates.repeats, len(shown), rates.shape[2])
     )
     counts = draw(camera, flow, gates.length_s[:, None], rng)
-    out = np.zeros((*counts.shape[:2], manifest.rails, manifest.masks), dtype=np.int64)
+    several = manifest.several
+    out = np.zeros((*counts.shape[:2], manifest.rails, manifest.masks, *several), dtype=np.int64)
+    arms = np.split(counts, 2 if manifest.two_arm else 1, axis=-1)
+    first, *second = (each.reshape(*each.shape[:-1], *several) for each in arms)
     mask = [frame.mask for frame in shown]
-    out[:, :, [int(frame.rail == "minus") for frame in shown], mask] = counts[..., 0]
-    if manifest.two_arm:
-        out[:, :, 1, mask] = counts[..., 1]
+    out[:, :, [int(frame.rail == "minus") for frame in shown], mask] = first
+    if second:
+        out[:, :, 1, mask] = second[0]
     return out
 
 
@@ -310,6 +342,9 @@ class RecordingSettings:
         counts, the file holds all light.
     seed : int
         The same one gives the same file.
+    inputs : tuple of int, optional
+        Of the counter, one for each detector, as `Acquisition` has them; the first ones unless
+        given.
     """
 
     camera: Camera
@@ -318,6 +353,7 @@ class RecordingSettings:
     settle_s: float | None = None
     repeats: int | None = None
     seed: int = 0
+    inputs: tuple[int, ...] | None = None
 
 
 def record(
@@ -365,7 +401,8 @@ def record(
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
         rng = np.random.default_rng(settings.seed)
-        write_photons(draft / "photons.ptu", manifest, flow, camera, rng, report.part(0.5, 1))
+        path = draft / "photons.ptu"
+        write_photons(path, manifest, flow, camera, rng, acquisition.inputs, report.part(0.5, 1))
     return acquisition
 
 
@@ -380,7 +417,7 @@ def _describe(
         settle_s=settings.settle_s,
         repeats=settings.repeats,
         marker_bit=MARKER,
-        inputs=(0, 1) if manifest.two_arm else (0,),
+        **({} if settings.inputs is None else {"inputs": settings.inputs}),
         flux=settings.flux or None,
         camera=settings.camera.model_dump(mode="json"),
         seed=settings.seed,
@@ -393,15 +430,24 @@ def write_photons(
     rates: np.ndarray,
     camera: Camera,
     rng: np.random.Generator,
+    inputs: Sequence[int] | None = None,
     report: Report = SILENT,
 ) -> None:
     """Write the photons and markers of one pass for each scene, one right after another.
 
     Parameters
     ----------
-    rates : array, shape (S, F, arms)
+    rates : array, shape (S, F, inputs)
         Of `arrival_rates`.
+    inputs : sequence of int, optional
+        Of the counter, 0 for input 1: that of each detector. The first ones unless given.
     """
+    wired = range(rates.shape[2]) if inputs is None else inputs
+    if max(wired) >= GENERIC_T2.inputs:
+        raise InputError(
+            f"input {max(wired) + 1} is none of a {GENERIC_T2.name} file, which has "
+            f"{GENERIC_T2.inputs}: use fewer `detectors`"
+        )
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))
     ends = np.cumsum(durations)
@@ -414,10 +460,10 @@ def write_photons(
             end = start + int(pieces.sum())
             marked = marks[slice(*np.searchsorted(marks, [start, end]))]
             events = [
-                stream.events(start, pieces, flow[:, arm]) for arm, stream in enumerate(streams)
+                stream.events(start, pieces, flow[:, place]) for place, stream in enumerate(streams)
             ]
             kinds = [np.full(len(marked), -MARKER), codes]
-            kinds += [np.full(len(some), arm) for arm, some in enumerate(events)]
+            kinds += [np.full(len(some), each) for each, some in zip(wired, events, strict=True)]
             times = np.maximum(np.concatenate([marked, times, *events]), 0)
             order = np.argsort(times, kind="stable")
             times, codes = times[order], np.concatenate(kinds).astype(np.int16)[order]

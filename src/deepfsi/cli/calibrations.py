@@ -1,0 +1,81 @@
+"""Calibration of a camera: pictures of spots to show, and the fit to what it saw of them."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepfsi.cli import common, options, paths
+
+
+def camera_spots(
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
+    size: Annotated[str, typer.Option(help="pixels of the display, HEIGHTxWIDTH")] = "32x32",
+    side: Annotated[int, typer.Option(min=1, help="pixels of a spot; larger is brighter")] = 2,
+    as_json: options.Json = False,
+) -> None:
+    """Write the pictures that calibrate a camera: bright spots, all white, all black.
+
+    Show them to the camera with the patterns of `deepfsi dmd export hadamard`, count, and give the
+    run to `deepfsi camera calibrate`.
+
+    Example: deepfsi camera spots --size 32x32 -o spots
+    """
+    paths.check_new_folder(out)
+    import numpy as np
+
+    from deepfsi.datasets import write_pictures
+    from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
+
+    shape = options.size_of(size) or (32, 32)
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
+    uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
+    common.print_pictures(
+        "camera.spots", write_pictures({**pictures, **uniform}, out), out, as_json
+    )
+
+
+def camera_calibrate(
+    folder: options.Run,
+    spots: Annotated[Path, typer.Option(help="the pictures that were shown")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
+    as_json: options.Json = False,
+) -> None:
+    """Fit the camera's view of its display to a run of spots: place, blur, flat field, dark rate.
+
+    `deepfsi design --view` then trains on what the camera sees.
+
+    Example: deepfsi camera calibrate run_spots --spots spots -o calibration
+    """
+    paths.check_folder(out)
+    from deepfsi.datasets import read_display
+    from deepfsi.hardware.calibration.fit import calibrate_run
+    from deepfsi.hardware.calibration.view import save_calibration
+    from deepfsi.hardware.recording.acquisition import read_acquisition
+    from deepfsi.hardware.recording.counts import read_counts
+    from deepfsi.hardware.recording.picture import reconstruct
+
+    acquisition, patterns = read_acquisition(folder)
+    shown = read_display(spots)
+    found = calibrate_run(
+        dict(zip(shown.names, shown.x, strict=True)),
+        [scene.name for scene in acquisition.scenes],
+        reconstruct(folder),
+        read_counts(folder),
+        patterns,
+    )
+    path = save_calibration(found, out)
+    if as_json:
+        about = found.model_dump(mode="json", exclude={"flat"})
+        common.print_json(
+            "camera.calibrate", {"calibration": str(path), **about, "warnings": found.doubts}
+        )
+        return
+    print(
+        f"{found.spots} of {found.shown} spots, {found.residual:.2f} cells from the fit (rms); the "
+        f"view is known to {found.error:.2f} cells at the display's corners\n"
+        f"dark {found.dark:.4g} counts/s, ambient {found.ambient:.4g} counts/s\ncalibration: {path}"
+    )
+    for doubt in found.doubts:
+        print(f"deepfsi: warning: {doubt}", file=sys.stderr)

@@ -1,0 +1,28 @@
+"""Several detectors on one device: each sees some of the cells, and all see each frame at once."""
+
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class Detectors(BaseModel):
+    """Detectors of a device, or of each of its two arms.
+
+    Attributes
+    ----------
+    count : int
+        D, 2 or more.
+    cells : tuple of int, or None
+        Detector of each cell, 0 .. D-1; None where that is not known, as before a calibration.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    count: int = Field(ge=2)
+    cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+
+    @model_validator(mode="after")
+    def _every_one_sees(self) -> Self:
+        if self.cells is not None and set(self.cells) != set(range(self.count)):
+            raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
+        return self

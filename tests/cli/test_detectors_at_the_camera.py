@@ -1,0 +1,93 @@
+"""A design of several detectors at the virtual camera, from its file to classes."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from conftest import quick
+from deepfsi.cli import app
+from deepfsi.datasets import write_pictures
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.hardware.patterns.folder import read_patterns
+
+PHOTONS = 1e4
+SCENES = 120
+TRAINING = {"photons": PHOTONS, "epochs": 8, "hidden": (32,), "detectors": "2x2"}
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits):
+    """Patterns of two designs of 2 x 2 detectors, and scenes of the test set."""
+    folder = tmp_path_factory.mktemp("several")
+    made = {
+        "one": quick(digits, masks=4, light="free-dwell", rails="single", **TRAINING),
+        "two": quick(digits, masks=4, light="two-arm", rails="dual", **TRAINING),
+    }
+    shown = zip(digits.x_test[:SCENES], digits.y_test, strict=False)
+    pictures = {f"{y}/{k:03}.png": x.reshape(8, 8) for k, (x, y) in enumerate(shown)}
+    write_pictures(pictures, folder / "images")
+    for name, design in made.items():
+        path = design.save(folder / f"{name}.safetensors")
+        words = ["dmd", "export", path, "--device", "64x48", "-o", folder / name]
+        assert CliRunner().invoke(app, [str(word) for word in words]).exit_code == 0
+    return folder
+
+
+def simulated(done, lab, name, out, *words):
+    """Acquisition of all scenes, counted; what `count` said."""
+    given = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "1ms", "--repeats", 1]
+    done("camera", "simulate", lab / name, *given, "--camera", "ideal", "-o", out, "--yes", *words)
+    return json.loads(done("camera", "count", out, "--json"))
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_an_acquisition_is_classified_as_the_design_was_tested(done, lab, digits, tmp_path, name):
+    said = simulated(done, lab, name, tmp_path / "run")
+    rails = 1 if name == "one" else 2
+    assert said["inputs"] == list(range(1, 4 * rails + 1))
+    assert np.shape(said["counts"]) == (SCENES, 1, rails, 4, 4)
+    assert said["faults"] == []
+    out = done("camera", "classify", lab / f"{name}.safetensors", tmp_path / "run", "--json")
+    told = json.loads(out)
+    assert told["consistency"]["whole"] > told["consistency"]["false_alarms"]
+    right = np.mean([each["class"] == each["label"] for each in told["scenes"]])
+    design = Design.load(lab / f"{name}.safetensors")
+    design = design.as_shown(*read_patterns(lab / name).realised)
+    same = replace(digits, x_test=digits.x_test[:SCENES], y_test=digits.y_test[:SCENES])
+    [tested] = evaluate(design, same, PHOTONS)
+    assert tested.low <= right <= tested.high
+    assert tested.accuracy > 0.5
+
+
+def test_swapped_inputs_are_not_what_the_design_was_trained_for(done, refuse, lab, tmp_path):
+    """Of detectors whose parts are unlike each other."""
+    simulated(done, lab, "one", tmp_path / "run")
+    swapped = [word for each in (2, 3, 4, 1) for word in ("--input", each)]
+    done("camera", "count", tmp_path / "run", *swapped)
+    words = ["camera", "classify", lab / "one.safetensors", tmp_path / "run"]
+    assert "not look like what this design was trained for" in refuse(*words)
+
+
+def test_patterns_say_what_the_design_detects(done, lab):
+    for name, readout in (("one", "difference"), ("two", "both")):
+        manifest = json.loads((lab / name / "manifest.json").read_text())
+        tiles = Design.load(lab / f"{name}.safetensors").detection.labels.tolist()
+        assert manifest["detectors"] == {"count": 4, "cells": tiles}
+        assert manifest["readout"] == readout
+
+
+def test_inputs_are_one_for_each_detector(done, refuse, lab, tmp_path):
+    inputs = [word for each in (5, 3, 4, 2) for word in ("--input", each)]
+    said = simulated(done, lab, "one", tmp_path / "run", *inputs)
+    assert said["inputs"] == [5, 3, 4, 2]
+    done("camera", "image", tmp_path / "run")
+    with Image.open(tmp_path / "run" / "picture.png") as picture:
+        assert picture.width > 200
+    one = ["camera", "prepare", lab / "two", "--scenes", lab / "images", "-o", tmp_path / "lab"]
+    assert "3 inputs, and its patterns need 8" in refuse(*one, *inputs[:6])
+    assert "input 1 to 8" in done(*one)

@@ -1,0 +1,270 @@
+"""Several detectors in the virtual camera, its file and its counts: parts of one detector's law."""
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.patterns.timing import Gates, find_gates
+from deepfsi.hardware.ptu.header import GENERIC_T2, PICOHARP_T2
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.picture import reconstruct
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    Camera,
+    RecordingSettings,
+    arrival_rates,
+    draw_counts,
+    record,
+    write_photons,
+)
+from deepfsi.optics import constraints
+from deepfsi.optics.detection import Detection
+from deepfsi.optics.scanner import Scanner
+
+CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)
+"""Detector of each of 3 x 4 cells: parts of 4, 2, 3 and 3 cells."""
+
+D = 4
+FLUX, EXPOSURE = 2e7, 1e-3
+STRAY = Camera(ambient=3e5)
+OPTICS = [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
+every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
+
+
+def design_of(light: str, rails: str, cells=CELLS) -> DesignRails:
+    wild = np.random.default_rng(3).random((5, 12)) - (0.5 if rails == "dual" else 0)
+    fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
+    detectors = None if cells is None else Detectors(count=max(cells) + 1, cells=cells)
+    return DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE, None, None, detectors)
+
+
+def patterns(folder, light="equal-dwell", rails="dual", cells=CELLS):
+    return export_patterns(design_of(light, rails, cells), FrameSettings(DEVICE, 2e-3), folder)
+
+
+def expected(shown, x, photons) -> np.ndarray:
+    """Mean counts of each detector by the scanner, (S, rails, m, D)."""
+    scanner = Scanner.from_rails(
+        torch.from_numpy(shown.rails), detection=Detection.of(np.array(CELLS), SHAPE)
+    )
+    flat = torch.from_numpy(x.reshape(len(x), -1).astype(np.float64))
+    rates = scanner.rates(flat * (photons / SUMMED_REFLECTANCE)).numpy()
+    return rates.reshape(*rates.shape[:-1], -1, D)
+
+
+def test_patterns_are_those_of_one_detector_and_say_which_sees_what(tmp_path):
+    one = patterns(tmp_path / "one", "two-arm", cells=None).manifest
+    several = replace(design_of("two-arm", "dual"), readout="both")
+    export_patterns(several, FrameSettings(DEVICE, 2e-3), tmp_path / "several")
+    shown = read_patterns(tmp_path / "several").manifest
+    assert shown.frames == one.frames
+    assert (shown.detectors.count, shown.detectors.cells, shown.readout) == (D, CELLS, "both")
+    assert (one.detectors, one.readout) == (None, "difference")
+    assert (shown.inputs, one.inputs) == (2 * D, 2)
+
+
+@every_optics
+def test_detectors_divide_the_light_of_one(tmp_path, light, rails):
+    """Stray light too; dark counts come once for each detector."""
+    x = scenes()
+    cameras = STRAY, STRAY.model_copy(update={"dark": 100.0})
+    for folder, cells in ((tmp_path / "one", None), (tmp_path / "several", CELLS)):
+        patterns(folder, light, rails, cells)
+    one = arrival_rates(tmp_path / "one", x, STRAY, FLUX)
+    several, dark = (arrival_rates(tmp_path / "several", x, each, FLUX) for each in cameras)
+    assert several.shape[-1] == D * one.shape[-1]
+    parts = several.reshape(*one.shape, D)
+    np.testing.assert_allclose(parts.sum(axis=-1), one, rtol=1e-5)
+    np.testing.assert_allclose(dark, several + 100)
+
+
+@every_optics
+def test_counts_of_each_detector_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
+    shown, x = patterns(tmp_path, light, rails), scenes(1)
+    rates = arrival_rates(tmp_path, x, CAMERAS["ideal"], FLUX)
+    once, times = find_gates(shown.manifest, EXPOSURE, repeats=1), 4000
+    gates = Gates(once.settle_s, once.length_s, times)
+    counts = draw_counts(rates, shown.manifest, gates, CAMERAS["ideal"], np.random.default_rng(1))
+    mean = expected(shown, x, FLUX * EXPOSURE)[0]
+    assert counts.shape == (1, times, *mean.shape)
+    lit = mean > 0
+    assert (counts[0][:, ~lit] == 0).all()
+    found = counts[0][:, lit]
+    off = (found.mean(axis=0) - mean[lit]) / np.sqrt(mean[lit] / times)
+    assert np.abs(off).max() < 5
+    spread = (found.var(axis=0) / mean[lit] - 1) / np.sqrt((2 + 1 / mean[lit]) / times)
+    assert np.abs(spread).max() < 6
+
+
+def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
+    """So several lose less than one: each is as blind as its own light makes it."""
+    slow, x = Camera(dead_time_s=2e-7), scenes(1)
+    totals = []
+    for folder, cells in ((tmp_path / "one", None), (tmp_path / "several", CELLS)):
+        manifest = patterns(folder, "free-dwell", "single", cells).manifest
+        once = find_gates(manifest, EXPOSURE, repeats=1)
+        rates = arrival_rates(folder, x, slow, FLUX)
+        gates = Gates(once.settle_s, once.length_s, 2000)
+        counts = draw_counts(rates, manifest, gates, slow, np.random.default_rng(1))
+        counted = counts.reshape(2000, manifest.masks, -1).mean(axis=0)
+        arriving = rates[0, manifest.shown] * once.length_s[:, None]
+        wanted = slow.registered(rates[0, manifest.shown]) * once.length_s[:, None]
+        assert np.abs(counted - wanted).max() < 5 * np.sqrt(arriving.max() / 2000) + 1e-3
+        totals.append(counted.sum())
+    assert totals[1] > 1.5 * totals[0]
+
+
+@every_optics
+def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
+    """From scenes to a file and back, wired in another order; the budget is all detectors'."""
+    shown, x = patterns(tmp_path / "p", light, rails), scenes(4)
+    inputs = tuple(reversed(range(3, 3 + shown.manifest.inputs)))
+    camera = Camera(dark=2000.0)
+    settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=2, inputs=inputs)
+    made = record(tmp_path / "p", x, list("abcd"), None, tmp_path / "run", settings)
+    assert made.inputs == inputs
+    counts = count(tmp_path / "run")
+    assert counts.faults == ()
+    assert counts.inputs == inputs
+    mean = expected(shown, x, FLUX * EXPOSURE)
+    assert counts.counts.shape == (4, 1, *mean.shape[1:])
+    noise = np.sqrt(mean + counts.background + 1)
+    off = (counts.signal()[:, 0] - mean) / noise
+    assert np.abs(off).max() < 5
+    assert counts.dark_rate.shape == (4, len(shown.rails), D)
+    on_s = 2 * 2e-3 * 4  # a scene has two dark frames
+    assert np.abs(counts.dark_rate - 2000).max() < 5 * np.sqrt(2000 / on_s)
+    bright = x.sum(axis=(1, 2)).mean() / SUMMED_REFLECTANCE
+    assert counts.photons == pytest.approx(FLUX * EXPOSURE * bright, rel=5e-3)
+    again = read_counts(tmp_path / "run")
+    assert np.array_equal(again.signal(), counts.signal())
+
+
+def test_a_picture_is_each_detectors_of_its_own_cells(tmp_path):
+    """Twenty counts of five masks tell twelve cells, where those of one detector could not."""
+    shown, x, flux = patterns(tmp_path / "p", "free-dwell", "single"), scenes(2), 1e9
+    settings = RecordingSettings(CAMERAS["ideal"], flux, EXPOSURE, repeats=1)
+    record(tmp_path / "p", x, list("ab"), None, tmp_path / "run", settings)
+    count(tmp_path / "run")
+    mean, noise = expected(shown, x, flux * EXPOSURE)[:, 0], np.empty((2, 12))
+    for each in range(D):
+        own = np.array(CELLS) == each
+        back = np.linalg.pinv(shown.rails[0][:, own])
+        noise[:, own] = np.sqrt(mean[..., each] @ (back**2).T) * SUMMED_REFLECTANCE / 1e6
+    off = (reconstruct(tmp_path / "run") - x).reshape(2, 12) / noise
+    assert noise.max() < 0.1
+    assert np.abs(off).max() < 5
+
+
+@pytest.fixture
+def disturbed(tmp_path):
+    """Count a recording in which one detector sees other light in some frames."""
+
+    def make(change) -> tuple:
+        manifest = patterns(tmp_path / "p", "free-dwell", "single").manifest
+        x = scenes(6)
+        settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, repeats=1)
+        record(tmp_path / "p", x, list("abcdef"), None, tmp_path / "run", settings)
+        rates = arrival_rates(tmp_path / "p", x, CAMERAS["ideal"], FLUX)
+        change(rates)
+        path, rng = tmp_path / "run" / "photons.ptu", np.random.default_rng(5)
+        write_photons(path, manifest, rates, CAMERAS["ideal"], rng)
+        return count(tmp_path / "run").faults
+
+    return make
+
+
+def test_stray_light_on_one_detector_is_found_where_all_together_hide_it(disturbed):
+    """In scene 2 detector 1 sees a mask half as bright again as all ON."""
+
+    def change(rates):
+        rates[2, 4, 1] = 1.5 * rates[2, 0, 1]
+        assert rates[2, 4].sum() < rates[2, 0].sum()
+
+    [fault] = disturbed(change)
+    assert (fault.kind, fault.scene, fault.frame) == ("brighter", 2, 4)
+    assert "on input 2" in fault.detail
+
+
+def test_a_fault_that_all_together_show_is_told_once(disturbed):
+    def change(rates):
+        rates[3, -2] *= 1.15
+
+    [fault] = disturbed(change)
+    assert (fault.kind, fault.scene) == ("unsteady", 3)
+    assert "input" not in fault.detail
+
+
+def test_the_background_of_one_detector_may_change(disturbed):
+    def change(rates):
+        rates += 1e5
+        rates[3:, :, 2] += 5e5
+
+    faults = disturbed(change)
+    assert [(each.kind, each.scene) for each in faults] == [("background", 3)]
+    assert "on input 3" in faults[0].detail
+
+
+def test_a_detector_without_light_is_named(tmp_path):
+    patterns(tmp_path / "p")
+    settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, repeats=1)
+    record(tmp_path / "p", scenes(), list("abc"), None, tmp_path / "run", settings)
+    counts = count(tmp_path / "run", inputs=(0, 1, 8, 3))
+    assert [each.kind for each in counts.faults] == ["blind"]
+    assert "no light on input 9" in str(counts.faults[0])
+    assert not counts.spoilt.any()
+
+
+def test_a_tile_that_one_scene_leaves_dark_is_no_fault(tmp_path):
+    patterns(tmp_path / "p")
+    x = scenes()
+    x[1].ravel()[np.array(CELLS) == 2] = 0
+    settings = RecordingSettings(CAMERAS["pmt"], FLUX, EXPOSURE, repeats=1)
+    record(tmp_path / "p", x, list("abc"), None, tmp_path / "run", settings)
+    assert count(tmp_path / "run").faults == ()
+
+
+def test_more_detectors_than_inputs_are_refused(tmp_path):
+    cells = tuple(range(33))
+    design = DesignRails(
+        np.full((2, 1, 33), 0.5), "two-arm", (3, 11), 9.0,
+        detectors=Detectors(count=33, cells=cells),
+    )  # fmt: skip
+    device = Device(name="small", columns=44, rows=12, shortest_us=10, settle_us=2)
+    export_patterns(design, FrameSettings(device, 2e-3), tmp_path / "p")
+    settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE)
+    with pytest.raises(InputError, match="up to 64 inputs, and these patterns need 66"):
+        record(tmp_path / "p", scenes(1, (3, 11)), ["a"], None, tmp_path / "run", settings)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_counter_with_too_few_inputs_is_refused(tmp_path):
+    patterns(tmp_path / "p", "two-arm")
+    settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE)
+    record(tmp_path / "p", scenes(1), ["a"], None, tmp_path / "run", settings)
+    path = tmp_path / "run" / "photons.ptu"
+    kinds = [struct.pack("<q", kind.code) for kind in (GENERIC_T2, PICOHARP_T2)]
+    path.write_bytes(path.read_bytes().replace(*kinds, 1))
+    with pytest.raises(InputError, match=r"PicoHarp 300 T2.* has up to 5 inputs, .* need 8"):
+        count(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "match"),
+    [((0, 1, 2), "has 3 inputs, and its patterns need 4"), ((0, 1, 1, 2), "an input of its own")],
+)
+def test_each_detector_needs_an_input(tmp_path, inputs, match):
+    patterns(tmp_path / "p")
+    settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, inputs=inputs)
+    with pytest.raises(InputError, match=match):
+        record(tmp_path / "p", scenes(1), ["a"], None, tmp_path / "run", settings)
+    assert not (tmp_path / "run").exists()
