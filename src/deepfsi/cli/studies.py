@@ -133,7 +133,7 @@ def reproduce(
         str,
         typer.Argument(
             help="mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
-            "flexible, or list"
+            "flexible, detectors, or list"
         ),
     ],
     out: options.Folder = Path("runs/paper"),

@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 from deepfsi.errors import InputError, check_known
-from deepfsi.experiments import compression, mlgauss, quantization
+from deepfsi.experiments import compression, detectors, mlgauss, quantization
 from deepfsi.experiments.camera import claims as camera_study
 from deepfsi.experiments.experiment import Experiment
 from deepfsi.experiments.flexible import claims as flexible
@@ -26,6 +26,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "ovit-full": (ovit.FULL,),
     "hardware": (camera_study.EXPERIMENT,),
     "flexible": (flexible.EXPERIMENT,),
+    "detectors": (detectors.MNIST, detectors.CIFAR10),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

@@ -15,8 +15,9 @@ from scipy import stats
 
 from deepfsi.design.stopping import Estimate, Stopped
 from deepfsi.experiments.experiment import Experiment, Finding, budgets, points
-from deepfsi.experiments.flexible.figures import Line, Stops, lines_figure, stopping_figure
+from deepfsi.experiments.flexible.figures import LOOKS, Stops, stopping_figure
 from deepfsi.experiments.flexible.measures import Measures, Prefix, measure
+from deepfsi.report.lines import Line, lines_figure
 from deepfsi.report.maps import accuracy_grid, heat_figure
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
@@ -388,15 +389,8 @@ def _heat_picture(results: Results, prefixes: Iterable[Prefix]) -> Picture:
 def _line(
     name: str, look: str, members: Iterable[Point | Prefix], axis: str, bars: bool = True
 ) -> Line:
-    every = sorted(members, key=lambda point: getattr(point, axis))
-    return Line(
-        name,
-        look,
-        [getattr(point, axis) for point in every],
-        [point.accuracy for point in every],
-        [point.low for point in every] if bars else [],
-        [point.high for point in every] if bars else [],
-    )
+    line = Line.through(name, LOOKS[look], ((getattr(p, axis), p) for p in members))
+    return line if bars else replace(line, low=(), high=())
 
 
 EXPERIMENT = Experiment(

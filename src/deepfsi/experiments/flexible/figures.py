@@ -1,16 +1,16 @@
 """Figures of designs that serve many budgets and mask counts, and of exposures that stop early."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
+from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 from deepfsi.design.stopping import Stopped
-from deepfsi.report.style import COLOURS, LINES, MUTED, PANEL_HEIGHT, photons_text, styled
+from deepfsi.report.lines import Line, draw_lines
+from deepfsi.report.style import COLOURS, LINES, photons_text, styled
 
 LOOKS: dict[str, dict[str, Any]] = {
     "flexible": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},
@@ -28,56 +28,12 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Line:
-    """Accuracies along an axis.
-
-    Attributes
-    ----------
-    name : str
-        For the key; empty for none.
-    look : str
-        Of `LOOKS`.
-    across : sequence of float
-        Rising.
-    accuracy, low, high : sequence of float
-        With its interval; none is drawn where both ends are left out.
-    """
-
-    name: str
-    look: str
-    across: Sequence[float]
-    accuracy: Sequence[float]
-    low: Sequence[float] = ()
-    high: Sequence[float] = ()
-
-
-@dataclass(frozen=True)
 class Stops:
     """Exposures of one kind of design that stop early: name in the key, one of `LOOKS`, trials."""
 
     name: str
     look: str
     trials: Sequence[Stopped]
-
-
-@styled
-def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
-    """Accuracy against the photon budget, or the number of masks, on logarithmic axes.
-
-    A panel for each label of an axis, with a key of its own.
-    """
-    figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
-    axes = figure.subplots(1, len(panels), squeeze=False)[0]
-    for ax, (label, lines) in zip(axes, panels.items(), strict=True):
-        _draw(ax, lines)
-        ax.set_xscale("log")
-        ticks = sorted({value for line in lines for value in line.across})
-        ax.xaxis.set_major_locator(FixedLocator(ticks))
-        ax.xaxis.set_minor_locator(NullLocator())
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(round(value))))
-        ax.set_xlabel(label)
-    axes[0].set_ylabel("accuracy")
-    return figure
 
 
 @styled
@@ -98,8 +54,10 @@ def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
             np.mean([[point[name] for point in curve] for curve in curves], axis=0)
             for name in ("used", "accuracy")
         )
-        lines.append(Line(each.name, each.look, (used * photons).tolist(), accuracy.tolist()))
-    _draw(left, lines)
+        lines.append(
+            Line(each.name, LOOKS[each.look], (used * photons).tolist(), accuracy.tolist())
+        )
+    draw_lines(left, lines)
     for each in stopped:
         used, accuracy = (
             np.mean([getattr(trial, name).mean for trial in each.trials])
@@ -129,14 +87,3 @@ def stopping_figure(stopped: Sequence[Stops], plain: Line) -> Figure:
     for ax in (left, middle, right):
         ax.grid(visible=True)
     return figure
-
-
-def _draw(ax: Axes, lines: Sequence[Line]) -> None:
-    for line in lines:
-        look = LOOKS[line.look]
-        ax.plot(line.across, line.accuracy, label=line.name or "_", **look)
-        if line.low:
-            ax.vlines(line.across, line.low, line.high, color=look["color"], linewidth=1)
-    ax.grid(visible=True, color="#dfe3e8")
-    ax.tick_params(colors=MUTED, labelcolor="#1b1f24")
-    ax.legend(frameon=False, fontsize=8, loc="lower right")

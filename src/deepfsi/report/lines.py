@@ -1,0 +1,101 @@
+"""Lines of accuracy along an axis, side by side."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from deepfsi.report.style import GRID, INK, MUTED, PANEL_HEIGHT, photons_text, styled
+
+
+class Reached(Protocol):
+    """Accuracy with its interval."""
+
+    @property
+    def accuracy(self) -> float:
+        """Mean over trials."""
+
+    @property
+    def low(self) -> float:
+        """Lower end of its interval."""
+
+    @property
+    def high(self) -> float:
+        """Upper end of its interval."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Accuracies along an axis.
+
+    Attributes
+    ----------
+    name : str
+        For the key; empty for none.
+    look : mapping
+        Colour, marker and kind of the line, as matplotlib's keywords.
+    across : sequence of float
+        Rising.
+    accuracy, low, high : sequence of float
+        With its interval; none is drawn where both ends are left out.
+    """
+
+    name: str
+    look: Mapping[str, Any]
+    across: Sequence[float]
+    accuracy: Sequence[float]
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+
+    @classmethod
+    def through(
+        cls, name: str, look: Mapping[str, Any], at: Iterable[tuple[float, Reached]]
+    ) -> "Line":
+        """Line with intervals through accuracies, each with its place on the axis.
+
+        Parameters
+        ----------
+        name : str
+        look : mapping
+        at : iterable of tuple
+        """
+        across, every = zip(*sorted(at, key=lambda each: each[0]), strict=True)
+        return cls(
+            name,
+            look,
+            across,
+            [each.accuracy for each in every],
+            [each.low for each in every],
+            [each.high for each in every],
+        )
+
+
+@styled
+def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
+    """Accuracy along logarithmic axes: a panel for each label of an axis, with a key of its own."""
+    figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, (label, lines) in zip(axes, panels.items(), strict=True):
+        draw_lines(ax, lines)
+        ax.set_xscale("log")
+        ticks = sorted({value for line in lines for value in line.across})
+        ax.xaxis.set_major_locator(FixedLocator(ticks))
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(round(value))))
+        ax.set_xlabel(label)
+    axes[0].set_ylabel("accuracy")
+    return figure
+
+
+def draw_lines(ax: Axes, lines: Iterable[Line]) -> None:
+    """Draw lines with their intervals, and a key."""
+    for line in lines:
+        ax.plot(line.across, line.accuracy, label=line.name or "_", **line.look)
+        if line.low:
+            ax.vlines(line.across, line.low, line.high, color=line.look["color"], linewidth=1)
+    ax.grid(visible=True, color=GRID)
+    ax.tick_params(colors=MUTED, labelcolor=INK)
+    ax.legend(frameon=False, fontsize=8, loc="best")
