@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 import deepfsi
-from conftest import RECIPE, every_design, generator, light_on
+from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on
 from deepfsi.design.artifact import Design
 from deepfsi.design.artifact_file import SCHEMA
 from deepfsi.errors import InputError
@@ -317,3 +317,13 @@ def test_the_matrix_is_signed_by_rail(made):
     design = made("deepfsi", "column", "dual")
     assert design.matrix.shape == (design.masks, design.pixels) == (7, 64)
     assert (design.matrix == (design.rails[0] - design.rails[1]).numpy()).all()
+
+
+@every_optics
+def test_dimmer_patterns_are_classified_as_the_design_classifies(digits, made, light, rails):
+    """Features are a tenth of the design's, and so are the statistics that scale them."""
+    design = made("deepfsi", light, rails)
+    dim = design.as_shown(0.1 * design.rails.numpy(), design.image_shape, 0.1)
+    photons = light_on(design, digits.x_test[:50]).float()
+    wanted, found = (each.logits(each.scanner("none")(photons), PHOTONS) for each in (design, dim))
+    torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-3)
