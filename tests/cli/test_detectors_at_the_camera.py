@@ -91,3 +91,39 @@ def test_inputs_are_one_for_each_detector(done, refuse, lab, tmp_path):
     one = ["camera", "prepare", lab / "two", "--scenes", lab / "images", "-o", tmp_path / "lab"]
     assert "3 inputs, and its patterns need 8" in refuse(*one, *inputs[:6])
     assert "input 1 to 8" in done(*one)
+
+
+def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp_path):
+    """Spots to a map of cells, a design for it, and its patterns on the same camera."""
+    camera = tmp_path / "camera.toml"
+    camera.write_text("detectors = [[3, 0], [1, 2]]\ndark = 100.0\n")
+    scan, spots, run = (tmp_path / name for name in ("scan", "spots", "run"))
+    words = ["--size", "8x8", "--device", "64x48", "--detectors", 4, "-o", scan]
+    done("dmd", "export", "hadamard", *words)
+    done("camera", "spots", "--size", "16x16", "-o", spots)
+    given = ["--scene", spots, "--flux", 6e6, "--exposure", "100ms", "--camera", camera, "-o", run]
+    done("camera", "simulate", scan, *given)
+    done("camera", "count", run)
+    out = tmp_path / "calibration"
+    told = json.loads(done("camera", "calibrate", run, "--spots", spots, "-o", out, "--json"))
+    found = out / "detectors.npy"
+    assert told["detectors"] == str(found)
+    tiles = np.kron([[3, 0], [1, 2]], np.ones((4, 4), int))
+    assert np.array_equal(np.load(found), tiles)
+
+    path = tmp_path / "design.safetensors"
+    words = ["--masks", 2, "--light", "free-dwell", "--rails", "single", "--epochs", 1]
+    done("design", "--data", "digits", *words, "--photons", 1e4, "--detectors", found, "-o", path)
+    done("dmd", "export", path, "--device", "64x48", "-o", tmp_path / "frames")
+    manifest = read_patterns(tmp_path / "frames").manifest
+    assert manifest.detectors.cells == tuple(tiles.ravel().tolist())
+    three = tmp_path / "three.toml"
+    three.write_text("detectors = [[0, 1, 2]]")
+    given = ["--scene", spots, "--flux", 1e6, "--exposure", "1ms", "--camera", three]
+    said = refuse("camera", "simulate", tmp_path / "frames", *given, "-o", tmp_path / "other")
+    assert "the camera has 3 detectors, and the patterns are for 4" in said
+
+
+def test_a_design_has_detectors_of_its_own(refuse, lab, tmp_path):
+    words = ["dmd", "export", lab / "one.safetensors", "--detectors", 4, "-o", tmp_path / "p"]
+    assert "has the detectors of its design; leave it out" in refuse(*words)

@@ -44,12 +44,14 @@ def camera_calibrate(
 ) -> None:
     """Fit the camera's view of its display to a run of spots: place, blur, flat field, dark rate.
 
-    `deepfsi design --view` then trains on what the camera sees.
+    `deepfsi design --view` then trains on what the camera sees. Of several detectors, the cells
+    that each sees are written to detectors.npy, for `deepfsi design --detectors`.
 
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
     paths.check_folder(out)
     from deepfsi.datasets import read_display
+    from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
     from deepfsi.hardware.calibration.fit import calibrate_run
     from deepfsi.hardware.calibration.view import save_calibration
     from deepfsi.hardware.recording.acquisition import read_acquisition
@@ -57,19 +59,28 @@ def camera_calibrate(
     from deepfsi.hardware.recording.picture import reconstruct
 
     acquisition, patterns = read_acquisition(folder)
-    shown = read_display(spots)
+    shown, counts = read_display(spots), read_counts(folder)
     found = calibrate_run(
         dict(zip(shown.names, shown.x, strict=True)),
         [scene.name for scene in acquisition.scenes],
         reconstruct(folder),
-        read_counts(folder),
+        counts,
         patterns,
     )
+    several = patterns.manifest.detectors
+    labels = find_detectors(counts, patterns) if several and several.cells is None else None
     path = save_calibration(found, out)
+    where = None if labels is None else save_detectors(labels, out)
     if as_json:
         about = found.model_dump(mode="json", exclude={"flat"})
         common.print_json(
-            "camera.calibrate", {"calibration": str(path), **about, "warnings": found.doubts}
+            "camera.calibrate",
+            {
+                "calibration": str(path),
+                **about,
+                "detectors": where and str(where),
+                "warnings": found.doubts,
+            },
         )
         return
     print(
@@ -77,5 +88,7 @@ def camera_calibrate(
         f"view is known to {found.error:.2f} cells at the display's corners\n"
         f"dark {found.dark:.4g} counts/s, ambient {found.ambient:.4g} counts/s\ncalibration: {path}"
     )
+    if where is not None:
+        print(f"cells of each detector: {where}")
     for doubt in found.doubts:
         print(f"deepfsi: warning: {doubt}", file=sys.stderr)

@@ -29,6 +29,15 @@ def dmd_export(
     size: Annotated[
         str | None, typer.Option(help="cells of raster or hadamard, HEIGHTxWIDTH; 32x32 if none")
     ] = None,
+    detectors: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=64,
+            help="how many detectors see raster or hadamard, for `camera calibrate` to find which "
+            "cells each sees; 1 if none",
+        ),
+    ] = None,
     device: Annotated[str, typer.Option(help="dlp7000, or COLUMNSxROWS mirrors")] = "dlp7000",
     shortest: Annotated[
         str | None, typer.Option(help="shortest picture time of the device; 44us if none")
@@ -69,7 +78,7 @@ def dmd_export(
         seed,
         kind,  # type: ignore[arg-type]
     )
-    rails = _rails(file, size)
+    rails = _rails(file, size, detectors)
     with common.progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(rails, settings, out, report)
     if settings.raised and not as_json:
@@ -80,17 +89,19 @@ def dmd_export(
     _print_patterns("dmd.export", patterns, out, as_json)
 
 
-def _rails(file: Path, size: str | None) -> "DesignRails":
+def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":
     """Rails of a design file, or of a scan by its name."""
     from deepfsi.hardware.calibration.scans import SCANS, scan_rails
     from deepfsi.hardware.patterns.folder import DesignRails
 
     if str(file) in SCANS:
-        return scan_rails(str(file), options.size_of(size) or (32, 32))
-    if size is not None:
-        raise InputError(
-            f"--size is for {' and '.join(SCANS)}: {file} has the cells of its design; leave it out"
-        )
+        return scan_rails(str(file), options.size_of(size) or (32, 32), detectors or 1)
+    for option, given, own in (("size", size, "cells"), ("detectors", detectors, "detectors")):
+        if given is not None:
+            raise InputError(
+                f"--{option} is for {' and '.join(SCANS)}: {file} has the {own} of its design; "
+                "leave it out"
+            )
     paths.check_design(file)
     from deepfsi.design.artifact import Design
     from deepfsi.hardware.patterns.detectors import Detectors

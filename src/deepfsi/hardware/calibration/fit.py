@@ -208,7 +208,8 @@ def calibrate_run(
     dark, ambient = float(counts.dark_rate.mean()), 0.0
     if BLACK in measured:
         place = list(names).index(BLACK)
-        seen = counts.signal()[place][counts.valid[place]].sum(axis=(1, 2)).mean()
+        exposures = counts.signal()[place][counts.valid[place]]
+        seen = exposures.sum() / max(len(exposures), 1)
         lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
         ambient = max(0.0, float(seen / lit))
     return calibrate(

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import hadamard
 
 from deepfsi.errors import InputError, check_known
+from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails
 
 Scan = Literal["raster", "hadamard"]
@@ -19,11 +20,23 @@ MOST_CELLS = 64 * 64
 """Cells of a scan at most: a calibration with larger cells serves masks with smaller ones."""
 
 
-def scan_rails(name: str, cells: tuple[int, int]) -> DesignRails:
+def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
     """Rails of a scan with equal dwells; its mean scene is one of uniform white.
 
     Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
-    Raises `InputError` if there is no such scan, or the cells are too many or one.
+
+    Parameters
+    ----------
+    name : {"raster", "hadamard"}
+    cells : tuple of int
+        Down and across.
+    detectors : int
+        How many see the device; which cells each sees need not be known.
+
+    Raises
+    ------
+    InputError
+        If there is no such scan, or the cells are too many or one.
     """
     check_known("scan", name, SCANS)
     down, across = cells
@@ -39,4 +52,5 @@ def scan_rails(name: str, cells: tuple[int, int]) -> DesignRails:
         axes = [hadamard(1 << (side - 1).bit_length())[:, :side] for side in cells]
         masks = np.kron(*axes)
         rails = np.stack([masks > 0, masks < 0]) / (2 * len(masks) - 1)
-    return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)))
+    several = Detectors(count=detectors) if detectors > 1 else None
+    return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=several)

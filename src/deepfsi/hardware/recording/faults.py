@@ -39,7 +39,7 @@ class Fault(BaseModel):
         Of the light. `dark`: there is none. `unsteady`: it changed within the pass. `brighter`: a
         mask sends more than all mirrors ON. `flicker`: it has a rhythm, in all passes. `level`: it
         is of another brightness from this scene on. `background`: so are the dark frames.
-        `blind`: one of several detectors saw none in any scene.
+        `blind`: one of several detectors saw almost none in all scenes together.
     scene, frame : int or None
         Which, from 0; None where no pass or no one frame is meant.
     detail : str

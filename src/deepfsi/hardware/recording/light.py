@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from deepfsi.hardware.patterns.sequence import Brightness, Manifest
+from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.levels import Row, find_parts
 from deepfsi.hardware.recording.sentinels import (
@@ -81,9 +82,7 @@ def find_light(
     for seen, each in zip(detectors or arms, alone or checked, strict=True):
         faults += _name_backgrounds(seen, each.background)
     faults += changes
-    faults += [
-        _name_blind(seen) for seen, each in zip(detectors, alone, strict=True) if not each.lit.any()
-    ]
+    faults += _find_blind(detectors, [each.background for each in alone])
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
     rates = np.stack([each.background.rate for each in alone or checked], axis=1)
     lit = np.logical_and.reduce([each.lit for each in checked])
@@ -176,13 +175,23 @@ class _Spread:
         return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
 
 
-def _name_blind(seen: Seen) -> Fault:
-    """A detector that no scene sends light."""
-    detail = (
-        f"no light{seen.name} in any scene: their parts that this detector sees are dark, or it "
-        "is not wired to that input"
-    )
-    return Fault(kind="blind", scene=None, frame=None, detail=detail)
+def _find_blind(detectors: list[Seen], backgrounds: list[Background]) -> list[Fault]:
+    """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
+    bright = [seen.together(seen.bright) for seen in detectors]
+    photons = np.array([float(found.sum()) for found, _ in bright])
+    pairs = zip(backgrounds, bright, strict=True)
+    dark = np.array([float(each.rate @ seconds) for each, (_, seconds) in pairs])
+    wanted = HARMLESS * max(float((photons - dark).sum()), 0.0) / max(len(detectors), 1)
+    lacks = dark + wanted - photons
+    blind = lacks > CERTAIN_SIGMAS * np.sqrt(dark + photons + 1)
+    faults = []
+    for place in np.flatnonzero(blind).tolist():
+        detail = (
+            f"almost no light{detectors[place].name} in all scenes together: their parts that this "
+            "detector sees are dark, or it is not wired to that input"
+        )
+        faults.append(Fault(kind="blind", scene=None, frame=None, detail=detail))
+    return faults
 
 
 def _name_backgrounds(seen: Seen, background: Background) -> list[Fault]:

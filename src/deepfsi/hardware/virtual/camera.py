@@ -32,6 +32,7 @@ from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
+from deepfsi.hardware.virtual.parts import Parts, check_parts, mirrors_of_cells, mirrors_seen
 from deepfsi.progress import SILENT, Report
 
 MARKER = 1
@@ -64,12 +65,16 @@ class Camera(Detector):
         from the centre.
     ambient : float
         Stray light spread evenly over the whole device, photons/s.
+    detectors : rows of int, or None
+        Detector of each part of the area of the cells, which these rows divide evenly. None for the
+        parts that the patterns name.
     """
 
     view: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     blur: float = Field(0.0, ge=0, le=1000)
     vignetting: float = Field(0.0, ge=0, le=1)
     ambient: float = Field(0.0, ge=0, le=1e12)
+    detectors: Parts | None = None
 
     @field_validator("view")
     @classmethod
@@ -77,6 +82,8 @@ class Camera(Detector):
         if abs(np.linalg.det(np.array(view))) < 1e-9:
             raise ValueError("the view cannot be inverted")
         return view
+
+    _parts = field_validator("detectors")(check_parts)
 
 
 CAMERAS = {
@@ -196,12 +203,12 @@ def arrival_rates(
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
     _check_flux(flux)
-    mirrors, count = _mirrors_seen(manifest), manifest.detector_count
+    mirrors, count = mirrors_seen(manifest, camera.detectors), manifest.detector_count
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
     device = manifest.device
     stray = camera.ambient / (device.rows * device.columns)
-    inside = _inside(manifest)
+    inside = mirrors_of_cells(manifest)
     for first in range(0, len(images), SCENES_AT_ONCE):
         part = images[first : first + SCENES_AT_ONCE]
         image = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
@@ -218,30 +225,6 @@ def arrival_rates(
             done = first * frames + (place + len(on)) * len(part)
             report(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
-
-
-def _mirrors_seen(manifest: Manifest) -> list[np.ndarray | slice]:
-    """Mirrors of a device (rows x columns in a row) that each detector of an arm sees."""
-    if manifest.detectors is None:
-        return [slice(None)]
-    cells = manifest.detectors.cells
-    if cells is None:
-        raise InputError(
-            "these patterns do not say which detector sees which cells, as a virtual camera must "
-            "know: export a design with `detectors`"
-        )
-    grid = manifest.grid
-    seen = np.array(cells).reshape(grid.down, grid.across)
-    labels = np.full((manifest.device.rows, manifest.device.columns), -1)
-    labels[grid.window] = seen.repeat(grid.height, axis=0).repeat(grid.width, axis=1)
-    return [np.flatnonzero(labels == each) for each in range(manifest.detectors.count)]
-
-
-def _inside(manifest: Manifest) -> np.ndarray:
-    """Mirrors of a device, in a row, that are of a cell: float32, 1 or 0."""
-    out = np.zeros((manifest.device.rows, manifest.device.columns), np.float32)
-    out[manifest.grid.window] = 1
-    return out.ravel()
 
 
 def expected_events(patterns: Patterns, scenes: np.ndarray, camera: Camera, flux: float) -> float:

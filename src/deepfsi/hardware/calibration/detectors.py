@@ -1,0 +1,74 @@
+"""Which of several detectors sees each cell of a device, from the counts of a scan."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import solve
+
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.recording.counts import Counts
+
+CLEAR_SIGMAS = 5.0
+"""Standard errors by which a detector must count more of a cell's light than any other does."""
+
+
+def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
+    """Detector of each cell: the one that counts most of its light, in all scenes together.
+
+    Parameters
+    ----------
+    counts : Counts
+        Of several detectors.
+    patterns : Patterns
+        Of the scan that was shown: its masks tell all cells apart.
+
+    Returns
+    -------
+    int64 array, shape image_shape
+        0 .. D-1, in the order of the counter's inputs.
+
+    Raises
+    ------
+    InputError
+        If a cell is seen by no detector clearly, or a detector sees no cell.
+    """
+    shape, read = patterns.manifest.image_shape, counts.lengths_s > 0
+    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    signal = counts.signal().sum(axis=(0, 1), where=usable)[read]
+    background = (counts.background * usable.sum(axis=1)).sum(axis=0)[read]
+    photons = counts.counts.sum(axis=(0, 1), where=usable)[read]
+    masks = patterns.rails[read]
+    inverse = solve(masks.T @ masks, masks.T, assume_a="pos")
+    light = inverse @ signal
+    variance = inverse**2 @ (photons + background + 1)  # that of the background is no larger
+    second, best = np.argsort(light, axis=1)[:, -2:].T
+    cell = np.arange(len(light))
+    lead = light[cell, best] - light[cell, second]
+    clear = lead > CLEAR_SIGMAS * np.sqrt(variance[cell, best] + variance[cell, second])
+    if not clear.all():
+        place = int(np.flatnonzero(~clear)[0])
+        where = " and ".join(str(axis + 1) for axis in np.unravel_index(place, shape))
+        raise InputError(
+            f"{np.count_nonzero(~clear)} of {len(cell)} cells are seen clearly by no detector, "
+            f"first that at row and column {where}, where input "
+            f"{counts.inputs[best[place]] + 1} counts {lead[place]:.3g} more than input "
+            f"{counts.inputs[second[place]] + 1}: show white that fills the device, and expose "
+            "longer"
+        )
+    idle = set(range(light.shape[1])) - set(best.tolist())
+    if idle:
+        raise InputError(
+            f"input {counts.inputs[min(idle)] + 1} counts most in no cell: wire its detector, or "
+            "export the scan for fewer `detectors`"
+        )
+    return best.astype(np.int64).reshape(shape)
+
+
+def save_detectors(labels: np.ndarray, folder: Path) -> Path:
+    """Write `detectors.npy` into a folder, which is made if need be."""
+    file = io.BytesIO()
+    np.save(file, labels)
+    return write_atomically(folder / "detectors.npy", file.getvalue())

@@ -1,0 +1,78 @@
+"""Cells of each detector, found from a scan of spots."""
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
+from deepfsi.hardware.calibration.fit import spot_scenes
+from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Patterns
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.counts import Counts
+from deepfsi.hardware.virtual.camera import Camera, RecordingSettings, record
+
+DEVICE = Device(name="d", columns=48, rows=48)
+CELLS = (8, 6)
+PARTS = ((2, 2, 0), (1, 3, 0), (1, 3, 3), (1, 1, 3))
+"""Parts of an area of 4 x 3 that the cells divide by two each way."""
+
+EYES = Camera(blur=1.0, vignetting=0.3, dark=300.0, ambient=1e4, detectors=PARTS)
+
+
+def scanned(folder, scan="hadamard", camera=EYES, flux=1e7, detectors=4) -> tuple[Counts, Patterns]:
+    """Counts of spots, of white and of black, wired in an order of their own."""
+    rails = scan_rails(scan, CELLS, detectors)
+    shown = export_patterns(rails, FrameSettings(DEVICE, 1e-3), folder / "patterns")
+    spots = spot_scenes((16, 12), (3, 3), 2)
+    scenes = np.concatenate([spots, np.ones((1, 16, 12)), np.zeros((1, 16, 12))])
+    names = [f"scene {k}" for k in range(len(scenes))]
+    inputs = (6, 1, 4, 3, 9)[: shown.manifest.inputs]
+    settings = RecordingSettings(camera, flux, 0.02, inputs=inputs)
+    record(folder / "patterns", scenes, names, None, folder / "run", settings)
+    return count(folder / "run"), shown
+
+
+@pytest.mark.parametrize("scan", SCANS)
+def test_each_cell_is_its_detectors(tmp_path, scan):
+    found = find_detectors(*scanned(tmp_path, scan))
+    assert np.array_equal(found, np.kron(PARTS, np.ones((2, 2), int)))
+    path = save_detectors(found, tmp_path / "calibration")
+    assert np.array_equal(np.load(path), found)
+
+
+def test_a_cell_that_no_detector_sees_clearly_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"of 48 cells are seen clearly by no detector, .* input"):
+        find_detectors(*scanned(tmp_path, flux=2e4))
+
+
+def test_a_detector_without_cells_is_named(tmp_path):
+    """The fourth input is wired to nothing."""
+    parts = np.array(PARTS)
+    parts[parts == 3] = 1
+    eyes = EYES.model_copy(update={"detectors": tuple(map(tuple, parts.tolist()))})
+    with pytest.raises(InputError, match="the camera has 3 detectors, and the patterns are for 4"):
+        scanned(tmp_path / "camera", camera=eyes)
+    counts, shown = scanned(tmp_path / "three", camera=eyes, detectors=3)
+    idle = np.zeros((*counts.counts.shape[:-1], 1), int)
+    some = {
+        **vars(counts),
+        "counts": np.concatenate([counts.counts, idle], axis=-1),
+        "dark_rate": np.concatenate([counts.dark_rate, 0 * counts.dark_rate[..., :1]], axis=-1),
+        "inputs": (*counts.inputs, 12),
+    }
+    with pytest.raises(InputError, match="input 13 counts most in no cell"):
+        find_detectors(Counts(**some), shown)
+
+
+def test_nothing_is_simulated_of_detectors_that_see_nobody_knows_what(tmp_path):
+    with pytest.raises(InputError, match="nothing says which part of the device each sees"):
+        scanned(tmp_path, camera=Camera())
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("parts", [((0, 1), (2,)), ((0, 2),), ((),)])
+def test_parts_that_are_none_are_refused(parts):
+    with pytest.raises(ValueError, match="detectors"):
+        Camera(detectors=parts)
