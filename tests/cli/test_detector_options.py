@@ -43,7 +43,7 @@ def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
     printed = done("compare", *words, *axes)
     rows = [line.split()[-2:] for line in printed.splitlines() if " ± " in line]
     assert sorted(map(tuple, rows[:5])) == sorted(
-        [(d, r) for d in ("1x1", "2x2") for r in ("both", "difference")] + [("1x1", "–")]
+        [(d, r) for d in ("1x1", "2x2") for r in ("both", "difference")] + [("pixel", "–")]
     )
     points = json.loads((tmp_path / "results.json").read_text())["points"]
     assert {(p["detectors"], p["readout"]) for p in points if p["design"] == "pca"} == {

@@ -225,6 +225,32 @@ def test_the_command(done, tmp_path):
     assert json.loads((tmp_path / "p/results.json").read_text())["points"]
 
 
+def test_a_plan_has_a_curve_for_each_number_of_detectors(done, tmp_path):
+    """Tiles need fewer photons, by masks of which each is read by all; the table says them."""
+    words = ["plan", "--target", "0.75", "--designs", "pca,impulse", "--detectors", "1x1,2x2"]
+    words += ["--light", "free-dwell", "--rails", "single", "--photons", "1e3,1e4,1e6"]
+    words += [
+        "--ratios",
+        "0.2",
+        "--trials",
+        "1",
+        "--epochs",
+        "10",
+        "--workers",
+        "1",
+        "-o",
+        tmp_path,
+    ]
+    printed = done(*words)
+    rows = [line.split() for line in printed.splitlines() if line.startswith((" FSI", " II"))]
+    assert sorted(row[-1] for row in rows) == ["1x1", "2x2", "pixel"]
+    needs = {(n["design"], n["detectors"]): n for n in json.loads(done(*words, "--json"))["needs"]}
+    one, four = needs["pca", "1x1"], needs["pca", "2x2"]
+    assert (one["masks"], four["masks"]) == (13, 3)
+    assert four["found"] == "within"
+    assert one["found"] == "beyond" or four["photons"] < one["photons"]
+
+
 @pytest.mark.parametrize("target", ["2", "many"])
 def test_a_bad_target_ends_before_any_work(call, tmp_path, monkeypatch, target):
     monkeypatch.setattr(planning, "run_trials", None)

@@ -15,7 +15,7 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss", detectors="
     result["rates"] = [0.4] * 10
     result["confusion"] = np.ones((10, 10)).tolist()
     job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
-    job |= {"noise": noise, "readout": "difference"}
+    job |= {"noise": noise, "readout": "difference", "detectors": detectors}
     return {
         "key": f"{masks}-{seed}",
         "design": f"{masks}-{seed}",
@@ -73,6 +73,8 @@ def test_trials_of_other_detectors_are_other_points_with_masks_of_their_own(digi
     ]
     best = {(p.detectors, p.masks) for p in summary(digits, records) if p.best}
     assert best == {("1x1", 6), ("2x2", 3)}
+    ratios = {(p.detectors, p.masks): p.ratio for p in summary(digits, records)}
+    assert ratios == {("1x1", 3): 3 / 64, ("1x1", 6): 6 / 64, ("2x2", 3): 12 / 64}
 
 
 def test_trials_that_read_rails_otherwise_are_other_points(digits):

@@ -152,6 +152,13 @@ def test_mask_counts_are_those_of_a_part(digits):
     assert found == [("raster", 16, "2x2"), ("deepfsi", 6, "2x2"), ("impulse", 64, "1x1")]
 
 
+def test_a_ratio_is_of_readouts(digits):
+    settings = {**TILES, "masks": (), "ratios": (0.01, 0.25, 1.0), "detectors": ("1x1", "2x2")}
+    trials = plan(small(designs="deepfsi", **settings), digits)
+    found = [(each.detectors, each.job.masks) for each in trials]
+    assert found == [*(("1x1", m) for m in (1, 16, 64)), *(("2x2", m) for m in (1, 4, 16))]
+
+
 def test_a_map_of_detectors_is_known_by_its_content(digits, tmp_path):
     """Renamed it is the same, changed it is another."""
     keys = []

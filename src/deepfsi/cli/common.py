@@ -189,6 +189,11 @@ def size(made: "Design") -> str:
     return ", ".join(parts)
 
 
+def detectors_text(design: str, detectors: str) -> str:
+    """Detectors in a table, also of a design that has one for each pixel."""
+    return "each pixel" if design == "impulse" else detectors
+
+
 def print_designs(names: Iterable[str]) -> None:
     """Say which designs the labels of a table are."""
     from deepfsi.optics.codes import DESIGNS

@@ -63,7 +63,10 @@ def plan(
         str, typer.Option(help="budgets to try first; more are added where the target is met")
     ] = "1e2,1e3,1e4,1e5,1e6",
     ratios: Annotated[
-        str | None, typer.Option(help="compression ratios m/N; 0.01,0.04,0.16 unless given")
+        str | None,
+        typer.Option(
+            help="readouts over pixels, m/N for one detector; 0.01,0.04,0.16 unless given"
+        ),
     ] = None,
     masks: options.MaskCounts = None,
     noise: options.Noise = "poisson",
@@ -138,6 +141,11 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
             return "any" if high is None else f"{high} or fewer"
         return f"{low} or more" if high is None else f"{low} to {high}"
 
+    def axis_text(need: Mapping[str, Any], axis: str) -> str:
+        if axis == "detectors":
+            return common.detectors_text(need["design"], need[axis])
+        return need[axis] or "–"
+
     needs = sorted(plan["needs"], key=lambda need: need["photons"] or float("inf"))
     rows = [
         (
@@ -146,7 +154,7 @@ def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:
             interval(need),
             str(need["masks"]),
             str(len(need["tried"])),
-            *(need[axis] or "–" for axis in axes),
+            *(axis_text(need, axis) for axis in axes),
         )
         for need in needs
     ]

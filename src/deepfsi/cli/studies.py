@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.report.section import Section
     from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.sweeps.results import Results
+    from deepfsi.sweeps.results import Point, Results
 
 
 def compare(
@@ -26,7 +26,8 @@ def compare(
     designs: options.Designs = None,
     photons: Annotated[str | None, typer.Option(help="budgets, such as 1e3,1e4,1e5")] = None,
     ratios: Annotated[
-        str | None, typer.Option(help="compression ratios m/N, such as 0.01,0.04,0.09")
+        str | None,
+        typer.Option(help="readouts over pixels, m/N for one detector, such as 0.01,0.04,0.09"),
     ] = None,
     masks: options.MaskCounts = None,
     noise: options.Noises = None,
@@ -310,7 +311,10 @@ CROWDED, CROWDED_WIDTH = 3, 7
 """So many axes leave that many characters of a class's name."""
 
 
-def _axis(name: str, value: Any) -> str:
+def _axis(name: str, point: "Point") -> str:
+    value = getattr(point, name)
+    if name == "detectors":
+        return common.detectors_text(point.design, value)
     if name == "levels":
         return str(value) if value else "any"
     if name == "readout":
@@ -334,7 +338,7 @@ def _print_points(results: "Results") -> None:
             str(p.masks),
             common.share(p.accuracy, p.low, p.high),
             common.budget(p.counts),
-            *(_axis(axis, getattr(p, axis)) for axis in axes),
+            *(_axis(axis, p) for axis in axes),
         )
         for p in best
     ]
@@ -349,7 +353,7 @@ def _print_points(results: "Results") -> None:
                 *(p.label, common.budget(p.photons)),
                 common.share(p.balanced, p.balanced_low, p.balanced_high),
                 common.worst_class(p.worst, results.data.classes[p.worst_class], width),
-                *(_axis(axis, getattr(p, axis)) for axis in axes),
+                *(_axis(axis, p) for axis in axes),
             )
             for p in best
         ],

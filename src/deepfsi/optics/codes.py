@@ -69,10 +69,11 @@ def check_design(name: str) -> str:
     return name
 
 
-def mask_count(ratio: float, pixels: int) -> int:
+def mask_count(ratio: float, pixels: float) -> int:
     """Number of masks at a compression ratio m / N above 0 and at most 1, max(1, round(ratio · N)).
 
-    Pixels N are the scene's own, before any Hadamard padding.
+    Pixels N are the scene's own, before any Hadamard padding; under several detectors those that
+    each sees, N / D.
     """
     if not 0 < ratio <= 1:
         raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")

@@ -154,7 +154,9 @@ class Recipe(BaseModel):
     gaussian_photons: Axis[Budget] = Field(
         (), description="budgets under gaussian noise, if others"
     )
-    ratios: Axis[Ratio] = Field((), description="m / N; the paper's unless given")
+    ratios: Axis[Ratio] = Field(
+        (), description="readouts over pixels, m · D / N; the paper's unless given"
+    )
     masks: Axis[Count] = Field((), description="mask counts, instead of ratios")
     noise: Filled[Physical] = ("poisson",)
     train_noise: Axis[TrainingNoise] = Field(
@@ -243,7 +245,8 @@ class Recipe(BaseModel):
     def mask_counts(self, design: str, data: Dataset, detection: Detection = ONE) -> list[int]:
         """Mask counts of one design: those asked for that it can have, else the most it can have.
 
-        Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper.
+        Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper. A ratio is that of
+        readouts, m · D / N, so that it means as much under several detectors.
 
         Parameters
         ----------
@@ -254,7 +257,8 @@ class Recipe(BaseModel):
         """
         low, high = tiles.count_allowed(design, data, detection)
         asked = self.masks or [
-            codes.mask_count(ratio, data.pixels) for ratio in self.ratios or PAPER_RATIOS
+            codes.mask_count(ratio, data.pixels / detection.count)
+            for ratio in self.ratios or PAPER_RATIOS
         ]
         return sorted({count for count in asked if low <= count <= high}) or [high]
 

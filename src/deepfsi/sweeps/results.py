@@ -61,7 +61,7 @@ class Point(Frozen):
     specific, learned : bool
         Whether the design depends on the task, and whether its masks are trained.
     ratio : float
-        m / N.
+        m · D / N, readouts of a rail over pixels.
     validation : float or None
         Mean accuracy on validation data, if any was held out; balanced accuracy where a recipe
         balances its training.

@@ -12,6 +12,7 @@ import numpy as np
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import COVERS
 from deepfsi.optics import codes
+from deepfsi.optics.detection import Detection
 from deepfsi.statistics.differences import of_trials
 from deepfsi.statistics.intervals import worst_of
 from deepfsi.sweeps.recipe import Recipe
@@ -70,7 +71,9 @@ def summarise(
             groups[key].append((record, index))
     measure = "balanced" if recipe.balances else "accuracy"
     points = [
-        point(dict(zip(AXES, key, strict=True)), members, data.pixels, measure)
+        point(
+            dict(zip(AXES, key, strict=True)), members, _pixels_seen(members[0][0], data), measure
+        )
         for key, members in groups.items()
     ]
     chosen = defaultdict(list)
@@ -91,6 +94,12 @@ def summarise(
         chosen_by=measure,
         points=tuple(points),
     )
+
+
+def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:
+    """Pixels that each detector of a trial sees, in the mean."""
+    detectors = record["trial"]["job"]["detectors"]
+    return data.pixels / Detection.of(detectors, data.image_shape).count
 
 
 def facts_of(data: Dataset, held_out: int) -> Data:
@@ -125,7 +134,7 @@ def provenance_of(records: Sequence[Mapping[str, Any]], seconds: float) -> Prove
 def point(
     axes: Mapping[str, Any],
     members: Sequence[tuple[Mapping[str, Any], int]],
-    pixels: int,
+    pixels: float,
     chosen_by: str = "accuracy",
 ) -> Point:
     """One point of a summary: trials averaged.
@@ -136,8 +145,8 @@ def point(
         What tells the point apart: a value for each of `AXES`.
     members : sequence of tuple
         Records, each with the place of the test in it that belongs here.
-    pixels : int
-        N, of one mask.
+    pixels : float
+        Those that a detector sees in the mean, N / D.
     chosen_by : {"accuracy", "balanced"}
         What mask counts are chosen by on validation data.
     """
