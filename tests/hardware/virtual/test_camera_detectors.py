@@ -15,7 +15,7 @@ from deepfsi.hardware.patterns.sequence import Device, FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.ptu.header import GENERIC_T2, PICOHARP_T2
 from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.counts import Counts, read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
@@ -169,16 +169,16 @@ def test_a_picture_is_each_detectors_of_its_own_cells(tmp_path):
 def disturbed(tmp_path):
     """Count a recording in which one detector sees other light in some frames."""
 
-    def make(change) -> tuple:
+    def make(change, x=None) -> Counts:
         manifest = patterns(tmp_path / "p", "free-dwell", "single").manifest
-        x = scenes(6)
+        x = scenes(6) if x is None else x
         settings = RecordingSettings(CAMERAS["ideal"], FLUX, EXPOSURE, repeats=1)
         record(tmp_path / "p", x, list("abcdef"), None, tmp_path / "run", settings)
         rates = arrival_rates(tmp_path / "p", x, CAMERAS["ideal"], FLUX)
         change(rates)
         path, rng = tmp_path / "run" / "photons.ptu", np.random.default_rng(5)
         write_photons(path, manifest, rates, CAMERAS["ideal"], rng)
-        return count(tmp_path / "run").faults
+        return count(tmp_path / "run")
 
     return make
 
@@ -190,16 +190,31 @@ def test_stray_light_on_one_detector_is_found_where_all_together_hide_it(disturb
         rates[2, 4, 1] = 1.5 * rates[2, 0, 1]
         assert rates[2, 4].sum() < rates[2, 0].sum()
 
-    [fault] = disturbed(change)
+    [fault] = disturbed(change).faults
     assert (fault.kind, fault.scene, fault.frame) == ("brighter", 2, 4)
     assert "on input 2" in fault.detail
+
+
+def test_stray_light_on_a_part_that_is_dark_is_found(disturbed):
+    """Nothing else lights detector 2 in scene 1."""
+    x = scenes(6)
+    x[1].ravel()[np.array(CELLS) == 2] = 0
+
+    def change(rates):
+        assert (rates[1, :, 2] == 0).all()
+        rates[1, 4, 2] = 0.1 * rates[1, 0].sum()
+        assert rates[1, 4].sum() < rates[1, 0].sum()
+
+    [fault] = disturbed(change, x).faults
+    assert (fault.kind, fault.scene, fault.frame) == ("brighter", 1, 4)
+    assert "on input 3" in fault.detail
 
 
 def test_a_fault_that_all_together_show_is_told_once(disturbed):
     def change(rates):
         rates[3, -2] *= 1.15
 
-    [fault] = disturbed(change)
+    [fault] = disturbed(change).faults
     assert (fault.kind, fault.scene) == ("unsteady", 3)
     assert "input" not in fault.detail
 
@@ -209,9 +224,13 @@ def test_the_background_of_one_detector_may_change(disturbed):
         rates += 1e5
         rates[3:, :, 2] += 5e5
 
-    faults = disturbed(change)
-    assert [(each.kind, each.scene) for each in faults] == [("background", 3)]
-    assert "on input 3" in faults[0].detail
+    counts = disturbed(change)
+    assert [(each.kind, each.scene) for each in counts.faults] == [("background", 3)]
+    assert "on input 3" in counts.faults[0].detail
+    dark = np.full((6, D), 1e5)
+    dark[3:, 2] += 5e5
+    dark_s = 3 * 2 * 1.9e-3  # three passes of two dark frames, less settling and guard
+    assert np.abs(counts.dark_rate[:, 0] - dark).max() < 5 * np.sqrt(dark.max() / dark_s)
 
 
 def test_a_detector_without_light_is_named(tmp_path):
