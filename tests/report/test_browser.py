@@ -26,7 +26,7 @@ from deepfsi.report.study_page import write_study
 from deepfsi.report.style import COLOURS
 from deepfsi.sweeps.results import read_results, write_results
 from shared.pages import example
-from shared.results import a_point, make_results, some_results
+from shared.results import a_point, make_results, some_results, with_all
 
 FLAGS = (
     "--headless=new",
@@ -113,7 +113,9 @@ def browser(tmp_path_factory):
 def pages(tmp_path_factory):
     """Give the address of a page of each kind."""
     home = tmp_path_factory.mktemp("pages")
-    make_results(home / "comparison", noises=("poisson", "gaussian"))
+    results = make_results(home / "comparison", noises=("poisson", "gaussian"))
+    widest = with_all(results, light="free-dwell", detectors="16x16", readout="both")
+    write_results(home / "comparison" / "results.json", widest)
     study = write_study(home, "Deep feature-specific imaging, repeated", example(home))
     return {"comparison": build(home / "comparison").as_uri(), "study": study.as_uri()}
 

@@ -51,6 +51,30 @@ def test_all_designs_and_numbers_are_in_the_tables(tmp_path):
         assert told in text
 
 
+def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
+    """Where a design has several; the one detector of the others is not told."""
+    results = make_results(tmp_path, designs=("impulse", "pca"))
+    tiles = [
+        p.model_copy(update={"detectors": detectors, "readout": readout, "light": "two-arm"})
+        for p in results.points
+        if p.design == "pca"
+        for detectors in ("1x1", "2x2")
+        for readout in ("difference", "both")
+    ]
+    whole = [p for p in results.points if p.design == "impulse"]
+    write_results(tmp_path / "results.json", results.with_points([*whole, *tiles]))
+    text = words_of(page_of(tmp_path))
+    assert "is the most accurate design with one detector" not in text
+    assert "beside impulse imaging at" in text
+    for told in (
+        "two-arm, dual, 2x2 detectors, both read",
+        "two-arm, dual, both read",
+        "FSI 2x2 detectors difference",
+        "FSI 1 detector both",
+    ):
+        assert told in text
+
+
 def test_sections_come_in_order(tmp_path):
     make_results(tmp_path)
     titles = re.findall(r"<h2>(.*?)</h2>", page_of(tmp_path))

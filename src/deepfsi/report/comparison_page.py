@@ -4,7 +4,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,7 +107,7 @@ def page_text(results: Results, designs: Path) -> str:
         else None,
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
-        optics=optics_shown(points),
+        optics=optics_text,
         facts=[
             ("Data", list(flat({k: v for k, v in data.as_dict().items() if k != "classes"}))),
             ("Recipe", list(flat(results.recipe))),
@@ -116,12 +116,14 @@ def page_text(results: Results, designs: Path) -> str:
     )
 
 
-def optics_shown(points: Iterable[Point]) -> list[str]:
-    """Fields of the optics that the table of all results has: the usual ones, and what is not."""
-    every = list(points)
-    several = any(p.detectors != "1x1" for p in every)
-    both = any(p.readout == "both" for p in every)
-    return ["light", "rails", *["detectors"] * several, *["readout"] * both]
+def optics_text(point: Point) -> str:
+    """Light law and rails of a point, with several detectors and both rails read where it has."""
+    parts = [point.light, point.rails]
+    if point.detectors != "1x1":
+        parts.append(f"{point.detectors} detectors")
+    if point.readout == "both":
+        parts.append("both read")
+    return ", ".join(parts)
 
 
 def scene_text(shape: tuple[int, ...]) -> str:
