@@ -382,3 +382,10 @@ def test_products_of_detectors_are_those_of_masks_that_are_dark_elsewhere(capsys
     """It compares the two results before it times them."""
     benchmark("detectors").main(["--side", "8", "--repeats", "1"])
     assert len(capsys.readouterr().out.splitlines()) == 6
+
+
+def test_shares_of_a_step_are_of_its_operations(capfd):
+    benchmark("step").main(["--data", "digits", "--masks", "8", "--precision", "float32"])
+    title, *rows = capfd.readouterr().out.splitlines()
+    assert title.startswith("digits, 8 masks, float32")
+    assert any(row.endswith("aten::mm") for row in rows)

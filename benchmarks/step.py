@@ -1,0 +1,52 @@
+"""Where a step of training goes: shares of its operations, as torch's profiler counts them.
+
+    python benchmarks/step.py                        # 92 masks, bfloat16
+    python benchmarks/step.py --masks 1024 --precision float32
+    python benchmarks/step.py --data digits --masks 8
+
+DeepFSI with one thread under torch.profiler, three epochs more less one: what is done once falls
+out. The profiler makes small operations dearer than they are: these are shares, not times. Each
+operation's own time, without those that it calls.
+"""
+
+import argparse
+
+import torch
+from torch.profiler import ProfilerActivity, profile
+
+from deepfsi.datasets import load_dataset
+from deepfsi.training.job import Job, Precision, TrainingSettings
+from deepfsi.training.learning import train
+from deepfsi.training.training_set import TrainingSet
+
+SHOWN = 14
+
+
+def profiled(
+    scenes: TrainingSet, masks: int, precision: Precision, epochs: int
+) -> dict[str, float]:
+    """Own processor time of each operation of a training."""
+    settings = TrainingSettings(precision=precision, epochs=epochs)
+    with profile(activities=[ProfilerActivity.CPU]) as profiler:
+        train(scenes, [Job(masks=masks, photons=1e4, training=settings)])
+    return {each.key: each.self_cpu_time_total for each in profiler.key_averages()}
+
+
+def main(words: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", default="mnist")
+    parser.add_argument("--masks", type=int, default=92)
+    parser.add_argument("--precision", choices=("bfloat16", "float32"), default="bfloat16")
+    given = parser.parse_args(words)
+    torch.set_num_threads(1)
+    scenes = TrainingSet(load_dataset(given.data), "cpu")
+    _, one, four = (profiled(scenes, given.masks, given.precision, each) for each in (1, 1, 4))
+    steps = {name: four[name] - one.get(name, 0.0) for name in four}
+    whole = sum(steps.values())
+    print(f"{scenes.data.name}, {given.masks} masks, {given.precision}, torch {torch.__version__}")
+    for name in sorted(steps, key=lambda name: -steps[name])[:SHOWN]:
+        print(f"{steps[name] / whole:6.1%}  {name}")
+
+
+if __name__ == "__main__":
+    main()
