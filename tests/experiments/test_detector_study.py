@@ -96,3 +96,16 @@ def test_both_data_sets_have_the_same_designs(quick):
     assert list(first) == list(second)
     for one, other in zip(first.values(), second.values(), strict=True):
         assert one == other.model_copy(update={"data": "mnist"})
+
+
+@pytest.mark.parametrize(
+    ("here", "taken"),
+    [
+        (("cifar10", "cifar10-jpeg"), "cifar10"),
+        (("cifar10-jpeg",), "cifar10-jpeg"),
+        ((), "cifar10"),
+    ],
+)
+def test_a_copy_in_jpeg_is_taken_where_the_original_is_not_here(monkeypatch, here, taken):
+    monkeypatch.setattr(study, "where", lambda name: name in here)
+    assert {each.data for each in study.CIFAR10.recipes(True).values()} == {taken}

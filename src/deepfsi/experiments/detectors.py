@@ -9,11 +9,13 @@ from functools import partial
 from itertools import pairwise
 from math import prod
 
+from deepfsi.datasets.cifar import where
 from deepfsi.experiments.experiment import Experiment, Finding, budgets
 from deepfsi.report.lines import Line, lines_figure
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import COLOURS, PAPER, photons_text
 from deepfsi.statistics.differences import above, difference
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
 
 NEAR = 0.02
@@ -50,6 +52,13 @@ OWN_PAPER = (
 
 Chosen = Mapping[tuple[int, float], Point]
 """Points at their chosen number of frames, by detectors and budget."""
+
+
+def adapt(recipe: Recipe) -> Recipe:
+    """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
+    if where("cifar10") or not where("cifar10-jpeg"):
+        return recipe
+    return recipe.model_copy(update={"data": "cifar10-jpeg"})
 
 
 def detectors_of(point: Point) -> int:
@@ -264,4 +273,5 @@ CIFAR10 = Experiment(
     title="How many detectors do you need on CIFAR-10?",
     paper=OWN_PAPER,
     show=partial(show, targets={}),
+    adapt=adapt,
 )
