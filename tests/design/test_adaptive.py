@@ -371,7 +371,7 @@ def test_at_the_command_line(call, tmp_path):
     assert job["training"]["start"] == "class-pairs"
     code, out, _ = call("evaluate", file, "--photons", "3e3")
     assert code == 0
-    assert "12 masks and 3 looks" in out
+    assert "12 masks, 3 looks" in out
     code, out, _ = call("stop", file, "--photons", "3e3", "--hold-out", 300, "--json")
     assert code == 0
     assert json.loads(out)["rule"]["after"] == [1, 2, 3]
