@@ -1,0 +1,1 @@
+"""The loop that shows, counts and decides what to show next."""

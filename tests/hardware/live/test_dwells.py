@@ -1,0 +1,74 @@
+"""Laws of dwells that a device can show."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from deepfsi.hardware.live.dwells import ROUNDING, share_out
+
+DWELLS = arrays(np.float64, (3, 7), elements=st.floats(1e-4, 1.0))
+SHORTEST = st.floats(1e-6, 0.5)
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(DWELLS, SHORTEST)
+def test_no_time_is_lost_and_no_frame_is_too_short(dwell, shortest):
+    dwell /= dwell.sum(axis=-1, keepdims=True)
+    shown = share_out(dwell, shortest)
+    np.testing.assert_allclose(shown.sum(axis=-1), 1, rtol=1e-12)
+    assert ((shown == 0) | (shown >= shortest * (1 - ROUNDING))).all()
+    longest = dwell.argmax(axis=-1)[:, None]
+    assert (np.take_along_axis(shown, longest, -1) > 0).all()
+    left_out = np.where(shown == 0, dwell, 0).max(axis=-1)
+    assert (np.where(shown > 0, dwell, 1).min(axis=-1) >= left_out).all()
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(DWELLS, SHORTEST)
+def test_what_can_be_shown_is_left_as_it_is(dwell, shortest):
+    shown = share_out(dwell / dwell.sum(axis=-1, keepdims=True), shortest)
+    np.testing.assert_allclose(share_out(shown, shortest), shown, rtol=1e-12)
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(DWELLS, SHORTEST)
+def test_as_many_frames_are_shown_as_can_be(dwell, shortest):
+    """One more of those left out, and one would be too short."""
+    dwell /= dwell.sum(axis=-1, keepdims=True)
+    for given_, shown in zip(dwell, share_out(dwell, shortest), strict=True):
+        if (shown > 0).all():
+            continue
+        more = (shown > 0) | (np.arange(7) == np.where(shown == 0, given_, -1).argmax())
+        assert given_[more].min() / given_[more].sum() < shortest
+
+
+def test_numpy_and_torch_show_the_same_on_any_leading_axes():
+    dwell = np.random.default_rng(0).dirichlet(np.full(9, 0.3), (4, 5))
+    shown = share_out(dwell, 0.05)
+    assert (shown == 0).any()
+    of_torch = share_out(torch.from_numpy(dwell), 0.05).numpy()
+    np.testing.assert_allclose(of_torch, shown, rtol=1e-12)
+    np.testing.assert_allclose(share_out(dwell[2, 3], 0.05), shown[2, 3], rtol=1e-12)
+
+
+def test_frames_that_are_alike_are_shown_in_their_order():
+    shown = share_out(np.full(8, 1 / 8), 0.3)
+    np.testing.assert_allclose(shown, [1 / 3] * 3 + [0] * 5)
+
+
+def test_a_look_shorter_than_the_shortest_frame_is_its_longest_frame():
+    np.testing.assert_allclose(share_out(np.array([0.1, 0.3, 0.2]), 0.9), [0, 0.6, 0])
+
+
+def test_gradients_are_those_of_the_times_shared_out():
+    dwell = torch.tensor([0.5, 0.25, 0.15, 0.1], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda d: share_out(d, 0.2), dwell)
+
+
+@pytest.mark.parametrize("shortest", [0.0, 1e-9])
+def test_nothing_is_left_out_where_nothing_is_too_short(shortest):
+    dwell = np.random.default_rng(1).dirichlet(np.ones(5), 3)
+    np.testing.assert_allclose(share_out(dwell, shortest), dwell, rtol=1e-15)
