@@ -200,7 +200,7 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
 def test_a_looks_design_says_why_no_run_is_of_it(refuse, run, tmp_path, digits):
     looks = quick(digits, masks=4, light="free-dwell", rails="single", looks=2)
     looks.save(tmp_path / "looks.safetensors")
-    assert "chooses dwells" in refuse("camera", "classify", tmp_path / "looks.safetensors", run)
+    assert "a live run" in refuse("camera", "classify", tmp_path / "looks.safetensors", run)
 
 
 def test_patterns_are_read_once(done, lab, run, monkeypatch):

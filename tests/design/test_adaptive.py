@@ -375,11 +375,7 @@ def test_at_the_command_line(call, tmp_path):
     code, out, _ = call("stop", file, "--photons", "3e3", "--hold-out", 300, "--json")
     assert code == 0
     assert json.loads(out)["rule"]["after"] == [1, 2, 3]
-    for words in (
-        ["dmd", "export", file, "--dwell", "1ms", "-o", tmp_path / "patterns"],
-        ["export", file, "-o", tmp_path / "x.onnx"],
-    ):
-        code, _, err = call(*words)
-        assert code == 2
-        assert "Design.classify_live" in err
+    code, _, err = call("export", file, "-o", tmp_path / "x.onnx")
+    assert code == 2
+    assert "Design.classify_live" in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["looks.safetensors"]

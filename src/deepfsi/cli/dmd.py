@@ -92,7 +92,6 @@ def dmd_export(
 def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":
     """Rails of a design file, or of a scan by its name."""
     from deepfsi.hardware.calibration.scans import SCANS, scan_rails
-    from deepfsi.hardware.patterns.folder import DesignRails
 
     if str(file) in SCANS:
         return scan_rails(str(file), options.size_of(size) or (32, 32), detectors or 1)
@@ -103,20 +102,26 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
                 "leave it out"
             )
     paths.check_design(file)
+    return design_rails(file)
+
+
+def design_rails(file: Path) -> "DesignRails":
+    """Rails of a design file, for one device."""
     from deepfsi.design.artifact import Design
     from deepfsi.hardware.patterns.detectors import Detectors
+    from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Brightness
 
     made = Design.load(file)
     if made.name == "impulse":
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
-    made.exposure.check_fixed()
+    made.exposure.check_frames()
     known = made.info.get("brightness")
     with as_input_error(str(file)):
         brightness = None if known is None else Brightness.model_validate(known)
     labels = made.detection.labels
     cells = None if labels is None else tuple(labels.tolist())
-    return DesignRails(
+    rails = DesignRails(
         made.rails.numpy(),
         made.light,
         made.image_shape,
@@ -126,6 +131,14 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
         None if cells is None else Detectors(count=made.detection.count, cells=cells),
         made.detection.readout,
     )
+    if made.exposure.looks == 1:
+        return rails
+    from dataclasses import replace
+
+    from deepfsi.design.live import loop_of
+
+    loop = loop_of(made)
+    return replace(rails, looks=loop.looks, loop=loop.to_bytes())
 
 
 @dmd.command("check")
@@ -165,6 +178,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "longest_exposure_s": longest,
                 "uncounted": asdict(cost),
                 "dimmed": manifest.dimmed,
+                "looks": manifest.looks.count if manifest.looks else 1,
             },
         )
         return
@@ -180,5 +194,10 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
             f"cost in light: one device shows a {manifest.light} design with "
             f"{manifest.dimmed:.3g} of its light; learn it with --light free-dwell or "
             "equal-dwell instead"
+        )
+    if manifest.looks:
+        print(
+            f"{manifest.looks.count} looks: these times are of the first one, those of the others "
+            "follow from counts; show them with `deepfsi camera live`"
         )
     print(f"patterns: {folder}")

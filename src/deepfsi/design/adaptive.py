@@ -188,13 +188,6 @@ class AdaptiveDwells(ExposureKind):
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
 
-    def check_fixed(self) -> None:
-        """Raise `InputError`: dwells are not fixed."""
-        raise InputError(
-            "this design chooses dwells while the exposure runs, which a fixed sequence of "
-            "patterns or one graph cannot: use Design.classify_live in a program of yours"
-        )
-
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
         if noise not in ("poisson", "ml_gauss", "none"):

@@ -393,9 +393,9 @@ class Design:
         Raises
         ------
         InputError
-            If the patterns are of a design of another shape, or dwells are not fixed.
+            If the patterns are of a design of another shape, or this one is of patches.
         """
-        self.exposure.check_fixed()
+        self.exposure.check_frames()
         if rails.shape != tuple(self.rails.shape) or image_shape != self.image_shape:
             raise InputError(
                 f"patterns of {rails.shape[1]} masks of {image_shape} cells and "

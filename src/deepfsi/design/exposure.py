@@ -203,8 +203,8 @@ class ExposureKind:
             "several looks with `looks`"
         )
 
-    def check_fixed(self) -> None:
-        """Raise `InputError` unless a fixed sequence of patterns, or one graph, can expose so."""
+    def check_frames(self) -> None:
+        """Raise `InputError` unless frames of one device, or one graph, can expose so."""
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the exposure can be tested under a noise."""
@@ -253,11 +253,11 @@ class PatchExposure(ExposureKind):
         """Patches (..., P, N) of images (..., H · W), as the masks see them."""
         return cut(scenes, image_shape, self.side)
 
-    def check_fixed(self) -> None:
-        """Raise `InputError`: a sequence of patterns is for whole images."""
+    def check_frames(self) -> None:
+        """Raise `InputError`: frames are for whole images."""
         raise InputError(
-            "this design is of image patches, each with a detector of its own, which a fixed "
-            "sequence of patterns for one detector or one graph cannot: use Design.classify"
+            "this design is of image patches, each with a detector of its own, which frames of "
+            "one device or one graph cannot: use Design.classify"
         )
 
 

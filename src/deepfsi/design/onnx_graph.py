@@ -50,8 +50,7 @@ def to_onnx(design: Design) -> bytes:
     Raises
     ------
     InputError
-        If the package onnx is not there, the classifier cannot be exported, or dwells are not
-        fixed.
+        If the package onnx is not there, or the classifier cannot be exported.
     """
     graph = _Graph()
     if not isinstance(design.classifier, Mlp | OwnClassifier):
@@ -59,7 +58,12 @@ def to_onnx(design: Design) -> bytes:
             f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp and "
             "OwnClassifier can"
         )
-    design.exposure.check_fixed()
+    design.exposure.check_frames()
+    if design.exposure.looks > 1:
+        raise InputError(
+            "this design chooses dwells while the exposure runs, which one graph cannot: use "
+            "Design.classify_live, or `deepfsi dmd export`"
+        )
     if isinstance(design.classifier, OwnClassifier):
         return _traced(design, graph.onnx)
     _write(design, design.classifier, graph)

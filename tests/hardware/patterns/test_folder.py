@@ -291,7 +291,7 @@ def test_another_design_beside_the_frames_is_found(tmp_path):
     export(tmp_path / "p", file=b"masks")
     path = tmp_path / "p" / "design.safetensors"
     path.write_bytes(b"others")
-    with pytest.raises(InputError, match="not the design that was exported"):
+    with pytest.raises(InputError, match="not the one that was exported"):
         check_patterns(tmp_path / "p")
     path.unlink()
     with pytest.raises(InputError, match="cannot be read"):

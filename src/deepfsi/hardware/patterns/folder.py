@@ -1,7 +1,8 @@
 """Folder of patterns: rails of a design to binary frames, and back.
 
 A folder holds `manifest.json`, `mirrors.npy` (mirrors ON in each cell of each mask's frame), the
-design if it was given, and the frames of all masks and sentinels (`frame_files`).
+design if it was given, `loop.safetensors` of a design of several looks, and the frames of all masks
+and sentinels (`frame_files`).
 """
 
 import hashlib
@@ -22,10 +23,14 @@ from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns import frame_files, mirrors, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.progress import SILENT, Report
 
 SENTINELS = 4
 """Frames of a pass that show no mask."""
+
+DESIGN, LOOP = "design.safetensors", "loop.safetensors"
+"""Files of the design, and of the networks that choose its dwells."""
 
 ARMS_SLACK = 1e-4
 """Share of the exposure by which two arms' times may differ between pixels."""
@@ -51,6 +56,10 @@ class DesignRails:
         Which see which cells; one sees all unless given.
     readout : {"difference", "both"}
         What the design's network reads of two rails.
+    looks : Looks, optional
+        Of a design that chooses its dwells while the exposure runs.
+    loop : bytes, optional
+        Content of the file of the networks that do.
     """
 
     rails: np.ndarray
@@ -61,6 +70,16 @@ class DesignRails:
     brightness: sequence.Brightness | None = None
     detectors: Detectors | None = None
     readout: sequence.Readout = "difference"
+    looks: Looks | None = None
+    loop: bytes | None = None
+
+    def first_dwells(self, counted: mirrors.MaskFrames) -> np.ndarray:
+        """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
+        if self.looks is None:
+            return counted.shares
+        masks, rails = zip(*counted.shown, strict=True)
+        places = self.looks.places(np.array(masks), np.array(rails) == "minus")
+        return np.array(self.looks.first)[places]
 
 
 def export_patterns(
@@ -92,7 +111,9 @@ def export_patterns(
     total = len(counted.shown) + SENTINELS
     if total > sequence.MOST_FRAMES:
         raise InputError(f"{total} frames are too many: give at most {sequence.MOST_FRAMES}")
-    pictures = settings.picture_us(counted.shares, design.light)
+    pictures = settings.picture_us(
+        design.first_dwells(counted), "free-dwell" if design.looks else design.light
+    )
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
     every = chain(ends, counted.on, ends)
     with new_folder(folder) as draft:
@@ -110,6 +131,7 @@ def export_patterns(
             brightness=design.brightness,
             detectors=design.detectors,
             readout=design.readout,
+            looks=design.looks,
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,
@@ -117,7 +139,7 @@ def export_patterns(
             mirrors_sha256=hash_mirrors(counted.on),
             frames=_list_frames(counted, pictures, settings.sentinel_us, hashes),
         )
-        return _write(draft, sequence.Patterns(manifest, counted.on), design.file)
+        return _write(draft, sequence.Patterns(manifest, counted.on), design)
 
 
 def _list_frames(
@@ -137,11 +159,12 @@ def _list_frames(
     return (*ends, *shown, *ends)
 
 
-def _write(folder: Path, patterns: sequence.Patterns, design: bytes | None) -> sequence.Patterns:
+def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> sequence.Patterns:
     """Write all files of a folder but the frames; the patterns with the manifest as written."""
     np.save(folder / "mirrors.npy", patterns.on)
-    if design is not None:
-        (folder / "design.safetensors").write_bytes(design)
+    for name, content in ((DESIGN, design.file), (LOOP, design.loop)):
+        if content is not None:
+            (folder / name).write_bytes(content)
     digest = _digest(patterns.manifest.model_dump_json())
     manifest = patterns.manifest.model_copy(update={"sha256": digest})
     (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
@@ -232,13 +255,20 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
                 "patterns again"
             )
         report((place + 1) / len(manifest.frames))
-    if manifest.design_sha256 is not None:
-        _check_hash(folder / "design.safetensors", manifest.design_sha256)
+    for name, digest in companions(manifest).items():
+        _check_hash(folder / name, digest)
     return patterns
 
 
+def companions(manifest: sequence.Manifest) -> dict[str, str]:
+    """Files beside a manifest that say what was shown, by their hashes."""
+    looks = manifest.looks
+    known = {DESIGN: manifest.design_sha256, LOOP: None if looks is None else looks.loop_sha256}
+    return {name: digest for name, digest in known.items() if digest is not None}
+
+
 def _check_hash(path: Path, digest: str) -> None:
-    """Raise `InputError` unless a design's file is the one with this hash."""
+    """Raise `InputError` unless a file is the one with this hash."""
     try:
         with path.open("rb") as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()
@@ -247,7 +277,7 @@ def _check_hash(path: Path, digest: str) -> None:
             f"{path} cannot be read ({error.strerror}): export the patterns again"
         ) from None
     if found != digest:
-        raise InputError(f"{path} is not the design that was exported: export the patterns again")
+        raise InputError(f"{path} is not the one that was exported: export the patterns again")
 
 
 def _digest(manifest: str | bytes) -> str:

@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, check_known, closest
 from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.looks import Looks
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -349,6 +350,8 @@ class Manifest(BaseModel):
         By how much scenes differ from it, where that is known.
     detectors : Detectors or None
         Which see which cells; None where one sees all that an arm sends.
+    looks : Looks or None
+        Where dwells are chosen while the exposure runs; the frames' shares are then equal ones.
     seed : int
         Of the random selection.
     mirrors_sha256 : str
@@ -372,6 +375,7 @@ class Manifest(BaseModel):
     brightness: Brightness | None = None
     detectors: Detectors | None = None
     readout: Readout = "difference"
+    looks: Looks | None = None
     selection: Selection
     seed: int = 0
     format: Format
@@ -394,6 +398,8 @@ class Manifest(BaseModel):
         check_known("light constraint", self.light, get_args(Light))
         if self.two_arm != (self.light == "two-arm") or not seen:
             raise ValueError(f"the rails are not those of {self.light}")
+        if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
+            raise ValueError("the first look has a dwell for other frames than the masks'")
         cells = self.detectors and self.detectors.cells
         if cells and len(cells) != math.prod(self.image_shape):
             raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
     Gates,
@@ -191,9 +191,7 @@ def prepare(
     """
     source = Path(patterns_folder)
     patterns = read_patterns(source)
-    names = ["manifest.json", "mirrors.npy"]
-    if patterns.manifest.design_sha256 is not None:
-        names.append("design.safetensors")
+    names = ["manifest.json", "mirrors.npy", *companions(patterns.manifest)]
     try:
         content = {name: (source / name).read_bytes() for name in names}
     except OSError as error:

@@ -1,0 +1,47 @@
+"""Loop of a design of several looks, for a computer at a camera without torch."""
+
+from deepfsi.design.adaptive import LARGEST_SCORE, AdaptiveDwells
+from deepfsi.design.artifact import Design
+from deepfsi.design.classifiers import Mlp
+from deepfsi.errors import InputError
+from deepfsi.hardware.live.networks import About, Layer, Loop, StopRule
+
+
+def loop_of(design: Design) -> Loop:
+    """Loop of a design, or `InputError` where it is of one look or its classifier is no `Mlp`."""
+    exposure, classifier = design.exposure, design.classifier
+    if not isinstance(exposure, AdaptiveDwells):
+        raise InputError("this design has one look: learn one of several with `looks`")
+    if not isinstance(classifier, Mlp):
+        raise InputError(
+            f"a loop with a {type(classifier).__name__} classifier is not possible: learn the "
+            "design with the package's own, an Mlp"
+        )
+    about = About(
+        looks=exposure.looks,
+        masks=design.masks,
+        rails=2 if len(design.rails) == 2 else 1,
+        detectors=design.detection.count,
+        each_rail=exposure.dwells.each_rail,
+        readout=design.detection.readout,
+        classes=design.classes,
+        largest_score=LARGEST_SCORE,
+        rule=_rule(design),
+    )
+    mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
+    return Loop(about, mean, std, _layers(classifier), _layers(exposure.network))
+
+
+def _rule(design: Design) -> StopRule | None:
+    """Stop rule that a design holds."""
+    held = design.info.get("stopping")
+    return None if held is None else StopRule.model_validate(held)
+
+
+def _layers(network: Mlp) -> tuple[Layer, ...]:
+    """Weights and biases of a network's layers."""
+    pairs = (
+        [part.detach().cpu().float().numpy() for part in each.parameters()]
+        for each in network.layers
+    )
+    return tuple((weight.T.copy(), bias) for weight, bias in pairs)

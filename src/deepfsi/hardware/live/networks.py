@@ -1,0 +1,244 @@
+"""Networks of a design of several looks, evaluated with NumPy, so that a camera needs no torch.
+
+They are those of the design, in 32-bit numbers, and are written beside the patterns as
+`loop.safetensors`. After each look both are given what was counted so far: the features over the
+budget and the share of the exposure that each frame had.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from deepfsi.errors import InputError, as_input_error
+from deepfsi.hardware.patterns.looks import Looks
+from deepfsi.hardware.patterns.sequence import Readout
+
+SMALLEST = float(np.finfo(np.float32).tiny)
+"""Probability below which none is told from 0."""
+
+Layer = tuple[np.ndarray, np.ndarray]
+"""Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
+
+
+class StopRule(BaseModel):
+    """When an exposure stops, as `design.stopping.StoppingRule` has it.
+
+    Attributes
+    ----------
+    temperatures : tuple of float
+        What the logits are divided by after each look; none where all are 1.
+    threshold : float
+        Confidence above which the exposure stops; 1 for never before the last look.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    temperatures: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] = ()
+    threshold: float = Field(1.0, ge=0, le=1)
+
+
+class About(BaseModel):
+    """Facts of a loop besides its numbers.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the exposure.
+    masks, rails, detectors : int
+        m, 2 or 1, and D.
+    each_rail : bool
+        Whether the two rails of a mask are frames with dwells of their own.
+    readout : {"difference", "both"}
+        What is read of two rails.
+    classes : tuple of str
+    largest_score : float
+        Bound of the scores whose softmax dwells are.
+    rule : StopRule or None
+        Of the design, where it has one.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = 1
+    looks: int = Field(ge=2, le=64)
+    masks: int = Field(ge=1)
+    rails: Literal[1, 2]
+    detectors: int = Field(ge=1)
+    each_rail: bool
+    readout: Readout
+    classes: tuple[str, ...] = Field(min_length=1)
+    largest_score: float = Field(gt=0)
+    rule: StopRule | None = None
+
+    @property
+    def frames(self) -> int:
+        """q, number of dwells; those of a mask's two rails follow one another."""
+        return self.masks * (2 if self.each_rail else 1)
+
+    @property
+    def features(self) -> int:
+        """k, numbers that the networks read of the counts."""
+        read = self.rails if self.readout == "both" else 1
+        return self.masks * self.detectors * read
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Networks of a loop: one says the class, the other the dwells of the next look.
+
+    Attributes
+    ----------
+    about : About
+    mean, std : array, shape (k,)
+        float32, of the features for equal dwells.
+    classifier, chooser : tuple of Layer
+    """
+
+    about: About
+    mean: np.ndarray
+    std: np.ndarray
+    classifier: tuple[Layer, ...]
+    chooser: tuple[Layer, ...]
+
+    def features(self, counts: np.ndarray) -> np.ndarray:
+        """Features (k,) of counts (rails, m, D)."""
+        if self.about.rails == 1:
+            return counts[0].ravel()
+        if self.about.readout == "difference":
+            return (counts[0] - counts[1]).ravel()
+        return counts.swapaxes(0, 1).ravel()
+
+    def inputs(self, features: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+        """Inputs (k + q,) of the classifier, of features over the budget (k,) and dwells (q,)."""
+        relative = dwell.astype(np.float32) * np.float32(self.about.frames)
+        each = np.repeat(relative, len(self.mean) // len(relative))
+        scaled = (features.astype(np.float32) - each * self.mean) / self.std
+        return np.concatenate([scaled, relative / np.float32(3)])
+
+    def classify(self, inputs: np.ndarray) -> np.ndarray:
+        """Probabilities (C,) of the classes, float64."""
+        return _softmax(_outputs(self.classifier, inputs).astype(float))
+
+    def choose(self, inputs: np.ndarray, look: int) -> np.ndarray:
+        """Dwells (q,) of a look, from 0: shares of the exposure, float64, of 1 / K together."""
+        about = self.about
+        left = np.float32(1 - look / about.looks)
+        scores = _outputs(self.chooser, np.append(inputs, left)).astype(float)
+        bounded = about.largest_score * np.tanh(scores / about.largest_score)
+        return _softmax(bounded) / about.looks
+
+    @property
+    def first(self) -> np.ndarray:
+        """Dwells (q,) of the first look, which are the same for every scene."""
+        about = self.about
+        return self.choose(self.inputs(np.zeros(about.features), np.zeros(about.frames)), 0)
+
+    @property
+    def looks(self) -> Looks:
+        """Looks as a manifest of patterns has them."""
+        return Looks(
+            count=self.about.looks,
+            each_rail=self.about.each_rail,
+            first=tuple(self.first.tolist()),
+            loop_sha256=sha256(self.to_bytes()).hexdigest(),
+        )
+
+    def to_bytes(self) -> bytes:
+        """Content of the file."""
+        tensors = {"mean": self.mean, "std": self.std}
+        for name, layers in (("classifier", self.classifier), ("chooser", self.chooser)):
+            for place, (weight, bias) in enumerate(layers):
+                tensors |= {f"{name}.{place}.weight": weight, f"{name}.{place}.bias": bias}
+        whole = {name: np.ascontiguousarray(held, np.float32) for name, held in tensors.items()}
+        return save(whole, metadata={"deepfsi-loop": self.about.model_dump_json()})
+
+
+def read_loop(path: Path) -> Loop:
+    """Loop of a file, or `InputError` if it is missing, damaged or none."""
+    again = "export the patterns again"
+    try:
+        with safe_open(path, framework="numpy") as file:
+            text = (file.metadata() or {})["deepfsi-loop"]
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: {again}") from None
+    except (SafetensorError, KeyError, OSError, ValueError):
+        raise InputError(f"{path} is not a whole loop of a design: {again}") from None
+    with as_input_error(str(path), again):
+        about = About.model_validate_json(text)
+    inputs = about.features + about.frames
+    try:
+        loop = Loop(
+            about,
+            _checked(tensors["mean"], about.features),
+            _checked(tensors["std"], about.features),
+            _layers(tensors, "classifier", inputs, len(about.classes)),
+            _layers(tensors, "chooser", inputs + 1, about.frames),
+        )
+    except (KeyError, ValueError, IndexError):
+        raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
+    return loop
+
+
+def _checked(values: np.ndarray, *shape: int) -> np.ndarray:
+    """Numbers of a shape, or `ValueError`."""
+    if values.shape != shape or values.dtype != np.float32 or not np.isfinite(values).all():
+        raise ValueError(shape)
+    return values
+
+
+def _layers(
+    tensors: Mapping[str, np.ndarray], name: str, inputs: int, outputs: int
+) -> tuple[Layer, ...]:
+    """Layers of a network, or an error where they do not follow each other."""
+    widths = [inputs]
+    layers: list[Layer] = []
+    while f"{name}.{len(layers)}.weight" in tensors:
+        weight, bias = (tensors[f"{name}.{len(layers)}.{part}"] for part in ("weight", "bias"))
+        width = weight.shape[1]
+        layers.append((_checked(weight, widths[-1], width), _checked(bias, width)))
+        widths.append(width)
+    if len(layers) < 1 or widths[-1] != outputs:
+        raise ValueError(name)
+    return tuple(layers)
+
+
+def _outputs(layers: Sequence[Layer], hidden: np.ndarray) -> Any:
+    """Outputs of a network with rectified hidden layers."""
+    for weight, bias in layers[:-1]:
+        hidden = np.maximum(hidden @ weight + bias, np.float32(0))
+    weight, bias = layers[-1]
+    return hidden @ weight + bias
+
+
+def _softmax(scores: np.ndarray) -> np.ndarray:
+    """Probabilities of scores, float64."""
+    powers = np.exp(scores - scores.max())
+    return powers / powers.sum()
+
+
+def judge(chances: np.ndarray, look: int, rule: StopRule | None) -> tuple[np.ndarray, bool]:
+    """Probabilities (C,) as a rule calibrates them, and whether the exposure may stop.
+
+    Parameters
+    ----------
+    chances : array, shape (C,)
+        Of the classifier.
+    look : int
+        From 0.
+    rule : StopRule or None
+        None never stops.
+    """
+    if rule is None:
+        return chances, False
+    if rule.temperatures:
+        log = np.log(np.maximum(chances, SMALLEST))
+        chances = _softmax(log / rule.temperatures[look])
+    return chances, bool(chances.max() > rule.threshold)

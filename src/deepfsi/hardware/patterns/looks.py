@@ -1,0 +1,56 @@
+"""Looks of a design whose dwells are chosen while the exposure runs, as a manifest has them."""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+SUM_SLACK = 1e-3
+"""Share of a look by which the dwells of the first one may differ from it together."""
+
+
+class Looks(BaseModel):
+    """Looks at the same masks; their frames are loaded once.
+
+    Attributes
+    ----------
+    count : int
+        K, each 1 / K of the exposure.
+    each_rail : bool
+        Whether the two rails of a mask are frames with dwells of their own.
+    first : tuple of float
+        Dwells of the first look, shares of the exposure. Those of later ones are chosen from the
+        counts so far: mask by mask, and those of a mask's two rails follow one another.
+    loop_sha256 : str
+        Of `loop.safetensors`, the networks that choose them.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    count: int = Field(ge=2, le=64)
+    each_rail: bool
+    first: tuple[Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)], ...]
+    loop_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Looks":
+        if not math.isclose(sum(self.first) * self.count, 1, abs_tol=SUM_SLACK):
+            raise ValueError(f"the dwells of the first look are not 1/{self.count} together")
+        return self
+
+    def dwells(self, masks: int) -> int:
+        """Number of dwells of a look at so many masks."""
+        return masks * (2 if self.each_rail else 1)
+
+    def places(self, masks: np.ndarray, minus: np.ndarray) -> np.ndarray:
+        """Place of each frame's dwell among those of a look.
+
+        Parameters
+        ----------
+        masks : integer array, shape (f,)
+            Mask of each frame.
+        minus : bool array, shape (f,)
+            True where it shows the negative rail.
+        """
+        return 2 * masks + minus if self.each_rail else masks

@@ -1,0 +1,100 @@
+"""Laws of the loop's networks: they do what the design does, in NumPy, from a file of their own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conftest import quick
+from deepfsi.design.artifact import Design
+from deepfsi.design.live import loop_of
+from deepfsi.design.stopping import StoppingRule
+from deepfsi.errors import InputError
+from deepfsi.hardware.live.networks import StopRule, judge, read_loop
+
+OPTICS = {
+    "single": {"light": "free-dwell", "rails": "single"},
+    "dual": {"light": "free-dwell", "rails": "dual", "readout": "both"},
+    "two arms": {"light": "two-arm", "readout": "difference"},
+    "two arms, both read": {"light": "two-arm", "readout": "both"},
+    "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
+}
+
+
+@pytest.fixture(scope="module", params=OPTICS)
+def design(request, digits) -> Design:
+    return quick(digits, masks=5, looks=3, photons=1e3, **OPTICS[request.param])
+
+
+def test_a_loop_says_and_chooses_what_the_design_does(design):
+    """Through all looks, with any counts."""
+    loop, rng = loop_of(design), np.random.default_rng(0)
+    shape, photons = design.counts_shape, 1e3
+    rails = (loop.about.rails, loop.about.masks, loop.about.detectors)
+    asked: list[np.ndarray] = []
+    counts = rng.poisson(photons * float(design.shares.mean()) / 3, (3, *shape))
+
+    def read(dwell):
+        asked.append(design.exposure.dwells.by_mask(dwell))
+        return counts[len(asked) - 1]
+
+    wanted = design.classify_live(read, photons)
+    features, dwell = np.zeros(loop.about.features), np.zeros(loop.about.frames)
+    for look in range(3):
+        chosen = loop.choose(loop.inputs(features, dwell), look)
+        np.testing.assert_allclose(chosen, asked[look], rtol=1e-4)
+        features = features + loop.features(counts[look].reshape(rails)) / photons
+        dwell = dwell + asked[look]
+    np.testing.assert_allclose(loop.classify(loop.inputs(features, dwell)), wanted, atol=1e-5)
+    np.testing.assert_allclose(loop.first, asked[0], rtol=1e-4)
+
+
+def test_a_loop_is_the_same_from_its_file(design, tmp_path):
+    held = {"temperatures": (1.5, 1.2, 1.0), "threshold": 0.9}
+    loop = loop_of(replace(design, info={**design.info, "stopping": held}))
+    (tmp_path / "loop").write_bytes(loop.to_bytes())
+    again = read_loop(tmp_path / "loop")
+    assert again.about == loop.about
+    assert again.about.rule == StopRule(**held)
+    assert again.to_bytes() == loop.to_bytes()
+    features = np.linspace(0, 0.1, loop.about.features)
+    dwell = np.full(loop.about.frames, 1 / loop.about.frames)
+    inputs = loop.inputs(features, dwell)
+    assert np.array_equal(again.classify(again.inputs(features, dwell)), loop.classify(inputs))
+
+
+def test_a_damaged_loop_is_refused(digits, tmp_path):
+    loop = loop_of(quick(digits, masks=4, looks=2, **OPTICS["single"]))
+    path = tmp_path / "loop.safetensors"
+    with pytest.raises(InputError, match="missing"):
+        read_loop(path)
+    path.write_bytes(loop.to_bytes()[:-10])
+    with pytest.raises(InputError, match="not a whole loop"):
+        read_loop(path)
+    path.write_bytes(replace(loop, mean=loop.mean[:-1]).to_bytes())
+    with pytest.raises(InputError, match="do not fit"):
+        read_loop(path)
+    path.write_bytes(replace(loop, chooser=loop.chooser[1:]).to_bytes())
+    with pytest.raises(InputError, match="do not fit"):
+        read_loop(path)
+    with pytest.raises(InputError, match="one look"):
+        loop_of(quick(digits, masks=4, **OPTICS["single"]))
+
+
+@pytest.mark.parametrize("look", [0, 1])
+def test_the_rule_is_the_design_s(look):
+    chances = np.array([0.7, 0.2, 0.1])
+    rule = StoppingRule((1, 2, 3), (1.5, 0.5, 1.0), 0.9)
+    wanted, stops = rule.decide(look + 1, chances)
+    found, stopped = judge(chances, look, StopRule(temperatures=(1.5, 0.5, 1.0), threshold=0.9))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    assert stopped == stops
+    assert judge(chances, look, None) == (chances, False)
+
+
+def test_torch_is_not_needed():
+    import subprocess
+    import sys
+
+    code = "import sys; import deepfsi.hardware.live.networks; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

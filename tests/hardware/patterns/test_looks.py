@@ -1,0 +1,91 @@
+"""Laws of the patterns of a design of several looks: shown once, with what a loop needs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from conftest import quick
+from deepfsi.design.artifact import Design
+from deepfsi.design.live import loop_of
+from deepfsi.errors import InputError
+from deepfsi.hardware.live.networks import read_loop
+from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+
+LOOKS = 3
+OPTICS = {
+    "single": {"light": "free-dwell", "rails": "single", "levels": 2},
+    "dual": {"light": "free-dwell", "rails": "dual", "readout": "both"},
+    "two arms": {"light": "two-arm", "readout": "both"},
+}
+
+
+@pytest.fixture(scope="module", params=OPTICS)
+def patterns(request, digits, tmp_path_factory):
+    """Folder of the design and its patterns, exported by the command."""
+    from typer.testing import CliRunner
+
+    from deepfsi.cli import app
+
+    folder = tmp_path_factory.mktemp("looks")
+    quick(digits, masks=6, looks=LOOKS, photons=1e3, **OPTICS[request.param]).save(
+        folder / "looks.safetensors"
+    )
+    words = ["dmd", "export", folder / "looks.safetensors", "--device", "64x48", "--json"]
+    done = CliRunner().invoke(app, [*map(str, words), "-o", str(folder / "patterns")])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["looks"] == LOOKS
+    return folder
+
+
+def test_each_frame_is_there_once_with_the_first_look_s_time(patterns):
+    design = Design.load(patterns / "looks.safetensors")
+    manifest = check_patterns(patterns / "patterns").manifest
+    looks, loop = manifest.looks, loop_of(design)
+    rails = [(manifest.frames[at].mask, manifest.frames[at].rail) for at in manifest.shown]
+    assert len(set(rails)) == len(rails)
+    assert (looks.count, looks.each_rail) == (LOOKS, design.exposure.dwells.each_rail)
+    np.testing.assert_allclose(looks.first, loop.first)
+    places = looks.places(
+        np.array([mask for mask, _ in rails]), np.array([rail == "minus" for _, rail in rails])
+    )
+    us = manifest.picture_s[manifest.shown] * 1e6
+    first = np.array(looks.first)[places]
+    rest = us - manifest.device.settle_us
+    long = us > manifest.device.shortest_us
+    assert long.any()
+    ratio = rest[long] / first[long]
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.02)  # times are whole microseconds
+    assert us.mean() == pytest.approx(1000, rel=0.01)
+
+
+def test_the_loop_stands_beside_them(patterns):
+    design = Design.load(patterns / "looks.safetensors")
+    folder = patterns / "patterns"
+    assert read_loop(folder / "loop.safetensors").to_bytes() == loop_of(design).to_bytes()
+    content = bytearray((folder / "loop.safetensors").read_bytes())
+    content[-1] ^= 1
+    (folder / "loop.safetensors").write_bytes(content)
+    with pytest.raises(InputError, match=r"loop\.safetensors is not the one"):
+        check_patterns(folder)
+    content[-1] ^= 1
+    (folder / "loop.safetensors").write_bytes(content)
+
+
+def test_they_realise_the_design(patterns):
+    design = Design.load(patterns / "looks.safetensors")
+    shown = design.as_shown(*read_patterns(patterns / "patterns").realised)
+    peak = float(design.rails.max())
+    np.testing.assert_allclose(shown.rails, design.rails, atol=peak / 47)  # cells of 8 x 6 mirrors
+
+
+def test_a_first_look_of_other_masks_is_refused(patterns):
+    from deepfsi.hardware.patterns.sequence import Manifest
+
+    told = json.loads((patterns / "patterns/manifest.json").read_text())
+    told["looks"]["first"] = [*told["looks"]["first"][:-2], sum(told["looks"]["first"][-2:])]
+    with pytest.raises(ValueError, match="other frames"):
+        Manifest.model_validate(told)
+    told["looks"]["first"] = [2 * each for each in told["looks"]["first"]]
+    with pytest.raises(ValueError, match="1/3 together"):
+        Manifest.model_validate(told)
