@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets.display import Display
     from deepfsi.hardware.patterns.sequence import Patterns
-    from deepfsi.hardware.ptu.reader import Contents
+    from deepfsi.hardware.ptu.contents import Contents
     from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.recording.faults import Fault
     from deepfsi.hardware.virtual.camera import Camera

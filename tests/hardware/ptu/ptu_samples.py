@@ -1,12 +1,20 @@
 """PTU files to test with, written and decoded record by record as the format's words say."""
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from ptufile.ptufile import encode_tag
 
-from deepfsi.hardware.ptu.header import GENERIC_T2, KINDS, Kind
+from deepfsi.hardware.ptu import reader
+from deepfsi.hardware.ptu.contents import Contents, Tally
+from deepfsi.hardware.ptu.gate_counter import GateCounter
+from deepfsi.hardware.ptu.header import GENERIC_T2, KINDS, Header, Kind
+from deepfsi.hardware.ptu.records import Part
+from deepfsi.hardware.ptu.stream import StreamReader
 
 T2 = GENERIC_T2
 
@@ -127,3 +135,67 @@ def photon(time: int, n: int = 0) -> int:
 
 def special(code: int, time: int = 0) -> int:
     return 1 << 31 | code << 25 | time
+
+
+@dataclass
+class Streamed:
+    """Reads files as `reader` does, but as streams whose bytes arrive in cuts of some size."""
+
+    size: int | None = None
+    """Bytes of a cut; random unless given, and often none or a part of a record."""
+
+    def read_header(self, path: Path) -> Header:
+        stream = StreamReader(path)
+        for _ in self.parts(path, stream):
+            pass
+        return stream.end()
+
+    def inspect(self, path: Path) -> Contents:
+        stream, tally = StreamReader(path), None
+        for part in self.parts(path, stream):
+            tally = tally or Tally(stream.header.kind)
+            tally.add(part)
+        header = stream.end()
+        return (tally or Tally(header.kind)).contents(header)
+
+    def read_markers(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
+        stream = StreamReader(path, ordered=False)
+        found = [(np.zeros(0, np.int64), np.zeros(0, np.uint8))]
+        for part in self.parts(path, stream):
+            part.check(path)
+            found.append(part.markers)
+        stream.end()
+        times, bits = zip(*found, strict=True)
+        return np.concatenate(times), np.concatenate(bits)
+
+    def count_gates(
+        self, path: Path, starts: np.ndarray, stops: np.ndarray, inputs: Sequence[int] = (0,)
+    ) -> np.ndarray:
+        stream, counter, counts = StreamReader(path), None, []
+        for part in self.parts(path, stream):
+            part.check(path)
+            if counter is None:
+                counter = GateCounter(stream.header.kind, inputs, path)
+                counter.expect(starts, stops)
+            counter.add(part)
+            counts.append(counter.take())
+        header = stream.end()
+        if counter is None:
+            counter = GateCounter(header.kind, inputs, path)
+            counter.expect(starts, stops)
+        return np.concatenate([*counts, counter.finish(header)])
+
+    def parts(self, path: Path, stream: StreamReader) -> Iterator[Part]:
+        content, first = path.read_bytes(), 0
+        rng = np.random.default_rng(len(content))
+        while first < len(content):
+            some = int(rng.integers(0, 2 ** int(rng.integers(1, 20))))
+            size = some if self.size is None else self.size
+            yield from stream.feed(content[first : first + size])
+            first += size
+
+
+READERS = {"whole": reader, "stream": Streamed()}
+"""Ways to read a file: at once, and while its bytes arrive."""
+
+every_reader = pytest.mark.parametrize("read", READERS.values(), ids=READERS)

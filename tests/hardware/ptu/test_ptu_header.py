@@ -5,14 +5,15 @@ import struct
 import tracemalloc
 
 import pytest
-from ptu_samples import END, T2, tags_of
+from ptu_samples import END, T2, every_reader, tags_of
 from ptufile.ptufile import encode_tag
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.header import read_header
 
 
-def test_all_types_of_tags_are_read(tmp_path):
+@every_reader
+def test_all_types_of_tags_are_read(tmp_path, read):
     array = struct.pack("<32siIq3d", b"Array", -1, 0x2001FFFF, 24, 1.5, -2, 3)
     colour = struct.pack("<32siIq", b"Colour", -1, 0x12000008, 0xFF8000)
     bits = struct.pack("<32siIq", b"Bits", -1, 0x11000008, 5)
@@ -29,7 +30,7 @@ def test_all_types_of_tags_are_read(tmp_path):
         + encode_tag("Curve", 7, 1)
         + END
     )
-    tags = read_header(path).tags
+    tags = read.read_header(path).tags
     found = {name: tags[name] for name in more}
     assert found == {**more, "Blob": b"\1\2".ljust(8, b"\0")}
     assert tags["Array"].tolist() == [1.5, -2, 3]
@@ -76,13 +77,14 @@ for name, changes, message in [
     BAD_HEADERS[name] = (tags_of(T2, 1, **changes) + END + WORD, message)
 
 
+@every_reader
 @pytest.mark.parametrize(("content", "message"), BAD_HEADERS.values(), ids=BAD_HEADERS)
-def test_bad_headers_give_one_line_and_take_no_memory(tmp_path, content, message):
+def test_bad_headers_give_one_line_and_take_no_memory(tmp_path, content, message, read):
     path = tmp_path / "bad.ptu"
     path.write_bytes(content)
     tracemalloc.start()
     with pytest.raises(InputError, match=message) as error:
-        read_header(path)
+        read.read_header(path)
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 300
     _, peak = tracemalloc.get_traced_memory()

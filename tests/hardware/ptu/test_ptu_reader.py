@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import ptufile
 import pytest
-from ptu_samples import END, T2, decode, recorded, save, special, tags_of
+from ptu_samples import END, T2, decode, every_reader, recorded, save, special, tags_of
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu import reader, records
-from deepfsi.hardware.ptu.header import KINDS, read_header
-from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.ptu.header import KINDS
+from deepfsi.hardware.ptu.reader import inspect, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.progress import Report
 
@@ -35,9 +35,10 @@ def gates_over(times: list[int], gates: int, seed: int = 1) -> tuple[np.ndarray,
     return edges[::2], edges[1::2]
 
 
+@every_reader
 @every_kind
 @pytest.mark.parametrize("chunk", [1, 7, 250, 2**17])
-def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch, kind, chunk):
+def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch, kind, chunk, read):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
     monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
     words = recorded(kind.code, 400 if chunk == 1 else 3000)
@@ -56,9 +57,9 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
         marker = events["marker"] > 0
         wanted = events["time"][marker], events["marker"][marker]
 
-    for ours, their in zip(read_markers(path), wanted, strict=True):
+    for ours, their in zip(read.read_markers(path), wanted, strict=True):
         assert np.array_equal(ours, their)
-    contents = inspect(path)
+    contents = read.inspect(path)
     assert contents.photons == dict(zip(*np.unique(inputs, return_counts=True), strict=True))
     for bit in (1, 2, 4, 8):
         assert contents.markers[bit] == np.count_nonzero(wanted[1] & bit)
@@ -72,7 +73,7 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
 
     starts, stops = gates_over(real, 60)
     columns = (0, 2, kind.inputs - 1, 1)
-    gated = count_gates(path, starts, stops, columns)
+    gated = read.count_gates(path, starts, stops, columns)
     assert gated.dtype == np.int64
     for column, n in enumerate(columns):
         one = times[inputs == n]
@@ -81,6 +82,7 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
         assert wanted.sum() > 0
 
 
+@every_reader
 @real_ptu
 @pytest.mark.parametrize(
     ("name", "wanted"),
@@ -96,17 +98,17 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(tmp_path, monkeypatch,
         ),
     }.items(),
 )
-def test_real_files_hold_what_their_description_says(name, wanted):
+def test_real_files_hold_what_their_description_says(name, wanted, read):
     path = REAL / f"{name}.ptu"
     kind, records, overflows, photons, tick, last = wanted
-    contents = inspect(path)
+    contents = read.inspect(path)
     assert contents.kind == kind
     assert contents.tick_s == pytest.approx(tick, rel=1e-5)
     found = (contents.records, contents.overflows, contents.photons, contents.last)
     assert found == (records, overflows, photons, last)
     assert (contents.markers, contents.syncs, contents.problems) == ({}, 0, ())
     assert contents.span_s == pytest.approx(last * tick, rel=1e-5)
-    header = read_header(path)
+    header = read.read_header(path)
     assert header.delay_s == (pytest.approx(64e-12) if header.kind.mode == "T3" else None)
 
     with ptufile.PtuFile(path) as theirs:
@@ -118,7 +120,7 @@ def test_real_files_hold_what_their_description_says(name, wanted):
             if not hasattr(value, "year"):  # a date, which stays a number here
                 assert ours == (value if listed else [value])
     edges = np.linspace(0, last + 1, 2001).astype(np.int64)
-    gated = count_gates(path, edges[:-1], edges[1:], (0, 1))
+    gated = read.count_gates(path, edges[:-1], edges[1:], (0, 1))
     for n in (0, 1):
         times = events["time"][events["channel"] == n].astype(np.int64)
         assert np.array_equal(gated[:, n], np.histogram(times, np.append(edges[:-1], last + 1))[0])
@@ -134,6 +136,7 @@ def test_progress_ends_at_one(tmp_path, monkeypatch):
     assert shares[-1] == 1
 
 
+@every_reader
 @pytest.mark.parametrize(
     ("starts", "stops", "inputs", "message"),
     [
@@ -146,26 +149,28 @@ def test_progress_ends_at_one(tmp_path, monkeypatch):
         ([5], [6], (-1,), "input -1"),
     ],
 )
-def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message):
+def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message, read):
     path = save(tmp_path / "a.ptu", T2, [5, 6])
     with pytest.raises(InputError, match=message):
-        count_gates(path, np.array(starts), np.array(stops), inputs)
+        read.count_gates(path, np.array(starts), np.array(stops), inputs)
 
 
-def test_no_gates_and_no_records_give_no_counts(tmp_path):
+@every_reader
+def test_no_gates_and_no_records_give_no_counts(tmp_path, read):
     path = save(tmp_path / "a.ptu", T2, [5, 6])
-    assert count_gates(path, np.array([]), np.array([])).shape == (0, 1)
+    assert read.count_gates(path, np.array([]), np.array([])).shape == (0, 1)
     empty = tmp_path / "empty.ptu"
     with Writer(empty):
         pass
-    contents = inspect(empty)
+    contents = read.inspect(empty)
     assert (contents.records, contents.last, contents.span_s) == (0, None, 0)
     assert contents.problems == ()
-    assert count_gates(empty, np.array([0]), np.array([9])) == [[0]]
+    assert read.count_gates(empty, np.array([0]), np.array([9])) == [[0]]
 
 
+@every_reader
 @pytest.mark.parametrize("claimed", [3000, 2**60, 0, -5, "absent", 1200])
-def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(tmp_path, claimed):
+def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(tmp_path, claimed, read):
     words = recorded(T2.code)[:3000]
     whole = save(tmp_path / "whole.ptu", T2, words)
     path = tmp_path / "cut.ptu"
@@ -173,21 +178,21 @@ def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(tmp_p
     path.write_bytes(
         tags_of(T2, claimed) + END + np.array(words[:2000], "<u4").tobytes() + b"\1\2\3"
     )
-    contents, header = inspect(path), read_header(path)
+    contents, header = read.inspect(path), read.read_header(path)
     assert contents.records == header.records == held
     assert contents.problems == header.problems
     assert len(header.problems) == 1
     found = decode(T2.code, words[:held])
-    times, marks = read_markers(path)
+    times, marks = read.read_markers(path)
     assert len(marks) == sum(what == "marker" for what, _, _ in found)
-    assert np.array_equal(times, read_markers(whole)[0][: len(times)])
+    assert np.array_equal(times, read.read_markers(whole)[0][: len(times)])
     sure = max(time for what, time, _ in found if what != "marker")
     edges = np.linspace(0, sure, 50).astype(int)
-    gated = count_gates(path, edges[:-1], edges[1:])
-    assert np.array_equal(gated, count_gates(whole, edges[:-1], edges[1:]))
+    gated = read.count_gates(path, edges[:-1], edges[1:])
+    assert np.array_equal(gated, read.count_gates(whole, edges[:-1], edges[1:]))
     assert gated.sum() > 100
     with pytest.raises(InputError, match="gates end at"):
-        count_gates(path, np.array([0]), np.array([sure + 1]))
+        read.count_gates(path, np.array([0]), np.array([sure + 1]))
 
 
 def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
 from deepfsi.progress import SILENT, Report
 
 
@@ -43,6 +44,30 @@ class PhotonCounter(AbstractContextManager["PhotonCounter"], Protocol):
 
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
+
+    def stop(self) -> None:
+        """End the recording; its file is then whole."""
+
+
+class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
+    """Photon-counting electronics that count frame by frame while they record.
+
+    Entering takes hold of the device; leaving stops the recording and lets go of the device. The
+    file that is recorded holds what was counted, so that a run can be replayed from it.
+    """
+
+    def start(self, path: Path) -> None:
+        """Begin to record into a new file."""
+
+    def expect(self, gates: FrameGates) -> None:
+        """Tell the gates of the frames that are shown next, before they are shown."""
+
+    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
+        """Frames whose gates have ended since the last call, in order, with their counts.
+
+        Waits for one; after the timeout there may be none. Raises `InputError` if a marker came
+        that starts no frame told, or the gate of the frame before had not ended.
+        """
 
     def stop(self) -> None:
         """End the recording; its file is then whole."""

@@ -4,8 +4,8 @@ import contextlib
 import os
 import stat
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass, replace
 from io import FileIO
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,9 @@ MAGIC = b"PQTTTR"
 
 LONGEST_HEADER = 2**22
 """Bytes of a header, or of one tag, at most."""
+
+MOST_RECORDS = 2**61
+"""More records than any file has."""
 
 TICKS_S = (1e-15, 1.0)
 """Shortest and longest tick that is believed, seconds."""
@@ -121,33 +124,66 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a PTU file: its tags, the type of its records and faults of its size.
+    """Header of a PTU file: its tags and the type of its records.
 
     Attributes
     ----------
+    path : Path
+        Of the file, or what to call a stream.
     tags : dict
         Values by name; of a tag with an index, by `Name(index)`. Dates are days since 1899-12-30.
-    records : int
-        Records to read: as many as the header says, or as are there if those are fewer or the
-        header does not say.
     offset : int
         Bytes before the first record.
     tick_s : float
         Seconds of a tick.
     delay_s : float or None
         T3: seconds of one unit of the delay after the sync, if the header says.
-    problems : tuple of str
-        Why the recording may be incomplete. Empty if the file holds what its header says.
+    claimed : int
+        Records that the header says there are; 0 or less if it does not say.
+    size : int or None
+        Bytes of the file; None while they still arrive.
     """
 
     path: Path
     tags: dict[str, Any]
     kind: Kind
-    records: int
     offset: int
     tick_s: float
     delay_s: float | None
-    problems: tuple[str, ...]
+    claimed: int
+    size: int | None = None
+
+    @property
+    def records(self) -> int:
+        """Records to read: as many as are claimed, or as are there if those are fewer or unclaimed.
+
+        Of a file that still arrives, those claimed, or more than any file has.
+        """
+        held = MOST_RECORDS if self.size is None else (self.size - self.offset) // 4
+        return min(self.claimed, held) if self.claimed > 0 else held
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Reasons why the recording may be incomplete: none if the file holds what is claimed."""
+        if self.size is None:
+            return ()
+        body = self.size - self.offset
+        if self.claimed > body // 4:
+            missing = self.claimed - body // 4
+            return (f"{missing} of {self.claimed} records are missing: the file is cut",)
+        if self.claimed <= 0 < body:
+            return ("the header gives no number of records: the recording was not ended",)
+        if 4 * self.claimed < body:
+            extra = body - 4 * self.claimed
+            return (f"{extra} bytes follow the {self.claimed} records that the header gives",)
+        return ()
+
+
+HeaderParser = Generator[int, bytes, Header]
+"""Parser of a header: yields how many bytes it needs next, is sent them, and returns the header.
+
+Fewer than it needs are the end of the file.
+"""
 
 
 def read_header(path: str | os.PathLike[str]) -> Header:
@@ -156,9 +192,19 @@ def read_header(path: str | os.PathLike[str]) -> Header:
     Raises `InputError` if it is not a PTU file, or its header is damaged or names no type of record
     known here.
     """
+    parser = parse_header(path)
     with open_file(path) as file:
-        tags = _read_tags(file, path)
-        offset, size = file.tell(), os.fstat(file.fileno()).st_size
+        needed = next(parser)
+        while True:
+            try:
+                needed = parser.send(file.read(needed))
+            except StopIteration as end:
+                return replace(end.value, size=os.fstat(file.fileno()).st_size)
+
+
+def parse_header(path: str | os.PathLike[str]) -> HeaderParser:
+    """Header from bytes as they arrive; `path` names the file. Raises as `read_header`."""
+    tags, offset = yield from _parse_tags(path)
     code = _integer(tags, "TTResultFormat_TTTRRecType", path)
     if code not in KINDS:
         raise InputError(
@@ -177,50 +223,44 @@ def read_header(path: str | os.PathLike[str]) -> Header:
             f"{path} is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
         )
     delay = tags.get("MeasDesc_Resolution") if kind.mode == "T3" else None
-    claimed = _integer(tags, "TTResult_NumberOfRecords", path, 0)
-    held = (size - offset) // 4
-    problems = []
-    if claimed > held:
-        problems.append(f"{claimed - held} of {claimed} records are missing: the file is cut")
-    elif claimed <= 0 < size - offset:
-        problems.append("the header gives no number of records: the recording was not ended")
-    elif 4 * claimed < size - offset:
-        extra = size - offset - 4 * claimed
-        problems.append(f"{extra} bytes follow the {claimed} records that the header gives")
     return Header(
         path=Path(path),
         tags=tags,
         kind=kind,
-        records=min(claimed, held) if claimed > 0 else held,
         offset=offset,
         tick_s=tick,
         delay_s=delay if isinstance(delay, float) else None,
-        problems=tuple(problems),
+        claimed=_integer(tags, "TTResult_NumberOfRecords", path, 0),
     )
 
 
-def _read_tags(file: FileIO, path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Tags of a header by name; the file is then at its first record."""
-    start = file.read(16)
+def _parse_tags(
+    path: str | os.PathLike[str],
+) -> Generator[int, bytes, tuple[dict[str, Any], int]]:
+    """Tags of a header by name, and its bytes."""
+    start = yield 16
     if start[:8].rstrip(b"\0") != MAGIC:
         raise InputError(f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
     tags: dict[str, Any] = {}
+    offset = len(start)
     while True:
-        raw = file.read(48)
-        if len(raw) < 48 or file.tell() > LONGEST_HEADER:
+        raw = yield 48
+        offset += len(raw)
+        if len(raw) < 48 or offset > LONGEST_HEADER:
             raise InputError(f"{path} has a header without an end within {LONGEST_HEADER} bytes")
         ident, index, code, value = struct.unpack("<32siI8s", raw)
         name = ident.split(b"\0")[0].decode("ascii", "replace")
         if name == "Header_End":
-            return tags
+            return tags, offset
         key = name if index < 0 else f"{name}({index})"
         if code in _NUMBERS:
             tags[key] = _number(_NUMBERS[code], value)
         elif code in _SIZED:
             (size,) = struct.unpack("<q", value)
-            content = file.read(size) if 0 <= size <= LONGEST_HEADER else b""
+            content = (yield size) if 0 < size <= LONGEST_HEADER else b""
             if len(content) != size:
                 raise InputError(f"{path} is damaged: its tag {key!r} is of {size} bytes")
+            offset += size
             tags[key] = _text(_SIZED[code], content)
         else:
             raise InputError(f"{path} is damaged: its tag {key!r} is of unknown type {code:#010x}")

@@ -23,51 +23,16 @@ import os
 from collections.abc import Sequence
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.contents import Contents, Tally
+from deepfsi.hardware.ptu.gate_counter import GateCounter
 from deepfsi.hardware.ptu.header import read_header
-from deepfsi.hardware.ptu.records import LATEST_TICK, read_parts
+from deepfsi.hardware.ptu.records import read_parts
 from deepfsi.progress import SILENT, Report
 
 MOST_MARKERS = 2**24
 """Markers of a file at most."""
-
-
-class Contents(BaseModel):
-    """Contents of a PTU file.
-
-    Attributes
-    ----------
-    tick_s : float
-        Seconds of a tick.
-    records : int
-        Records read. Fewer than the file's if `problems` says that one is damaged.
-    photons : dict
-        Photons on each input that has any; 0 is input 1.
-    markers : dict
-        Markers with each bit, 1, 2, 4 and 8, that is ever set.
-    syncs : int
-        Sync records (T2).
-    first, last : int or None
-        Times of the earliest and latest photon, marker or sync, ticks.
-    span_s : float
-        Seconds from the start of the recording to the latest of them.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    kind: str
-    tick_s: float
-    records: int
-    photons: dict[int, int]
-    markers: dict[int, int]
-    overflows: int
-    syncs: int
-    first: int | None
-    last: int | None
-    span_s: float
-    problems: tuple[str, ...]
 
 
 def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
@@ -76,37 +41,10 @@ def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
     Damaged records do not raise: `problems` names the first, and what stands before it is counted.
     """
     header = read_header(path)
-    kind, problems = header.kind, list(header.problems)
-    photons = np.zeros(kind.first + kind.inputs, np.int64)
-    markers = np.zeros(16, np.int64)
-    records = overflows = syncs = 0
-    first, last = LATEST_TICK, -1
+    tally = Tally(header.kind)
     for part in read_parts(header, report):
-        records += len(part.words)
-        fields = np.bincount(part.words >> kind.shift, minlength=len(photons))
-        photons += fields[: len(photons)]
-        markers += np.bincount(part.bits, minlength=16)
-        overflows += int(np.count_nonzero(part.wraps))
-        syncs += int(np.count_nonzero(part.sync))
-        times = np.concatenate([part.runs.low, part.runs.high, part.times[part.wraps == 0]])
-        if len(times):
-            first, last = min(first, int(times.min())), max(last, int(times.max()))
-        if part.fault:
-            problems.append(part.fault)
-    set_bits = {bit: int(markers[np.arange(16) & bit != 0].sum()) for bit in (1, 2, 4, 8)}
-    return Contents(
-        kind=kind.name,
-        tick_s=header.tick_s,
-        records=records,
-        photons={k - kind.first: int(n) for k, n in enumerate(photons) if n},
-        markers={bit: n for bit, n in set_bits.items() if n},
-        overflows=overflows,
-        syncs=syncs,
-        first=first if last >= 0 else None,
-        last=last if last >= 0 else None,
-        span_s=max(last, 0) * header.tick_s,
-        problems=tuple(problems),
-    )
+        tally.add(part)
+    return tally.contents(header)
 
 
 def read_markers(
@@ -121,11 +59,11 @@ def read_markers(
     header = read_header(path)
     times, bits, found = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], 0
     for part in read_parts(header, report, ordered=False):
-        part.check(header)
-        which = np.flatnonzero(part.bits)
-        times.append(part.times[which])
-        bits.append(part.bits[which].astype(np.uint8))
-        found += len(which)
+        part.check(path)
+        here, which = part.markers
+        times.append(here)
+        bits.append(which)
+        found += len(here)
         if found > MOST_MARKERS:
             raise InputError(
                 f"{path} has more than {MOST_MARKERS} markers; give one for each frame"
@@ -161,47 +99,9 @@ def count_gates(
         time that it holds.
     """
     header = read_header(path)
-    kind = header.kind
-    for each in inputs:
-        if not 0 <= each < kind.inputs:
-            raise InputError(
-                f"input {each}, counted from 0, is not one of {kind.name}: give 0 to "
-                f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
-            )
-    edges = _edges(starts, stops)
-    before = np.zeros((len(edges), len(inputs)), np.int64)
-    so_far = np.zeros(len(inputs), np.int64)
-    done, reached = 0, -1
+    counter = GateCounter(header.kind, inputs, path)
+    counter.expect(starts, stops)
     for part in read_parts(header, report):
-        part.check(header)
-        reached = part.reached
-        until = done
-        if len(part.runs.high):
-            until = int(np.searchsorted(edges, part.runs.high[-1], side="right"))
-        places = part.find(edges[done:until])
-        for column, each in enumerate(inputs):
-            here, total = part.count(each, places)
-            before[done:until, column] = so_far[column] + here
-            so_far[column] += total
-        done = until
-    before[done:] = so_far
-    if header.problems and len(edges) and edges[-1] > reached:
-        raise InputError(
-            f"{path} may lack records ({header.problems[0]}) and holds times up to {reached}, but "
-            f"gates end at {edges[-1]}: count only gates that end before"
-        )
-    return before[1::2] - before[::2]
-
-
-def _edges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-    """Starts and stops in turn, int64, shape (2 gates,)."""
-    starts, stops = np.asarray(starts), np.asarray(stops)
-    if starts.ndim != 1 or starts.shape != stops.shape:
-        raise InputError(f"{starts.shape} starts and {stops.shape} stops: give one for each gate")
-    for given in (starts, stops):
-        if len(given) and given.dtype.kind not in "iu":
-            raise InputError(f"gates in {given.dtype} are not allowed: give integer ticks")
-    edges = np.stack([starts, stops], axis=1).astype(np.int64).ravel()
-    if (edges[1:] < edges[:-1]).any():
-        raise InputError("gates overlap or run back: give them in order, each start <= its stop")
-    return edges
+        part.check(path)
+        counter.add(part)
+    return counter.finish(header)

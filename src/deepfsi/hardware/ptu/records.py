@@ -18,6 +18,9 @@ RECORDS_IN_CACHE = 2**17
 LATEST_TICK = 2**61
 """Latest time that is read, ticks."""
 
+EARLIEST_TICK = -(2**62)
+"""A time before all others, ticks."""
+
 RUNS_BACK = "a time before that of the record before"
 """Fault of a record whose time is too early."""
 
@@ -66,10 +69,16 @@ class Part:
     reached: int
     fault: str = ""
 
-    def check(self, header: Header) -> None:
-        """Raise `InputError` if there is a fault."""
+    @property
+    def markers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Markers in their order: times in ticks, int64 (n,), and bits, uint8 (n,)."""
+        which = np.flatnonzero(self.bits)
+        return self.times[which], self.bits[which].astype(np.uint8)
+
+    def check(self, name: object) -> None:
+        """Raise `InputError`, in which the file has this name, if there is a fault."""
         if self.fault:
-            raise InputError(f"{header.path} is damaged: {self.fault}; record again")
+            raise InputError(f"{name} is damaged: {self.fault}; record again")
 
     def find(self, edges: np.ndarray) -> np.ndarray:
         """Places of the first photons at or after some times, none later than the last photon."""
@@ -122,16 +131,50 @@ class _Damage(Exception):
     """Place of the first damaged record, and its fault."""
 
 
-def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
-    """Decode a file in parts. Where a record is damaged they end before it, with a `fault`.
+class Decoder:
+    """Decoder of records that come in parts, which may be of any length.
+
+    Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
 
     Parameters
     ----------
+    kind : Kind
+        Type of the records.
+    tick_s : float
+        Seconds of a tick.
     ordered : bool
         Find runs, and times that run back.
     """
-    state = _State()
-    slack = max(round(MARKER_SLACK_S / header.tick_s), 1)
+
+    def __init__(self, kind: Kind, tick_s: float, ordered: bool = True) -> None:
+        self._kind, self._ordered = kind, ordered
+        self._slack = marker_slack(tick_s)
+        self._state = _State()
+        self._records = 0
+
+    def decode(self, words: np.ndarray) -> Part:
+        """Decode records, uint32 (n,), that follow those before. The part holds on to them."""
+        try:
+            part, self._state = self._decode(words)
+        except _Damage as damage:
+            place, how = damage.args
+            part, self._state = self._decode(words[:place])
+            part.fault = f"record {self._records + place + 1} has {how}"
+        self._records += len(part.words)
+        return part
+
+    def _decode(self, words: np.ndarray) -> tuple[Part, _State]:
+        return _decode(self._kind, words, self._state, self._slack, self._ordered)
+
+
+def marker_slack(tick_s: float) -> int:
+    """Ticks by which a marker may stand too early or too late among photons."""
+    return max(round(MARKER_SLACK_S / tick_s), 1)
+
+
+def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) -> Iterator[Part]:
+    """Decode a file in parts; none follows one with a `fault`. Parameters as of `Decoder`."""
+    decoder = Decoder(header.kind, header.tick_s, ordered)
     buffer = np.empty(RECORDS_IN_MEMORY, "<u4")
     with open_file(header.path) as file:
         file.seek(header.offset)
@@ -141,15 +184,10 @@ def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) ->
                 raise InputError(
                     f"{header.path} became shorter while it was read: wait for its end"
                 )
-            try:
-                part, state = _decode(header.kind, words, state, slack, ordered)
-            except _Damage as damage:
-                place, how = damage.args
-                part, _ = _decode(header.kind, words[:place], state, slack, ordered)
-                part.fault = f"record {first + place + 1} of {header.records} has {how}"
-                yield part
-                return
+            part = decoder.decode(words)
             yield part
+            if part.fault:
+                return
             report((first + len(words)) / header.records)
 
 

@@ -1,0 +1,106 @@
+"""Photon counter that records with its own software, into a PTU file that is read as it grows.
+
+So any PicoQuant counter streams, as long as its software writes records at once and does not hold
+them back: look at how often the file grows before the time that a decision takes is relied on.
+"""
+
+import os
+import time
+from io import FileIO
+from pathlib import Path
+from typing import Self
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
+
+BYTES_AT_ONCE = 2**21
+"""Bytes read at once."""
+
+POLL_S = 0.0002
+"""Time between two looks at the file, seconds."""
+
+
+class FollowedCounter:
+    """Streaming counter over a file, or a named pipe, that other software writes.
+
+    Parameters
+    ----------
+    inputs : tuple of int
+        One for each detector; 0 is input 1.
+    marker_bit : {1, 2, 4, 8}
+        Which of the counter's marker inputs the device's trigger is wired to.
+    appears_s : float
+        Time within which the file must appear after `start`, seconds.
+
+    Examples
+    --------
+    >>> with FollowedCounter() as counter:  # doctest: +SKIP
+    ...     counter.start(Path("photons.ptu"))  # then start the recording in the vendor's software
+    ...     counter.expect(FrameGates.of(10e-6, [34e-6]))
+    ...     counter.counts_since_marker(1.0)
+    """
+
+    def __init__(
+        self, inputs: tuple[int, ...] = (0,), marker_bit: int = 1, appears_s: float = 60.0
+    ) -> None:
+        self._inputs, self._bit, self._appears_s = inputs, marker_bit, appears_s
+        self._file: FileIO | None = None
+        self._frames: StreamCounter | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+
+    def start(self, path: Path) -> None:
+        """Follow a file from its beginning; waits until it is there.
+
+        Raises `InputError` if it does not appear, or cannot be read.
+        """
+        self.stop()
+        end = time.monotonic() + self._appears_s
+        while not path.exists():
+            if time.monotonic() > end:
+                raise InputError(
+                    f"{path} did not appear within {self._appears_s:g} s: start the recording into "
+                    "it in the counter's software"
+                )
+            time.sleep(POLL_S)
+        try:
+            self._file = open(path, "rb", buffering=0, opener=_open_at_once)  # noqa: SIM115
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}") from None
+        self._frames = StreamCounter(self._inputs, self._bit, path)
+
+    def expect(self, gates: FrameGates) -> None:
+        """Tell the gates of the frames that are shown next, before they are shown."""
+        self._counting()[1].expect(gates)
+
+    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
+        """Frames whose gates have ended since the last call, as `StreamingCounter` says."""
+        file, frames = self._counting()
+        end = time.monotonic() + timeout_s
+        while True:
+            data = file.read(BYTES_AT_ONCE)
+            found = frames.feed(data or b"")
+            if len(found.counts) or time.monotonic() > end:
+                return found
+            if not data:
+                time.sleep(POLL_S)
+
+    def stop(self) -> None:
+        """Follow no longer; what records the file is not stopped."""
+        if self._file is not None:
+            self._file.close()
+        self._file = self._frames = None
+
+    def _counting(self) -> tuple[FileIO, StreamCounter]:
+        if self._file is None or self._frames is None:
+            raise InputError("no recording is followed: start one first")
+        return self._file, self._frames
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file, or a pipe that may still have no bytes."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

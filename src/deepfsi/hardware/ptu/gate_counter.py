@@ -1,0 +1,124 @@
+"""Photons counted in gates while records are read; gates may be told as late as they begin."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.header import Header, Kind
+from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part
+
+
+class GateCounter:
+    """Counter of the photons in gates.
+
+    Parameters
+    ----------
+    kind : Kind
+        Type of the records.
+    inputs : sequence of int
+        Which inputs; 0 is input 1. Sync events are none. `InputError` if there is no such input.
+    name : object
+        What to call the file in errors.
+
+    Attributes
+    ----------
+    reached : int
+        No photon of parts to come is earlier.
+    """
+
+    def __init__(self, kind: Kind, inputs: Sequence[int], name: object) -> None:
+        for each in inputs:
+            if not 0 <= each < kind.inputs:
+                raise InputError(
+                    f"input {each}, counted from 0, is not one of {kind.name}: give 0 to "
+                    f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
+                )
+        self._inputs, self._name = tuple(inputs), name
+        self._edges = np.zeros(0, np.int64)  # starts and stops in turn, of gates not yet taken
+        self._before = np.zeros((0, len(inputs)), np.int64)  # photons before each, in those done
+        self._done = 0
+        self._so_far = np.zeros(len(inputs), np.int64)
+        self._latest = EARLIEST_TICK
+        self.reached = -1
+
+    def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
+        """Count gates that follow those before.
+
+        Parameters
+        ----------
+        starts, stops : integer arrays, shape (gates,)
+            Ticks; a photon counts if start <= time < stop. Gates rise and do not overlap.
+
+        Raises
+        ------
+        InputError
+            If they do not, or one begins before the end of what was read.
+        """
+        edges = _join_edges(starts, stops)
+        every = np.concatenate([self._edges, edges])
+        if (every[1:] < every[:-1]).any():
+            raise InputError(
+                "gates overlap or run back: give them in order, each start <= its stop"
+            )
+        if len(edges) and edges[0] <= self._latest:
+            raise InputError(
+                f"{self._name} holds photons up to {self._latest}, and a gate begins at "
+                f"{edges[0]}: tell gates before they begin"
+            )
+        self._edges = every
+        self._before = np.pad(self._before, ((0, len(edges)), (0, 0)))
+
+    def add(self, part: Part) -> None:
+        """Count the photons of the next part."""
+        edges, until = self._edges[self._done :], 0
+        if len(part.runs.high):
+            self._latest = int(part.runs.high[-1])
+            until = int(np.searchsorted(edges, self._latest, side="right"))
+        places = part.find(edges[:until])
+        before = self._before[self._done :]
+        for column, each in enumerate(self._inputs):
+            here, total = part.count(each, places)
+            before[:until, column] = self._so_far[column] + here
+            self._so_far[column] += total
+        self.reached = part.reached
+        ended = max(until, int(np.searchsorted(edges, self.reached, side="right")))
+        before[until:ended] = self._so_far
+        self._done += ended
+
+    def take(self) -> np.ndarray:
+        """Counts of the gates that have ended since the last call, int64 (gates, inputs)."""
+        return self._take(self._done // 2)
+
+    def finish(self, header: Header) -> np.ndarray:
+        """Counts of all gates since the last call, at the end of a file with this header.
+
+        Raises `InputError` if the file is cut, or holds more or less than its header says, and a
+        gate ends after the last time that it holds.
+        """
+        if header.problems and len(self._edges) and self._edges[-1] > self.reached:
+            raise InputError(
+                f"{self._name} may lack records ({header.problems[0]}) and holds times up to "
+                f"{self.reached}, but gates end at {self._edges[-1]}: count only gates that end "
+                "before"
+            )
+        self._before[self._done :] = self._so_far
+        self._done = len(self._edges)
+        return self._take(self._done // 2)
+
+    def _take(self, gates: int) -> np.ndarray:
+        before = self._before[: 2 * gates]
+        self._edges, self._before = self._edges[2 * gates :], self._before[2 * gates :]
+        self._done -= 2 * gates
+        return np.asarray(before[1::2] - before[::2])
+
+
+def _join_edges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
+    """Starts and stops in turn, int64, shape (2 gates,)."""
+    starts, stops = np.asarray(starts), np.asarray(stops)
+    if starts.ndim != 1 or starts.shape != stops.shape:
+        raise InputError(f"{starts.shape} starts and {stops.shape} stops: give one for each gate")
+    for given in (starts, stops):
+        if len(given) and given.dtype.kind not in "iu":
+            raise InputError(f"gates in {given.dtype} are not allowed: give integer ticks")
+    return np.stack([starts, stops], axis=1).astype(np.int64).ravel()

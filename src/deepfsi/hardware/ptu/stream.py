@@ -1,0 +1,104 @@
+"""PTU files read while their bytes arrive: from a pipe, or a file that grows.
+
+The header's parser and the records' decoder are those of whole files, so that a stream is read as
+the file that it becomes, whatever its cuts. Memory is that of the bytes given at once.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from deepfsi.hardware.ptu import records
+from deepfsi.hardware.ptu.header import Header, parse_header
+from deepfsi.hardware.ptu.records import Decoder, Part
+
+
+class StreamReader:
+    """Reader of a PTU file from bytes that arrive in any cuts.
+
+    Parameters
+    ----------
+    name : path
+        What to call it in errors.
+    ordered : bool
+        Find runs of photons, and times that run back.
+
+    Attributes
+    ----------
+    header : Header or None
+        None until it has arrived.
+
+    Examples
+    --------
+    >>> reader = StreamReader("photons.ptu")
+    >>> for part in reader.feed(b""):
+    ...     part.check("photons.ptu")
+    >>> print(reader.header)
+    None
+    """
+
+    def __init__(
+        self, name: str | os.PathLike[str] = "the stream", *, ordered: bool = True
+    ) -> None:
+        self.header: Header | None = None
+        self._ordered = ordered
+        self._parser = parse_header(name)
+        self._needed = next(self._parser)
+        self._rest = bytearray()  # bytes of the header, or of a record, that is not whole
+        self._size = 0
+        self._left = 0  # records to come
+        self._decoder: Decoder | None = None
+
+    def feed(self, data: bytes | bytearray | memoryview) -> Iterator[Part]:
+        """Read the next bytes, and give what records they end, in parts.
+
+        As of a file, none follows a part with a `fault`, and what follows the records that the
+        header gives is not read. Bytes are read as parts are taken, and a part holds on to them.
+        Raises `InputError` as `read_header`.
+        """
+        view = memoryview(data).cast("B")
+        self._size += len(view)
+        if self._decoder is None:
+            view = self._feed_header(view)
+        if self._decoder is None or not self._left:
+            return
+        if self._rest:
+            view = memoryview(bytes(self._rest) + view)
+        whole = min(len(view) // 4, self._left)
+        self._rest = bytearray(view[4 * whole :][:3])
+        words = np.frombuffer(view, "<u4", whole)
+        for first in range(0, whole, records.RECORDS_IN_MEMORY):
+            part = self._decoder.decode(words[first : first + records.RECORDS_IN_MEMORY])
+            self._left = 0 if part.fault else self._left - len(part.words)
+            yield part
+            if part.fault:
+                return
+
+    def end(self) -> Header:
+        """Header of the file, which ended here. Raises `InputError` if it has not whole arrived."""
+        while self.header is None:
+            self._send(bytes(self._rest))
+            self._rest.clear()
+        return replace(self.header, size=self._size)
+
+    def _feed_header(self, view: memoryview) -> memoryview:
+        """Parse bytes as far as the header goes, and give those that follow it."""
+        while self._decoder is None:
+            taken = self._needed - len(self._rest)
+            self._rest += view[:taken]
+            view = view[taken:]
+            if len(self._rest) < self._needed:
+                break
+            self._send(bytes(self._rest))
+            self._rest.clear()
+        return view
+
+    def _send(self, content: bytes) -> None:
+        try:
+            self._needed = self._parser.send(content)
+        except StopIteration as end:
+            self.header = header = end.value
+            self._left = header.records
+            self._decoder = Decoder(header.kind, header.tick_s, self._ordered)

@@ -1,0 +1,228 @@
+"""Photons counted frame by frame while a recording runs, as soon as the gate of each has ended.
+
+A device gives a marker at the start of each frame, and the frames that it shows are told before
+they are: their gates, as times after their marker. Each marker starts the next of them. A gate has
+ended when a later record says that no earlier photon can follow: a photon, a marker or an overflow.
+"""
+
+import os
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.gate_counter import GateCounter
+from deepfsi.hardware.ptu.header import Kind
+from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part, marker_slack
+from deepfsi.hardware.ptu.stream import StreamReader
+
+
+@dataclass(frozen=True)
+class FrameGates:
+    """Gates of frames in the order in which they are shown, one each.
+
+    Attributes
+    ----------
+    offsets_s, lengths_s : arrays, shape (F,)
+        When a gate begins after the marker of its frame, and for how long it is open, seconds.
+    markers : array of int, shape (F,)
+        Markers that a frame gives: more than one where it is shown as several pictures in a row.
+        Its gate begins after the first.
+    """
+
+    offsets_s: np.ndarray
+    lengths_s: np.ndarray
+    markers: np.ndarray
+
+    def __post_init__(self) -> None:
+        shapes = {each.shape for each in (self.offsets_s, self.lengths_s, self.markers)}
+        if len(shapes) > 1 or self.offsets_s.ndim != 1:
+            raise InputError(f"gates of shapes {sorted(shapes)}: give one for each frame")
+        if not (np.isfinite(self.lengths_s).all() and (self.lengths_s >= 0).all()):
+            raise InputError("gates have lengths that are no times: give seconds, 0 or more")
+        if (self.markers < 1).any():
+            raise InputError("frames have no marker: give 1 or more for each")
+
+    @classmethod
+    def of(cls, offset_s: float, lengths_s: Sequence[float] | np.ndarray) -> "FrameGates":
+        """Gates that all begin at one time after their marker, of frames with one marker each."""
+        lengths = np.asarray(lengths_s, np.float64)
+        return cls(np.full(lengths.shape, offset_s), lengths, np.ones(lengths.shape, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.offsets_s)
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Counts of some frames that follow each other.
+
+    Attributes
+    ----------
+    starts_s : array, shape (F,)
+        Times of their markers on the counter's clock, seconds.
+    counts : int64 array, shape (F, inputs)
+        Photons in their gates.
+    """
+
+    starts_s: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
+        """Frames of parts that follow each other, of which there may be none."""
+        starts = [np.zeros(0), *(each.starts_s for each in parts)]
+        counts = [np.zeros((0, inputs), np.int64), *(each.counts for each in parts)]
+        return cls(np.concatenate(starts), np.concatenate(counts))
+
+
+class FrameCounter:
+    """Counter of photons frame by frame.
+
+    Parameters
+    ----------
+    kind : Kind
+        Type of the records.
+    tick_s : float
+        Seconds of a tick.
+    inputs : sequence of int
+        One for each detector; 0 is input 1.
+    marker_bit : {1, 2, 4, 8}
+        Which of the counter's marker inputs the device's trigger is wired to.
+    name : object
+        What to call the recording in errors.
+    """
+
+    def __init__(
+        self,
+        kind: Kind,
+        tick_s: float,
+        inputs: Sequence[int],
+        marker_bit: int = 1,
+        name: object = "the stream",
+    ) -> None:
+        self._tick_s, self._bit, self._name = tick_s, marker_bit, name
+        self._slack = marker_slack(tick_s)
+        self._gates = GateCounter(kind, inputs, name)
+        self._told: deque[tuple[int, int, int]] = deque()  # offset, length, markers
+        self._skipped = 0  # markers to come of the frame that is shown
+        self._begun: deque[int] = deque()  # markers of frames whose gates have not ended
+        self._stop = EARLIEST_TICK  # end of the last gate
+
+    @property
+    def waiting(self) -> int:
+        """Frames told whose gates have not ended."""
+        return len(self._told) + len(self._begun)
+
+    def expect(self, gates: FrameGates) -> None:
+        """Count frames that are shown after those before. To be told before they are shown.
+
+        Raises `InputError` if a gate begins less than a microsecond, or a tick, after its marker:
+        that is how far a marker may be off.
+        """
+        offsets = np.rint(gates.offsets_s / self._tick_s)
+        if len(gates) and not offsets.min() > self._slack:
+            raise InputError(
+                f"a gate begins {gates.offsets_s.min():g} s after its marker, and a marker may be "
+                f"{self._slack * self._tick_s:g} s off: give frames a longer time to settle"
+            )
+        lengths = np.rint(gates.lengths_s / self._tick_s)
+        each = (offsets.astype(np.int64), lengths.astype(np.int64), gates.markers)
+        self._told.extend(zip(*(values.tolist() for values in each), strict=True))
+
+    def add(self, part: Part) -> FrameCounts:
+        """Count the next records; give the frames whose gates ended, in order.
+
+        Raises `InputError` if a record is damaged, a marker comes that starts no frame told, or
+        before the gate of the frame before has ended.
+        """
+        part.check(self._name)
+        times, bits = part.markers
+        begun = map(self._begin, times[bits & self._bit != 0].tolist())
+        gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
+        self._gates.expect(gates[:, 0], gates[:, 1])
+        self._gates.add(part)
+        counts = self._gates.take()
+        starts = [self._begun.popleft() for _ in counts]
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, counts)
+
+    def _begin(self, time: int) -> tuple[int, int] | None:
+        """Gate of the frame that a marker starts, ticks; None if the marker starts none."""
+        if self._skipped:
+            self._skipped -= 1
+            return None
+        if not self._told:
+            raise InputError(
+                f"{self._name} has a marker at {time * self._tick_s:.9g} s that starts no frame: "
+                "tell frames before they are shown, and wire the trigger so that it comes once"
+            )
+        offset, length, markers = self._told.popleft()
+        if time + offset < self._stop:
+            raise InputError(
+                f"{self._name} has a marker at {time * self._tick_s:.9g} s, before the gate of the "
+                "frame before has ended: show frames for longer, or count them for less"
+            )
+        self._skipped, self._stop = markers - 1, time + offset + length
+        self._begun.append(time)
+        return time + offset, self._stop
+
+
+class StreamCounter:
+    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
+
+    Parameters
+    ----------
+    inputs : sequence of int
+        One for each detector; 0 is input 1.
+    marker_bit : {1, 2, 4, 8}
+        Which of the counter's marker inputs the device's trigger is wired to.
+    name : path
+        What to call the file in errors.
+
+    Examples
+    --------
+    >>> counter = StreamCounter(inputs=(0,))
+    >>> counter.expect(FrameGates.of(10e-6, [34e-6, 90e-6]))
+    >>> counter.feed(b"").counts.shape
+    (0, 1)
+    """
+
+    def __init__(
+        self,
+        inputs: Sequence[int],
+        marker_bit: int = 1,
+        name: str | os.PathLike[str] = "the stream",
+    ) -> None:
+        self._wiring = tuple(inputs), marker_bit, name
+        self._reader = StreamReader(name)
+        self._frames: FrameCounter | None = None
+        self._early: list[FrameGates] = []  # told before the header has arrived
+
+    def expect(self, gates: FrameGates) -> None:
+        """Count frames that are shown after those before. As of `FrameCounter`."""
+        if self._frames is None:
+            self._early.append(gates)
+        else:
+            self._frames.expect(gates)
+
+    def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
+        """Read the next bytes; give the frames whose gates ended, in order.
+
+        Raises `InputError` as `FrameCounter.add`, and if the file is not one of photons.
+        """
+        found = []
+        for part in self._reader.feed(data):
+            found.append(self._counter().add(part))
+        return FrameCounts.join(found, len(self._wiring[0]))
+
+    def _counter(self) -> FrameCounter:
+        """Counter of frames, which is made when the header has arrived."""
+        header = self._reader.header
+        if self._frames is None:
+            assert header is not None
+            self._frames = FrameCounter(header.kind, header.tick_s, *self._wiring)
+            for gates in self._early:
+                self._frames.expect(gates)
+        return self._frames

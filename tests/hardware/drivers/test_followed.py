@@ -1,0 +1,79 @@
+"""A photon file followed while it grows, and a pipe."""
+
+import os
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.drivers import followed
+from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers.protocols import StreamingCounter
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+
+GATES = FrameGates.of(10e-6, [60e-6] * 20)
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory) -> bytes:
+    path, rng = tmp_path_factory.mktemp("followed") / "a.ptu", np.random.default_rng(0)
+    times = np.sort(np.append(np.arange(20) * 10**8, rng.integers(0, 21 * 10**8, 20000)))
+    with Writer(path) as writer:
+        writer.write(times, np.where(times % 10**8 == 0, -1, 0))
+    return path.read_bytes()
+
+
+def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
+    found = np.zeros((0, 1), np.int64)
+    while len(found) < frames:
+        found = np.concatenate([found, counter.counts_since_marker(60).counts])
+    return found
+
+
+@pytest.mark.parametrize("make", [Path.touch, os.mkfifo], ids=["file", "pipe"])
+def test_a_growing_file_gives_the_counts_of_the_whole_one(tmp_path, content, make):
+    path, whole = tmp_path / "photons.ptu", StreamCounter((0,))
+    whole.expect(GATES)
+    wanted = whole.feed(content).counts
+    assert len(wanted) == 20
+    make(path)
+
+    def grow() -> None:
+        with path.open("wb", buffering=0) as file:
+            for first in range(0, len(content), 1777):
+                file.write(content[first : first + 1777])
+
+    with FollowedCounter() as counter:
+        counter.start(path)
+        counter.expect(GATES)
+        writer = threading.Thread(target=grow)
+        writer.start()
+        assert np.array_equal(collect(counter, 20), wanted)
+        writer.join()
+        assert len(counter.counts_since_marker(0.0).counts) == 0
+
+
+def test_what_is_not_there_is_named(tmp_path, monkeypatch):
+    with FollowedCounter(appears_s=0.0) as counter:
+        with pytest.raises(InputError, match="no recording is followed"):
+            counter.counts_since_marker(1.0)
+        with pytest.raises(InputError, match="did not appear within 0 s"):
+            counter.start(tmp_path / "absent.ptu")
+        with pytest.raises(InputError, match="cannot be read: Is a directory"):
+            counter.start(tmp_path)
+    assert followed.POLL_S < 1e-3
+
+
+def test_frames_may_be_told_before_the_header_has_come(tmp_path, content):
+    path = tmp_path / "photons.ptu"
+    path.write_bytes(content[:50])
+    with FollowedCounter() as counter:
+        counter.start(path)
+        counter.expect(FrameGates.of(10e-6, [60e-6] * 3))
+        counter.expect(FrameGates.of(10e-6, [60e-6] * 17))
+        assert len(counter.counts_since_marker(0.0).counts) == 0
+        path.write_bytes(content)
+        assert len(collect(counter, 20)) == 20

@@ -1,0 +1,163 @@
+"""Photons counted frame by frame while a recording runs, against those counted at its end."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.header import read_header
+from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+
+TICK_S, SETTLE = 1e-12, 10e-6
+
+
+def record(path, dwells_s, rate, inputs=2, seed=0, end_s=1e-4):
+    """Frames one after another, each with a marker of bit 2 at its start; some of bit 1 between."""
+    rng = np.random.default_rng(seed)
+    starts = np.rint((1e-4 + np.append(0, np.cumsum(dwells_s))) / TICK_S).astype(np.int64)
+    last = int(starts[-1] + end_s / TICK_S)
+    photons = rng.integers(0, last, rng.poisson(rate * last * TICK_S))
+    others = rng.integers(0, last, 20)
+    times = np.concatenate([photons, starts[:-1], others])
+    codes = np.concatenate(
+        [rng.integers(0, inputs, len(photons)), np.full(len(dwells_s), -2), np.full(20, -1)]
+    )
+    order = np.argsort(times, kind="stable")
+    with Writer(path, TICK_S) as writer:
+        writer.write(times[order], codes[order])
+    return path
+
+
+def gates_of(dwells_s):
+    """Gates of different lengths that end before their frames do."""
+    return FrameGates.of(SETTLE, (np.asarray(dwells_s) - SETTLE) * 0.8)
+
+
+def feed(counter, content, sizes):
+    """Counts, and the bytes that had come when each was given."""
+    first, found, when, starts = 0, [], [], []
+    for size in sizes:
+        counts = counter.feed(content[first : first + size])
+        first += size
+        found += counts.counts.tolist()
+        starts += counts.starts_s.tolist()
+        when += [first] * len(counts.counts)
+    return np.array(found), starts, when
+
+
+@pytest.mark.parametrize("rate", [0, 1e5, 1e7])
+@pytest.mark.parametrize("size", [1, 1001, 2**20])
+def test_frames_are_counted_as_when_the_recording_has_ended(tmp_path, rate, size):
+    dwells = np.random.default_rng(3).uniform(44e-6, 200e-6, 24)
+    if size == 1:
+        dwells = dwells[: 24 if rate < 1e7 else 2]
+    path, gates = record(tmp_path / "a.ptu", dwells, rate), gates_of(dwells)
+    times, bits = read_markers(path)
+    starts = times[bits == 2]
+    offsets, lengths = (np.rint(s / TICK_S).astype(int) for s in (gates.offsets_s, gates.lengths_s))
+    wanted = count_gates(path, starts + offsets, starts + offsets + lengths, (1, 0))
+
+    counter, content = StreamCounter((1, 0), marker_bit=2), path.read_bytes()
+    counter.expect(gates)
+    found, found_s, _ = feed(counter, content, [size] * (len(content) // size + 1))
+    assert np.array_equal(found, wanted)
+    assert found_s == pytest.approx(starts * TICK_S, abs=1e-15)
+    assert (wanted.sum() > 0) == (rate > 0)
+
+
+def test_a_look_may_be_told_after_the_counts_of_the_last(tmp_path):
+    dwells = np.random.default_rng(4).uniform(44e-6, 90e-6, 12)
+    path, gates = record(tmp_path / "a.ptu", dwells, 3e6), gates_of(dwells)
+    content = path.read_bytes()
+    at_once = StreamCounter((0, 1), marker_bit=2)
+    at_once.expect(gates)
+    wanted = at_once.feed(content).counts
+
+    counter, found, told, most = StreamCounter((0, 1), marker_bit=2), [], 0, 0
+    for first in range(0, len(content), 16):
+        if len(found) == told and told < 12:
+            counter.expect(gates_of(dwells[told : told + 4]))
+            told += 4
+        found += counter.feed(content[first : first + 16]).counts.tolist()
+        most = max(most, told - len(found))
+    assert np.array_equal(found, wanted)
+    assert (told, most) == (12, 4)
+
+
+def test_counts_come_with_the_first_record_after_the_gate(tmp_path):
+    """The last frame of a look has no marker after it: a photon ends its gate, or an overflow."""
+    path = record(tmp_path / "a.ptu", [100e-6], 1e6, end_s=3e-4)
+    counter, content = StreamCounter((0,), marker_bit=2), path.read_bytes()
+    counter.expect(FrameGates.of(SETTLE, [80e-6]))
+    offset = read_header(path).offset
+    _, (start,), (when,) = feed(counter, content, [offset] + [4] * (len(content) // 4))
+    stop, last = round((start + 90e-6) / TICK_S), []
+    for end in (when - 4, when):
+        path.write_bytes(content[:end])
+        last.append(inspect(path).last)
+    assert last[0] < stop <= last[1] < stop + 10**6
+
+
+def test_a_frame_of_several_pictures_begins_with_its_first_marker(tmp_path):
+    """A device that repeats a picture to show it for longer gives a marker each time."""
+    path = record(tmp_path / "a.ptu", [44e-6] * 9, 5e6)
+    times, bits = read_markers(path)
+    starts = times[bits == 2][[0, 3, 4]]
+    pictures = np.array([3, 1, 5])
+    gates = FrameGates(np.full(3, SETTLE), 44e-6 * pictures - 1.5 * SETTLE, pictures)
+    counter = StreamCounter((0,), marker_bit=2)
+    counter.expect(gates)
+    opens = starts + round(SETTLE / TICK_S)
+    closes = opens + np.rint(gates.lengths_s / TICK_S).astype(int)
+    assert np.array_equal(counter.feed(path.read_bytes()).counts, count_gates(path, opens, closes))
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ([(SETTLE, [30e-6] * 2)], "starts no frame"),
+        ([(SETTLE, [70e-6, 70e-6])], "before the gate of the frame before has ended"),
+        ([(0.9e-6, [30e-6])], "a longer time to settle"),
+        ([(SETTLE, [30e-6, np.nan])], "no times"),
+        ([(SETTLE, [30e-6, -1.0])], "no times"),
+    ],
+)
+def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, told, message):
+    path = record(tmp_path / "a.ptu", [44e-6] * 3, 1e6)
+    counter = StreamCounter((0,), marker_bit=2, name=path)
+    with pytest.raises(InputError, match=message) as error:  # noqa: PT012
+        for offset, lengths in told:
+            counter.expect(FrameGates.of(offset, lengths))
+        counter.feed(path.read_bytes())
+    assert "\n" not in str(error.value)
+
+
+def test_damage_is_named_as_when_a_whole_file_is_read(tmp_path):
+    path = record(tmp_path / "a.ptu", [44e-6] * 3, 1e6)
+    content = bytearray(path.read_bytes())
+    content[-8:] = content[-4:] + content[-8:-4]
+    path.write_bytes(content)
+    with pytest.raises(InputError) as wanted:
+        count_gates(path, np.array([0]), np.array([1]))
+    counter = StreamCounter((0,), marker_bit=4, name=path)
+    with pytest.raises(InputError) as error:
+        counter.feed(bytes(content))
+    assert str(error.value) == str(wanted.value)
+
+
+def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).parents[3] / "docs/camera.md").read_text()
+    (lines,) = re.findall(r"^```python\n(.*?StreamCounter.*?)^```", page, re.M | re.S)
+    record(tmp_path / "photons.ptu", [54e-6, 110e-6], 1e6)
+    content = (tmp_path / "photons.ptu").read_bytes()
+    monkeypatch.chdir(tmp_path)
+    exec(lines.replace("marker_bit=1", "marker_bit=2"), {})
+    counter = StreamCounter((0,), 2)
+    counter.expect(FrameGates.of(SETTLE, [34e-6, 90e-6]))
+    found = counter.feed(content)
+    assert len(found.counts) == 2
+    assert f"{found.starts_s} {found.counts}" in capsys.readouterr().out
