@@ -284,10 +284,10 @@ def test_a_file_keeps_everything(digits, design, tmp_path):
 @pytest.mark.parametrize(
     "damage",
     [
-        {"exposure": {"kind": "adaptive", "looks": 2.5, "hidden": [8]}},
-        {"exposure": {"kind": "adaptive", "looks": 10**9, "hidden": [8]}},
-        {"exposure": {"kind": "adaptive", "looks": True, "hidden": [8]}},
-        {"exposure": {"kind": "adaptive", "looks": 3, "hidden": [9]}},
+        {"exposure": {"kind": "adaptive", "looks": 2.5, "hidden": [8], "shortest": 0.0}},
+        {"exposure": {"kind": "adaptive", "looks": 10**9, "hidden": [8], "shortest": 0.0}},
+        {"exposure": {"kind": "adaptive", "looks": True, "hidden": [8], "shortest": 0.0}},
+        {"exposure": {"kind": "adaptive", "looks": 3, "hidden": [9], "shortest": 0.0}},
         {"exposure": {"kind": "fixed"}},
         {"light": "column"},
     ],

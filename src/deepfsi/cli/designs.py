@@ -35,6 +35,8 @@ def design(
     nested: options.Nested = 0,
     levels: options.Levels = 0,
     looks: options.Looks = 1,
+    shortest_dwell: options.ShortestDwell = None,
+    exposure: options.DesignExposure = None,
     classifier: options.Classifier = "mlp",
     epochs: options.Epochs = None,
     balance: options.Balance = False,

@@ -118,6 +118,15 @@ Levels = Annotated[
 Looks = Annotated[
     int, typer.Option(help="looks of an exposure: counts of each choose the dwells of the next")
 ]
+ShortestDwell = Annotated[
+    str | None,
+    typer.Option(
+        help="shortest time of a frame that the device shows, such as 44us; with --exposure"
+    ),
+]
+DesignExposure = Annotated[
+    str | None, typer.Option(help="time of an exposure, such as 10ms, for --shortest-dwell")
+]
 Classifier = Annotated[
     str, typer.Option(help="mlp, or module:factory of a torch module of your own")
 ]
@@ -234,6 +243,24 @@ def optional_seconds(option: str, text: str | None) -> float | None:
     return None if text is None else seconds(option, text)
 
 
+def dwell_settings(shortest: str | None, exposure: str | None) -> dict[str, float]:
+    """Settings of `learn` of the options --shortest-dwell and --exposure, or `InputError`."""
+    if shortest is None and exposure is None:
+        return {}
+    if shortest is None or exposure is None:
+        raise InputError(
+            "the shortest dwell is told as a share of the exposure: give both --shortest-dwell and "
+            "--exposure, or neither"
+        )
+    frame_s, exposure_s = seconds("shortest-dwell", shortest), seconds("exposure", exposure)
+    if frame_s >= exposure_s:
+        raise InputError(
+            f"--shortest-dwell {shortest} is not below --exposure {exposure}: give a longer "
+            "exposure, which has room for more than one frame"
+        )
+    return {"shortest_dwell": frame_s / exposure_s}
+
+
 def wiring(inputs: list[int] | None, marker: int | None) -> dict[str, Any]:
     """Settings of an acquisition that say which inputs of the counter are used, as far as given."""
     from deepfsi.hardware.recording.acquisition import MOST_INPUTS
@@ -321,6 +348,7 @@ def job_settings(
         "masks": masks,
         "detectors": labels,
         **light_settings(options["photons"], options["counts"]),
+        **dwell_settings(options["shortest_dwell"], options["exposure"]),
         "noise": trained,
         "dark": options["dark"] if trained == "camera" else 0.0,
     }

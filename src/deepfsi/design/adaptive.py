@@ -23,8 +23,10 @@ from torch import Tensor
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.exposure import STRICT, Exposure, ExposureKind, Read, Show
 from deepfsi.errors import InputError
+from deepfsi.hardware.live.dwells import share_out
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.masks import through
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ def expose(
     dwells: int,
     mean: Tensor,
     std: Tensor,
+    shortest: float = 0.0,
 ) -> Iterator[Exposure]:
     """Exposures after each look: one loop for training, tests and a camera, for one or many.
 
@@ -110,6 +113,9 @@ def expose(
         q.
     mean, std : tensor, shape (..., k)
         As for `Exposure.inputs`, with the leading axes of the exposures.
+    shortest : float
+        Shortest dwell that the device shows, a share of the exposure, see `share_out`. The gradient
+        is that of the chosen dwells.
     """
     features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
     seen = Exposure(features, total)
@@ -117,6 +123,8 @@ def expose(
         left = torch.full_like(total[..., :1], 1 - look / looks)
         scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
         dwell = (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / looks
+        if shortest:
+            dwell = through(dwell, share_out(dwell.detach(), shortest))
         counts, shown = show(dwell)
         features, total = features + counts, total + shown
         seen = Exposure(features, total)
@@ -136,16 +144,19 @@ class AdaptiveDwells(ExposureKind):
         From k + q + 1 inputs to q outputs.
     looks : int
         K.
+    shortest : float
+        Shortest dwell of a frame that is shown, a share of the exposure.
     """
 
     dwells: Dwells
     network: Mlp
     looks: int
+    shortest: float = 0.0
     kind = "adaptive"
 
     def header(self) -> "AdaptiveShape":
         """Entry of the design file's header, of which `restored` makes the kind again."""
-        return AdaptiveShape(self.looks, self.network.hidden)
+        return AdaptiveShape(self.looks, self.network.hidden, self.shortest)
 
     def to(self, device: str | torch.device) -> "AdaptiveDwells":
         """The kind on a device."""
@@ -181,7 +192,7 @@ class AdaptiveDwells(ExposureKind):
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
         """Exposures after each look at a camera, parameters as for `ExposureKind.expose`."""
-        return expose(self.network, show, self.looks, self.dwells.count, mean, std)
+        return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
@@ -206,10 +217,11 @@ class AdaptiveDwells(ExposureKind):
 
 @validated(frozen=True, config=STRICT)
 class AdaptiveShape:
-    """Entry of a design file's header for `AdaptiveDwells`: looks, and widths of its network."""
+    """Entry of a design file's header for `AdaptiveDwells`: looks, network's widths, dwell."""
 
     looks: Annotated[int, Field(ge=2, le=64)]
     hidden: tuple[Annotated[int, Field(ge=1)], ...]
+    shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 
     def restored(
@@ -219,4 +231,5 @@ class AdaptiveShape:
         dwells = Dwells.of(rails.shape[1], light, {1: "single", 2: "dual"}[len(rails)])
         inputs = features + dwells.count + 1
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": self.hidden}
-        return AdaptiveDwells(dwells, restored(Mlp, weights, **sizes), self.looks)
+        network = restored(Mlp, weights, **sizes)
+        return AdaptiveDwells(dwells, network, self.looks, self.shortest)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.live.dwells import share_out
 from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, separate
 from deepfsi.optics.grey_levels import quantise
 
@@ -42,6 +43,9 @@ class Learned(nn.Module):
     rails : {"dual", "single"}
     levels : int
         Grey levels, dark included, of the device that shows the masks; 0 for continuous ones.
+    shortest : float
+        Shortest dwell of a frame that the device shows, a share of the exposure, for `free-dwell`
+        and `two-arm`: frames below it are dark, see `share_out`.
 
     Notes
     -----
@@ -51,18 +55,25 @@ class Learned(nn.Module):
     learning rate serves any number of masks.
 
     Quantised masks have the gradient of the continuous ones that they are rounded from: it goes
-    straight through the rounding, whose own is 0.
+    straight through the rounding, whose own is 0. So do dwells, so that a dark frame may come back.
     """
 
     unit: Tensor
 
-    def __init__(self, start: Tensor, light: Light, rails: Rails = "dual", levels: int = 0) -> None:
+    def __init__(
+        self,
+        start: Tensor,
+        light: Light,
+        rails: Rails = "dual",
+        levels: int = 0,
+        shortest: float = 0.0,
+    ) -> None:
         super().__init__()
         check_light(light, rails)
         _check_tensor(start, "a start", 2, "(masks, pixels)")
         if rails == "single" and bool((start < 0).any()):
             raise InputError("a start of a single rail has negative entries: give 0 or more")
-        self.light, self.rails, self.levels = light, rails, levels
+        self.light, self.rails, self.levels, self.shortest = light, rails, levels, shortest
         *replicas, masks, _ = start.shape
         if light == "column":
             fitted = start / start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
@@ -102,28 +113,36 @@ class Learned(nn.Module):
             sums = self.weight.abs().sum(dim=-2, keepdim=True)
             matrix = self.weight * (self.unit / (sums * self.unit).clamp(min=1))
             return matrix if self.rails == "dual" else matrix.abs()
-        dwell = self._dwell()
-        time = dwell[..., 0, :, None]
         if self.rails == "single":
-            return torch.sigmoid(self.weight) * time
+            pattern = torch.sigmoid(self.weight)
+            return pattern * self._dwell(pattern)[..., 0, :, None]
         pattern = torch.tanh(self.weight)
-        if self.light == "free-dwell":
-            time = torch.where(pattern > 0, time, dwell[..., 1, :, None])
-        return pattern * time
+        if self.light != "free-dwell":
+            return pattern * self._dwell()[..., 0, :, None]
+        plus, minus = self._dwell(pattern, -pattern).unbind(dim=-2)
+        return pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
 
     def _shown(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
         if not self.levels:
             return difference, total
         with torch.no_grad():
             shown = combine(quantise(separate(difference, total), self.light, self.levels))
-        return _Through.apply(difference, shown[0]), _Through.apply(total, shown[1])  # type: ignore[no-untyped-call]
+        return through(difference, shown[0]), through(total, shown[1])
 
-    def _dwell(self) -> Tensor:
+    def _dwell(self, *frames: Tensor) -> Tensor:
+        """Dwells (..., 1 or 2, m); a frame is read for its peak's share of its dwell."""
         if self.light == "equal-dwell":
             masks = self.weight.shape[-2]
             count = 2 * masks if self.rails == "dual" else masks
             return self.weight.new_full((1, masks), 1 / count)
-        return self.dwell.flatten(-2).softmax(dim=-1).view_as(self.dwell)
+        dwell = self.dwell.flatten(-2).softmax(dim=-1)
+        if not self.shortest:
+            return dwell.view_as(self.dwell)
+        with torch.no_grad():
+            ends = [each.amax(dim=-1).clamp(min=0) for each in frames]
+            peaks = torch.cat(ends, dim=-1) if ends else torch.ones_like(dwell)
+            shown = share_out(dwell * peaks, self.shortest) / torch.where(peaks > 0, peaks, 1.0)
+        return through(dwell, shown).view_as(self.dwell)
 
 
 def _check_tensor(given: Any, what: str, axes: int, shape: str) -> None:
@@ -142,9 +161,12 @@ def pair(difference: Tensor, total: Tensor) -> Tensor:
     return difference if difference is total else torch.stack([difference, total])
 
 
-class _Through(torch.autograd.Function):
-    """The second tensor, exactly, with the gradient of the first."""
+def through(continuous: Tensor, shown: Tensor) -> Tensor:
+    """Second tensor, exactly, with the gradient of the first (straight through)."""
+    return _Through.apply(continuous, shown)  # type: ignore[no-untyped-call]
 
+
+class _Through(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, continuous: Tensor, shown: Tensor) -> Tensor:
         return shown

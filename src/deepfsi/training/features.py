@@ -276,6 +276,8 @@ class AdaptiveFeatures(Features):
     gain : tensor, shape (R, 1)
         Of all jobs, from `FeatureNoise`.
     dwells : Dwells
+    shortest : float
+        As for `AdaptiveDwells`.
     """
 
     streams: Streams
@@ -287,6 +289,7 @@ class AdaptiveFeatures(Features):
     scale: Scale
     detection: Detection
     dwells: Dwells
+    shortest: float = 0.0
 
     def at(self, step: int) -> Tensor:
         """Features and dwells (K · B, R, k + q) after each of K looks."""
@@ -312,7 +315,8 @@ class AdaptiveFeatures(Features):
             return side_by_side(drawn), dwell
 
         start = mean.expand(len(light), *mean.shape)
-        every = expose(self.choose, read, self.looks, self.dwells.count, start, std)
+        device = (self.looks, self.dwells.count)
+        every = expose(self.choose, read, *device, start, std, self.shortest)
         return torch.cat([seen.inputs(mean, std) for seen in every])
 
 
@@ -339,9 +343,9 @@ def features_of(
     if isinstance(masks, Fixed):
         masks = Fixed(detection.arrange(constraints.separate(*masks())))
     if looks > 1:
-        dwells = Dwells.of(job.masks, *job.optics)
+        dwells, shortest = Dwells.of(job.masks, *job.optics), job.training.shortest_dwell
         return AdaptiveFeatures(
-            streams, masks, x, choose, looks, noise.gain, scale, detection, dwells
+            streams, masks, x, choose, looks, noise.gain, scale, detection, dwells, shortest
         )
     if conditioning:
         return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale, detection)

@@ -126,6 +126,13 @@ class TrainingSettings(BaseModel):
         description="looks of an exposure; from 2 on, counts choose the dwells of the next. Train "
         "with `noise` poisson: a look shows many masks too shortly for MLGauss",
     )
+    shortest_dwell: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="shortest dwell of a frame that the device shows, a share of the exposure: "
+        "frames below it are not shown, and their time is shared out among the others",
+    )
 
     @property
     def own(self) -> bool:
@@ -311,6 +318,8 @@ def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> lis
     faults = _classifier_faults(job.training)
     if job.training.looks > 1:
         faults += _look_faults(job)
+    if job.training.shortest_dwell:
+        faults += _dwell_faults(job)
     if job.training.conditioned and job.noise != "ml_gauss":
         faults.append(
             "a range of budgets and nested masks are trained under ml_gauss: leave `noise` and "
@@ -381,6 +390,21 @@ def _classifier_faults(settings: TrainingSettings) -> list[str]:
     if settings.classifier_arguments and not settings.own:
         faults.append("arguments of a classifier go with one of your own: give `classifier`")
     return faults
+
+
+def _dwell_faults(job: Job) -> list[str]:
+    shortest, looks = job.training.shortest_dwell, job.training.looks
+    if looks == 1 and not (job.code.learned and job.optics[0] in LOOKING):
+        return [
+            "a shortest dwell goes with dwells that are learned or chosen: give deepfsi with "
+            '`light="free-dwell"` or "two-arm", or several looks'
+        ]
+    if shortest * looks > 1:
+        return [
+            f"a frame lasts {shortest:g} of the exposure at least, and a look {1 / looks:g}: give "
+            "fewer looks, or a longer exposure"
+        ]
+    return []
 
 
 def _look_faults(job: Job) -> list[str]:

@@ -81,6 +81,7 @@ def learn(
     span: float = 1.0,
     nested: int = 0,
     looks: int = 1,
+    shortest_dwell: float = 0.0,
     levels: int = 0,
     epochs: int = 40,
     batch: int | None = None,
@@ -137,6 +138,9 @@ def learn(
         Fewest masks, first ones, that must do for a class; 0: all are needed.
     looks : int
         Looks of an exposure; from 2 on, counts choose the dwells of the next.
+    shortest_dwell : float
+        Shortest dwell of a frame that the device shows, a share of the exposure, where dwells are
+        learned or chosen.
     levels : int
         Grey levels of the device, dark included; 0 for continuous masks.
     epochs, batch : int
@@ -294,7 +298,8 @@ def _initial_masks(
         start = detection.of_pixels(kept).arrange(signed[..., kept])
         start = start.expand(len(jobs), -1, -1).clone()
         equal = several and light != "two-arm"
-        masks = Learned(start, "equal-dwell" if equal else light, rails, levels)
+        shortest = 0.0 if several else job.training.shortest_dwell
+        masks = Learned(start, "equal-dwell" if equal else light, rails, levels, shortest)
         if several and light == "two-arm":
             masks.dwell.requires_grad_(False)  # equal from the start
         return masks

@@ -106,8 +106,8 @@ def optimise(
         if isinstance(network, Mlp):
             network.generator = None
         network.eval()
-    dwells = Dwells.of(job.masks, *job.optics)
-    return classifiers, [AdaptiveDwells(dwells, each, settings.looks) for each in choosers]
+    dwells, device = Dwells.of(job.masks, *job.optics), (settings.looks, settings.shortest_dwell)
+    return classifiers, [AdaptiveDwells(dwells, each, *device) for each in choosers]
 
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:

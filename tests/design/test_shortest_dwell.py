@@ -1,0 +1,113 @@
+"""Laws of designs that know the shortest dwell of their device."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import RECIPE
+from deepfsi.cli import options
+from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.masks import Learned
+from deepfsi.training.job import Job, check_job, training_for
+from deepfsi.training.learning import learn
+
+SHORTEST = 0.06
+"""Share of the exposure: five frames of a look of three, of ten masks."""
+
+ONE_DMD = {"light": "free-dwell", "rails": "single"}
+ROUNDING = 1e-5
+
+
+@pytest.fixture(scope="module")
+def looking(digits) -> Design:
+    words = {**RECIPE, **ONE_DMD, "looks": 3, "scale": "common"}
+    return learn(digits, photons=1e3, masks=10, shortest_dwell=SHORTEST, **words)
+
+
+def dwells_of(design: Design) -> list[np.ndarray]:
+    """Dwells of the looks of one exposure, as a camera is told them."""
+    told: list[np.ndarray] = []
+    rng = np.random.default_rng(0)
+
+    def read(dwell):
+        told.append(dwell)
+        return rng.poisson(1e3 * dwell * np.arange(dwell.size).reshape(dwell.shape))
+
+    design.classify_live(read, 1e3)
+    return told
+
+
+def check_dwells(dwells: np.ndarray, total: float) -> None:
+    lit = dwells[dwells > 0]
+    assert lit.min() >= SHORTEST * (1 - ROUNDING)
+    assert lit.size <= total / SHORTEST
+    assert dwells.sum() == pytest.approx(total, rel=ROUNDING)
+
+
+def test_no_look_has_a_frame_below_the_shortest(looking):
+    told = dwells_of(looking)
+    assert len(told) == 3
+    for dwell in told:
+        check_dwells(dwell, 1 / 3)
+    free = replace(looking, exposure=replace(looking.exposure, shortest=0.0))
+    assert min(dwell.min() for dwell in dwells_of(free)) < SHORTEST / 2
+
+
+@pytest.mark.parametrize("levels", [0, 2])
+@pytest.mark.parametrize(
+    "optics", [ONE_DMD, {"light": "free-dwell"}, {"light": "two-arm"}], ids=str
+)
+def test_no_frame_of_a_sequence_is_below_the_shortest(digits, optics, levels):
+    words = {**RECIPE, **optics, "levels": levels}
+    design = learn(digits, photons=1e3, masks=20, shortest_dwell=SHORTEST, **words)
+    rails = design.rails.sum(dim=0, keepdim=True) if "two-arm" in optics.values() else design.rails
+    dwells = rails.amax(dim=-1).numpy()
+    check_dwells(dwells, float(dwells.sum()))
+    assert constraints.excess(design.rails, optics["light"]) <= constraints.SLACK
+
+
+def test_a_frame_that_is_left_out_may_come_back():
+    """Its dwell has a gradient, though it is not shown."""
+    start = torch.rand(1, 4, 5, generator=torch.Generator().manual_seed(0))
+    masks = Learned(start, "free-dwell", "single", shortest=0.25)
+    with torch.no_grad():
+        masks.dwell.copy_(torch.tensor([0.3, 0.2, 0.1, 0.0]))
+    matrix, _ = masks()
+    assert (matrix.amax(dim=-1) > 0).tolist() == [[True, True, True, False]]
+    matrix[..., 3, :].sum().backward()
+    assert float(masks.dwell.grad[..., 3]) > 0
+
+
+def test_a_file_keeps_the_shortest_dwell(looking, tmp_path):
+    path = looking.save(tmp_path / "looks.safetensors")
+    assert Design.load(path).exposure.shortest == SHORTEST
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"light": "column"}, "learned or chosen"),
+        ({"light": "equal-dwell"}, "learned or chosen"),
+        ({**ONE_DMD, "design": "pca"}, "learned or chosen"),
+        ({**ONE_DMD, "looks": 20, "noise": "poisson"}, "a look 0.05: give fewer looks"),
+    ],
+)
+def test_what_has_no_shortest_dwell_is_refused(digits, settings, told):
+    words = dict(settings)
+    name, looks = words.pop("design", "deepfsi"), words.pop("looks", 1)
+    training = training_for(name, epochs=1, looks=looks, shortest_dwell=SHORTEST)
+    job = Job(design=name, photons=1e3, masks=4, training=training, **words)
+    with pytest.raises(InputError, match=told):
+        check_job(job, digits)
+
+
+def test_times_become_a_share_of_the_exposure():
+    assert options.dwell_settings("44us", "10ms") == {"shortest_dwell": pytest.approx(0.0044)}
+    assert options.dwell_settings(None, None) == {}
+    for given in ((None, "10ms"), ("44us", None), ("10ms", "10ms"), ("44", "10ms")):
+        with pytest.raises(InputError, match="exposure"):
+            options.dwell_settings(*given)
