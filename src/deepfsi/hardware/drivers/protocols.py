@@ -49,6 +49,33 @@ class PhotonCounter(AbstractContextManager["PhotonCounter"], Protocol):
         """End the recording; its file is then whole."""
 
 
+class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):
+    """Micromirror device that holds patterns and shows lists of them, for times told with each.
+
+    Entering takes hold of the device; leaving stops it and lets go of it. Each picture gives a
+    marker at its start.
+    """
+
+    def load(self, folder: Path, report: Report = SILENT) -> None:
+        """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
+
+    def markers(self, dwells_s: np.ndarray) -> np.ndarray:
+        """Markers that frames give, (F,): more than 1 where they are repeated to be held so long.
+
+        Times (F,) are as for `show`.
+        """
+
+    def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
+        """Show frames one after another, after those of the last list; may return before the end.
+
+        Parameters are (F,): places in the folder, and for how long each is held at least, seconds,
+        the time to settle among them. The last frame stays until the next list.
+        """
+
+    def halt(self) -> None:
+        """Stop the list where it is."""
+
+
 class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
     """Photon-counting electronics that count frame by frame while they record.
 

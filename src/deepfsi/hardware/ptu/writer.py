@@ -3,9 +3,9 @@
 import os
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from importlib.metadata import version
-from typing import Any, Self
+from typing import Any, BinaryIO, Self, cast
 
 import numpy as np
 
@@ -32,12 +32,17 @@ class Writer:
     ----------
     tick_s : float
         Seconds of a tick.
+    growing : bool
+        Write a new file in its place at once, as a counter does: it can be read while it grows, and
+        stays, ended, also if the block fails.
     """
 
-    def __init__(self, path: str | os.PathLike[str], tick_s: float = 1e-12) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], tick_s: float = 1e-12, *, growing: bool = False
+    ) -> None:
         if not TICKS_S[0] <= tick_s <= TICKS_S[1]:
             raise InputError(f"a tick of {tick_s!r} s is not allowed: give 1e-15 to 1")
-        self._path, self._tick_s = path, float(tick_s)
+        self._path, self._tick_s, self._growing = path, float(tick_s), growing
         self._records = self._latest = self._wraps = 0
 
     def __enter__(self) -> Self:
@@ -50,11 +55,18 @@ class Writer:
     @contextmanager
     def _open(self) -> Iterator[Self]:
         """Open the file; the header is written again at the end, with the number of records."""
-        with open_atomically(self._path) as self._file:
+        with self._opener() as self._file:
             self._file.write(self._header())
-            yield self
-            self._file.seek(0)
-            self._file.write(self._header())
+            try:
+                yield self
+            finally:
+                self._file.seek(0)
+                self._file.write(self._header())
+
+    def _opener(self) -> AbstractContextManager[BinaryIO]:
+        if not self._growing:
+            return open_atomically(self._path)
+        return cast(BinaryIO, open(self._path, "xb", buffering=0))
 
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events: times in ticks, integers (n,), and a code for each, integers (n,).

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
+from deepfsi.hardware.live.settings import Live
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -75,6 +76,8 @@ class Acquisition(BaseModel):
         Settings of a virtual camera.
     seed : int or None
         Of a virtual recording.
+    live : Live or None
+        Of a run whose dwells were chosen from counts; `shown.jsonl` then says what was shown.
     manifest_sha256 : str or None
         Of the bytes of patterns/manifest.json; `prepare` fills it in.
     """
@@ -93,6 +96,7 @@ class Acquisition(BaseModel):
     flux: Positive | None = None
     camera: dict[str, Any] | None = None
     seed: int | None = None
+    live: Live | None = None
     manifest_sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")
@@ -256,10 +260,30 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             f"{name} has {len(acquisition.scenes)} scenes of {len(roles)} frames, and at most "
             f"{most} frames are allowed: split it"
         )
+    if acquisition.live:
+        if manifest.looks is None:
+            raise InputError(f"{name} is of a live run, and its patterns are of no several looks")
+        return
     try:
         gates_of(acquisition, manifest)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+
+
+def read_fixed(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
+    """As `read_acquisition`, of a recording that showed every scene one pass over the patterns."""
+    acquisition, patterns = read_acquisition(folder)
+    check_fixed(acquisition, folder)
+    return acquisition, patterns
+
+
+def check_fixed(acquisition: Acquisition, folder: str | os.PathLike[str]) -> None:
+    """Raise `InputError` if the recording in a folder is a live run, of other frames each scene."""
+    if acquisition.live:
+        raise InputError(
+            f"{folder} is a live run, in which each scene had frames of its own: use `deepfsi "
+            "camera count` and `classify`"
+        )
 
 
 def gates_of(

@@ -16,7 +16,7 @@ from deepfsi.hardware.recording.acquisition import (
     check_inputs,
     gates_of,
     name_inputs,
-    read_acquisition,
+    read_fixed,
 )
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.counts import Counts
@@ -78,7 +78,7 @@ def count(
     InputError
         If files are missing, damaged or do not fit, gates do not fit, or no exposure is whole.
     """
-    recorded, patterns = read_acquisition(folder)
+    recorded, patterns = read_fixed(folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
     header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)

@@ -25,6 +25,7 @@ from deepfsi.hardware.recording.acquisition import (
     MOST_READOUTS,
     Acquisition,
     Positive,
+    check_fixed,
     read_acquisition,
     read_limited,
 )
@@ -137,7 +138,7 @@ class Counts:
         """Write counts.npz to the folder of the acquisition that was counted."""
         about = {
             "acquisition": acquisition.digest,
-            "photons_sha256": _hash_file(folder / "photons.ptu"),
+            "photons_sha256": hash_file(folder / "photons.ptu"),
             "repeats": self.counts.shape[1],
             "exposure_s": self.exposure_s,
             "settle_s": self.settle_s,
@@ -170,6 +171,7 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
 
     Parameters as of `read_acquisition`, which gives the others. Raises as `read_counts`.
     """
+    check_fixed(acquisition, folder)
     path, photons = folder / "counts.npz", folder / "photons.ptu"
     content = read_limited(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
     again = "count again with `deepfsi camera count`"
@@ -200,7 +202,7 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         ) from None
     if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
         raise InputError(f"{path} was changed after it was written: {again}")
-    if photons.is_file() and _hash_file(photons) != about.photons_sha256:
+    if photons.is_file() and hash_file(photons) != about.photons_sha256:
         raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
     return Counts(
         **arrays,
@@ -212,7 +214,7 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
     )
 
 
-def _hash_file(path: Path) -> str:
+def hash_file(path: Path) -> str:
     """Hash of a file's content."""
     with path.open("rb") as file:
         return file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,193 @@
+"""Decisions of a live run, from counts alone: the class of each scene, and what to show next.
+
+One code serves a run and its replay. It asks for the counts of a list of frames; devices show and
+count them, or a recording is looked up. So a replay that is given the same counts comes to the same
+decisions, bit by bit.
+
+Each scene begins with an all-ON and an all-OFF frame. The budget is the flux of the all-ON frames
+of all scenes so far, as scenes differ in brightness and a dim one is to stay dim; the dark counts
+are those of the all-OFF frames so far.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.live.dwells import share_out
+from deepfsi.hardware.live.networks import Loop, judge
+from deepfsi.hardware.live.settings import MARGIN_NS
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.timing import usual_tolerance
+from deepfsi.hardware.recording.acquisition import Acquisition
+
+ON, OFF = 0, 1
+"""Places of the all-ON and the all-OFF frame among the frames of a manifest."""
+
+SENTINELS = -1
+"""Number of the list of frames that begins each scene."""
+
+
+@dataclass(frozen=True)
+class FrameList:
+    """Frames that are shown one after another, and counted.
+
+    Attributes
+    ----------
+    look : int
+        From 0; `SENTINELS` for the frames that begin a scene.
+    frames : integer array, shape (F,)
+        Places among the frames of the manifest.
+    gate_ns : int64 array, shape (F,)
+        For how long each is counted.
+    """
+
+    look: int
+    frames: np.ndarray
+    gate_ns: np.ndarray
+
+
+Count = Callable[[FrameList], np.ndarray]
+"""Counts (F, inputs) of a list of frames."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Answer after a look at a scene.
+
+    Attributes
+    ----------
+    scene, look : int
+        From 0.
+    chances : array, shape (C,)
+        Probabilities of the classes.
+    photons : float
+        Budget of a whole exposure, in counts.
+    light_s : float
+        Exposure so far, seconds.
+    final : bool
+        True if no look follows.
+    """
+
+    scene: int
+    look: int
+    chances: np.ndarray
+    photons: float
+    light_s: float
+    final: bool
+
+
+class Observer:
+    """Decisions on scene after scene of a live run.
+
+    Parameters
+    ----------
+    loop : Loop
+        Of the design.
+    manifest : Manifest
+        Of its patterns.
+    acquisition : Acquisition
+        Of a live run.
+    """
+
+    def __init__(self, loop: Loop, manifest: Manifest, acquisition: Acquisition) -> None:
+        if acquisition.live is None or manifest.looks is None:
+            raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
+        self.loop, self._manifest = loop, manifest
+        self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
+        self._lit = _Lit(manifest)
+        self._masks = np.array([manifest.frames[at].mask for at in manifest.shown])
+        self._rails = np.array([manifest.frames[at].rail for at in manifest.shown])
+        self._places = manifest.looks.places(self._masks, self._rails == "minus")
+        first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
+        settle = acquisition.settle_s + usual_tolerance(manifest)
+        gates = np.array([us - round(settle * 1e9) - MARGIN_NS for us in first])
+        if gates.min() < 1:
+            raise InputError(
+                f"all-ON and all-OFF frames of {manifest.frames[ON].picture_us} µs are too short "
+                "to be counted: export with a longer --dwell"
+            )
+        self._sentinels = FrameList(SENTINELS, np.array([ON, OFF]), gates)
+
+    def observe(self, scene: int, count: Count) -> Iterator[Decision]:
+        """Decisions after each look at the next scene; none if there is no light.
+
+        Parameters
+        ----------
+        scene : int
+            Its number, from 0, as the decisions have it.
+        count : callable
+            Asked for the counts of a list of frames, one list after another.
+        """
+        about = self.loop.about
+        self._lit.add(count(self._sentinels), self._sentinels.gate_ns)
+        exposure_s = self._exposure_ns * 1e-9
+        photons = self._settings.photons or self._lit.flux * exposure_s
+        if photons <= 0:
+            return
+        features, dwell, light_ns = np.zeros(about.features), np.zeros(about.frames), 0
+        for look in range(about.looks):
+            asked = self.loop.choose(self.loop.inputs(features, dwell), look)
+            shown, gates = self._frames_of(asked, look)
+            counts = self._by_rail(count(shown), shown)
+            features += self.loop.features(counts) / photons
+            dwell += gates / self._exposure_ns
+            light_ns += int(shown.gate_ns.sum())
+            chances = self.loop.classify(self.loop.inputs(features, dwell))
+            chances, enough = judge(chances, look, self._settings.rule)
+            final = enough or look == about.looks - 1
+            yield Decision(scene, look, chances, float(photons), light_ns * 1e-9, final)
+            if final:
+                return
+
+    def _frames_of(self, asked: np.ndarray, look: int) -> tuple[FrameList, np.ndarray]:
+        """Frames of a look, and the gates (q,) of all, for dwells that are asked for."""
+        shared = share_out(asked, self._settings.shortest_ns / self._exposure_ns)
+        gates = np.rint(shared * self._exposure_ns).astype(np.int64)
+        own = gates[self._places]
+        kept = own > 0
+        return FrameList(look, self._manifest.shown[kept], own[kept]), gates
+
+    def _by_rail(self, counts: np.ndarray, shown: FrameList) -> np.ndarray:
+        """Counts (rails, m, D) of a look less their dark counts, of counts (F, inputs)."""
+        about = self.loop.about
+        signal = counts - self._lit.dark * (shown.gate_ns * 1e-9)[:, None]
+        rows = np.searchsorted(self._manifest.shown, shown.frames)
+        out = np.zeros((about.rails, about.masks, about.detectors))
+        first = signal[:, : about.detectors]
+        out[(self._rails[rows] == "minus").astype(int), self._masks[rows]] = first
+        if self._manifest.two_arm:
+            out[1, self._masks[rows]] = signal[:, about.detectors :]
+        return out
+
+
+class _Lit:
+    """Flux and dark counts of the all-ON and all-OFF frames so far."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._arm, self._two = manifest.detector_count, manifest.two_arm
+        self._counts = np.zeros((2, manifest.inputs), np.int64)
+        self._ns = np.zeros(2, np.int64)
+
+    def add(self, counts: np.ndarray, gate_ns: np.ndarray) -> None:
+        """Count the all-ON and all-OFF frame of a scene, (2, inputs)."""
+        self._counts += counts
+        self._ns += gate_ns
+
+    @property
+    def _rates(self) -> np.ndarray:
+        """Counts/s (2, inputs) of all-ON and all-OFF frames."""
+        return self._counts / (self._ns * 1e-9)[:, None]
+
+    @property
+    def flux(self) -> float:
+        """Counts/s of the scenes' light with all mirrors ON."""
+        on, off = self._rates[:, : self._arm]
+        return float((on - off).sum())
+
+    @property
+    def dark(self) -> np.ndarray:
+        """Counts/s of each input where no mirror sends it light, (inputs,)."""
+        on, off = self._rates
+        return np.concatenate([off[: self._arm], on[self._arm :]]) if self._two else off

@@ -1,0 +1,183 @@
+"""A live run replayed from its files: photons counted again, and the decisions that follow.
+
+The photon file and `shown.jsonl` hold all that the loop knew. `count_live` finds each frame by the
+number of its marker and counts its gate; `replay_run` hands these counts to the code that decided,
+asks of every list whether it is the one that was shown, and gives the decisions.
+"""
+
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.hardware.live import shown
+from deepfsi.hardware.live.decisions import Decision, FrameList, Observer
+from deepfsi.hardware.live.networks import read_loop
+from deepfsi.hardware.live.shown import ShownList, ShownScene, read_shown
+from deepfsi.hardware.patterns.folder import LOOP
+from deepfsi.hardware.ptu.header import Header, read_header
+from deepfsi.hardware.ptu.reader import count_gates, read_markers
+from deepfsi.hardware.recording.acquisition import Acquisition, check_inputs, read_acquisition
+from deepfsi.hardware.recording.counts import hash_file
+from deepfsi.progress import SILENT, Report
+
+PHOTONS, COUNTS = "photons.ptu", "counts.npz"
+"""Files of the recording and its counts."""
+
+
+@dataclass(frozen=True)
+class LiveCounts:
+    """Counts of the finished scenes of a live run.
+
+    Attributes
+    ----------
+    scenes : tuple of ShownScene
+        With their frames and gates.
+    counts : int64 array, shape (n, inputs)
+        Photons in the gates, scene by scene, list by list, frame by frame.
+    """
+
+    scenes: tuple[ShownScene, ...]
+    counts: np.ndarray
+
+    @property
+    def by_scene(self) -> Iterator[tuple[ShownScene, list[np.ndarray]]]:
+        """Scenes with the counts (F, inputs) of their lists."""
+        at = 0
+        for scene in self.scenes:
+            lists = []
+            for each in scene.lists:
+                lists.append(self.counts[at : at + len(each.frames)])
+                at += len(each.frames)
+            yield scene, lists
+
+
+def is_live(folder: Path) -> bool:
+    """True for the folder of a live run; `InputError` as `read_acquisition`."""
+    return read_acquisition(folder)[0].live is not None
+
+
+def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
+    """Count the photons of a live run and write counts.npz.
+
+    Raises `InputError` if files are missing, damaged or do not fit each other.
+    """
+    acquisition, patterns = read_acquisition(folder)
+    scenes, header = read_shown(folder), read_header(folder / PHOTONS)
+    check_inputs(patterns.manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
+    starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
+    counts = count_gates(header.path, starts, stops, acquisition.inputs, report.part(0.4, 1.0))
+    about = json.dumps(_hashes(folder)).encode()
+    file = io.BytesIO()
+    np.savez(file, counts=counts, about=np.frombuffer(about, np.uint8))
+    write_atomically(folder / COUNTS, file.getvalue())
+    return LiveCounts(scenes, counts)
+
+
+def _find_gates(
+    header: Header, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Report
+) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and stops of all gates, ticks, as the counter had them while it ran."""
+    times, bits = read_markers(header.path, report)
+    times = times[bits & acquisition.marker_bit != 0]
+    places = np.concatenate([np.concatenate(each.first_markers) for each in scenes])
+    if places.max() >= len(times):
+        raise InputError(
+            f"{header.path} has {len(times)} frame markers, and {shown.NAME} says at least "
+            f"{places.max() + 1}: give the photon file of this run"
+        )
+    gate_ns = np.concatenate([part.gate_ns for each in scenes for part in each.lists])
+    starts = times[places] + round(acquisition.settle_s / header.tick_s)
+    lengths = np.rint(gate_ns * 1e-9 / header.tick_s).astype(np.int64)
+    return starts, starts + lengths
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """Hashes of what was counted."""
+    names = ("acquisition.json", shown.NAME, PHOTONS)
+    return {name: hash_file(folder / name) for name in names}
+
+
+def read_live_counts(folder: Path) -> LiveCounts:
+    """Counts of a live run as `count_live` wrote them.
+
+    Raises `InputError` if there are none, or they are of other files.
+    """
+    path, again = folder / COUNTS, "count again with `deepfsi camera count`"
+    scenes = read_shown(folder)
+    wanted = sum(len(each.frames) for scene in scenes for each in scene.lists)
+    try:
+        with np.load(path, allow_pickle=False) as held:
+            counts, about = held["counts"], json.loads(held["about"].tobytes())
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: make it with `deepfsi camera count`") from None
+    except Exception:
+        raise InputError(f"{path} is not a whole file of counts: {again}") from None
+    inputs = len(read_acquisition(folder)[0].inputs)
+    if counts.shape != (wanted, inputs) or counts.dtype != np.int64 or about != _hashes(folder):
+        raise InputError(f"{path} is of other files than those beside it: {again}")
+    return LiveCounts(scenes, counts)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A scene of a run replayed.
+
+    Attributes
+    ----------
+    shown : ShownScene
+        As the run has it.
+    decisions : tuple of Decision
+        After each look, from its counts; none without light.
+    agrees : bool
+        True if every list is the one that was shown, and the last probabilities are those of the
+        run, bit for bit.
+    """
+
+    shown: ShownScene
+    decisions: tuple[Decision, ...]
+    agrees: bool
+
+
+def replay_run(folder: Path) -> tuple[Replayed, ...]:
+    """Decisions of a live run from its counts.
+
+    Raises `InputError` if files are missing, damaged or do not fit each other.
+    """
+    acquisition, patterns = read_acquisition(folder)
+    loop = read_loop(folder / "patterns" / LOOP)
+    observer = Observer(loop, patterns.manifest, acquisition)
+    out = []
+    for scene, counts in read_live_counts(folder).by_scene:
+        recorded = _Recorded(scene.lists, counts)
+        decisions = tuple(observer.observe(scene.scene, recorded))
+        found = tuple(decisions[-1].chances.tolist()) if decisions else ()
+        agrees = recorded.agrees and found == scene.chances
+        out.append(Replayed(scene, decisions, agrees))
+    return tuple(out)
+
+
+class _Recorded:
+    """Counts of lists that were shown, in place of devices."""
+
+    def __init__(self, lists: tuple[ShownList, ...], counts: list[np.ndarray]) -> None:
+        self._left = list(zip(lists, counts, strict=True))
+        self._asked = True
+
+    @property
+    def agrees(self) -> bool:
+        """True if what was asked for is what was shown, and all of it."""
+        return self._asked and not self._left
+
+    def __call__(self, asked: FrameList) -> np.ndarray:
+        if not self._left or not self._left[0][0].matches(asked):
+            raise InputError(
+                "a look of this run is not the one that follows from its counts: it was made with "
+                "another version of the design, of deepfsi or of NumPy"
+            )
+        return self._left.pop(0)[1]

@@ -1,0 +1,258 @@
+"""The loop: a projector and a counter show, count and decide, scene after scene.
+
+Each list of frames ends with the all-OFF frame, which stays while the next list is chosen: its
+marker ends the last gate, and the detector rests.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.drivers.protocols import StreamingCounter, StreamingProjector
+from deepfsi.hardware.live import shown
+from deepfsi.hardware.live.decisions import OFF, Decision, FrameList, Observer
+from deepfsi.hardware.live.networks import StopRule, read_loop
+from deepfsi.hardware.live.settings import MARGIN_NS, Live
+from deepfsi.hardware.patterns.folder import LOOP, read_patterns
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
+from deepfsi.hardware.recording.streaming import FrameGates
+
+PATIENCE_S = 5.0
+"""Time by which counts may come later than their frames end, seconds."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Devices of a live run.
+
+    Attributes
+    ----------
+    projector : StreamingProjector
+    counter : StreamingCounter
+    display : callable
+        Shows a scene by its number, from 0, and returns when it has settled.
+    clock : callable
+        Time in seconds; that of virtual devices runs by itself.
+    latencies : dict, optional
+        Of virtual devices.
+    """
+
+    projector: StreamingProjector
+    counter: StreamingCounter
+    display: Callable[[int], None]
+    clock: Callable[[], float] = time.monotonic
+    latencies: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Decided:
+    """A decision, and when it fell.
+
+    Attributes
+    ----------
+    decision : Decision or None
+        None where a scene had no light.
+    scene : int
+    clock_s : float
+        After the scene's first command, seconds.
+    """
+
+    decision: Decision | None
+    scene: int
+    clock_s: float
+
+
+def plan_live(
+    patterns_folder: Path,
+    scenes: tuple[Scene, ...],
+    exposure_s: float,
+    shortest_s: float | None = None,
+    photons: float | None = None,
+    until: float | None = None,
+    **others: object,
+) -> Acquisition:
+    """Settings of a live run of the patterns in a folder.
+
+    Parameters
+    ----------
+    patterns_folder : path
+        Of a design of several looks.
+    scenes : tuple of Scene
+    exposure_s : float
+        Of all looks together, seconds.
+    shortest_s : float, optional
+        Shortest dwell; what the device's shortest picture leaves after settling unless given, and
+        not less.
+    photons : float, optional
+        Budget of an exposure in counts, where it is known.
+    until : float, optional
+        Confidence above which an exposure stops; the design's own rule unless given, if it has one.
+    **others
+        Further fields of `Acquisition`.
+
+    Raises
+    ------
+    InputError
+        If the patterns are of another kind of design, or a setting is not allowed.
+    """
+    manifest = read_patterns(patterns_folder).manifest
+    if manifest.looks is None:
+        raise InputError(
+            f"{patterns_folder} has the patterns of a design of fixed dwells: learn one of several "
+            "`looks`, or record it with `deepfsi camera simulate` or `prepare`"
+        )
+    if not (math.isfinite(exposure_s) and exposure_s > 0):
+        raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
+    if photons is not None and not (math.isfinite(photons) and photons > 0):
+        raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
+    rule = read_loop(patterns_folder / LOOP).about.rule
+    if until is not None:
+        if not 0 < until < 1:
+            raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
+        rule = StopRule(temperatures=rule.temperatures if rule else (), threshold=until)
+    shortest_ns = _shortest_gate(manifest, exposure_s / manifest.looks.count, shortest_s)
+    return Acquisition(
+        scenes=scenes,
+        exposure_s=exposure_s,
+        settle_s=manifest.device.settle_us * 1e-6,
+        repeats=1,
+        live=Live(shortest_ns=shortest_ns, photons=photons, rule=rule),
+        **{"inputs": tuple(range(manifest.inputs)), **others},
+    )
+
+
+def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:
+    """Shortest gate of a run, ns, for looks of some length; `InputError` if they are shorter."""
+    device = manifest.device
+    least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
+    if shortest_s is not None and not shortest_s >= 0:
+        raise InputError(f"a shortest dwell of {shortest_s!r} is not allowed: give 0 or more")
+    shortest_ns = max(least_ns, round((shortest_s or 0.0) * 1e9), 1)
+    if look_s * 1e9 < shortest_ns:
+        raise InputError(
+            f"a look of {look_s:.3g} s is shorter than the shortest dwell, {shortest_ns / 1e3:g} "
+            "µs: give a longer `exposure`, or a shorter `shortest_dwell`"
+        )
+    return shortest_ns
+
+
+def run_live(
+    folder: Path, patterns_folder: Path, acquisition: Acquisition, bench: Bench
+) -> Iterator[Decided]:
+    """Show, count and decide; gives each decision as it falls.
+
+    The folder is as that of any acquisition, with `shown.jsonl` in it. Scenes that are finished are
+    kept whenever the run is stopped.
+
+    Parameters
+    ----------
+    folder : path
+        New or empty.
+    patterns_folder : path
+        With the frames.
+    acquisition : Acquisition
+        Of `plan_live`.
+    bench : Bench
+        Its devices are taken hold of, and let go at the end.
+
+    Raises
+    ------
+    InputError
+        If folders or settings do not fit, a device refuses, or frames give no counts in time.
+    """
+    assert acquisition.live is not None
+    live = acquisition.live.model_copy(update={"latencies": bench.latencies})
+    acquisition = acquisition.model_copy(update={"live": live})
+    patterns, loop = read_patterns(patterns_folder), read_loop(patterns_folder / LOOP)
+    observer = Observer(loop, patterns.manifest, acquisition)
+    with ExitStack() as stack:
+        stack.enter_context(bench.projector)
+        stack.enter_context(bench.counter)
+        bench.projector.load(patterns_folder)
+        prepare(folder, patterns_folder, acquisition)
+        bench.counter.start(folder / "photons.ptu")
+        show = _Shower(bench, patterns.manifest, acquisition)
+        record = stack.enter_context((folder / shown.NAME).open("x", encoding="utf-8", buffering=1))
+        for scene in range(len(acquisition.scenes)):
+            bench.display(scene)
+            start, show.lists, first = bench.clock(), [], show.markers
+            last: Decision | None = None
+            for last in observer.observe(scene, show):
+                yield Decided(last, scene, bench.clock() - start)
+            if last is None:
+                yield Decided(None, scene, bench.clock() - start)
+            finished = shown.ShownScene(
+                scene=scene,
+                first_marker=first,
+                lists=tuple(show.lists),
+                chances=() if last is None else tuple(last.chances.tolist()),
+                light_s=0.0 if last is None else last.light_s,
+                clock_s=bench.clock() - start,
+            )
+            record.write(finished.model_dump_json() + "\n")
+        bench.counter.stop()
+
+
+class _Shower:
+    """Shows lists of frames and gives their counts."""
+
+    def __init__(self, bench: Bench, manifest: Manifest, acquisition: Acquisition) -> None:
+        self._bench, self._manifest = bench, manifest
+        self._settle_s = acquisition.settle_s
+        self._rests = 0  # all-OFF frames whose counts are still to come, before the next list's
+        self.lists: list[shown.ShownList] = []
+        self.markers = 0
+
+    def __call__(self, asked: FrameList) -> np.ndarray:
+        projector, counter = self._bench.projector, self._bench.counter
+        gates_s = np.append(asked.gate_ns, 0) * 1e-9
+        frames = np.append(asked.frames, OFF)
+        pictures_s = self._pictures(asked)
+        markers = np.asarray(projector.markers(pictures_s), np.int64)
+        counter.expect(FrameGates(np.full(len(frames), self._settle_s), gates_s, markers))
+        projector.show(frames, pictures_s)
+        counts = self._wait(len(asked.frames), float(pictures_s.sum()))
+        given = markers[:-1].tolist()
+        self.lists.append(
+            shown.ShownList(
+                look=asked.look,
+                frames=tuple(asked.frames.tolist()),
+                gate_ns=tuple(asked.gate_ns.tolist()),
+                markers=tuple(given),
+            )
+        )
+        self.markers += sum(given) + 1
+        return counts
+
+    def _pictures(self, asked: FrameList) -> np.ndarray:
+        """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
+        device = self._manifest.device
+        us = np.ceil((asked.gate_ns + MARGIN_NS) * 1e-3 + device.settle_us)
+        if asked.look < 0:
+            us = np.array([self._manifest.frames[place].picture_us for place in asked.frames])
+        return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6
+
+    def _wait(self, wanted: int, duration_s: float) -> np.ndarray:
+        """Counts (F, inputs) of so many frames."""
+        clock, counter = time.monotonic, self._bench.counter
+        until, parts, found = clock() + duration_s + PATIENCE_S, [], -self._rests
+        while found < wanted:
+            left = until - clock()
+            if left <= 0:
+                raise InputError(
+                    f"counts of {wanted - max(found, 0)} of {wanted} frames did not come within "
+                    f"{duration_s + PATIENCE_S:.3g} s: check that the device's trigger is wired to "
+                    "the counter and that it records"
+                )
+            counts = counter.counts_since_marker(left).counts
+            parts.append(counts[max(-found, 0) :])
+            found += len(counts)
+        self._rests = wanted + 1 - found
+        return np.concatenate(parts)[:wanted]

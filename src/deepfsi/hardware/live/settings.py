@@ -1,0 +1,31 @@
+"""Settings of a live run, as the acquisition's file has them."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from deepfsi.hardware.live.networks import StopRule
+
+MARGIN_NS = 2000
+"""Time by which a picture outlasts its gate, so that clocks may differ and markers be off, ns."""
+
+
+class Live(BaseModel):
+    """Settings of a live run.
+
+    Attributes
+    ----------
+    shortest_ns : int
+        Shortest gate; frames whose dwells are shorter are not shown.
+    photons : float or None
+        Budget of an exposure where it is known; that of the all-ON frames so far if None.
+    rule : StopRule or None
+        When an exposure stops; never before its last look if None.
+    latencies : dict or None
+        Of virtual devices, seconds.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    shortest_ns: int = Field(ge=1)
+    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
+    rule: StopRule | None = None
+    latencies: dict[str, float] | None = None

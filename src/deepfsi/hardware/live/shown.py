@@ -1,0 +1,121 @@
+"""The record of what a live run showed, `shown.jsonl`: a line for each scene that is finished.
+
+A line is written when its scene is decided, so that a run that is stopped at any moment keeps all
+scenes before.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.live.decisions import FrameList
+
+NAME = "shown.jsonl"
+"""File of the record in the folder of a run."""
+
+
+class ShownList(BaseModel):
+    """A list of frames as it was shown.
+
+    Attributes
+    ----------
+    look : int
+        From 0; -1 for the frames that begin a scene.
+    frames : tuple of int
+        Places among the frames of the manifest.
+    gate_ns : tuple of int
+        For how long each was counted.
+    markers : tuple of int
+        Markers that each gave.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    look: int = Field(ge=-1, le=63)
+    frames: tuple[int, ...]
+    gate_ns: tuple[int, ...]
+    markers: tuple[int, ...]
+
+    @model_validator(mode="after")
+    def _whole(self) -> "ShownList":
+        if not len(self.frames) == len(self.gate_ns) == len(self.markers):
+            raise ValueError("frames, gates and markers differ in number")
+        if min(self.gate_ns, default=1) < 0 or min(self.markers, default=1) < 1:
+            raise ValueError("gates are 0 or more, and each frame gives a marker")
+        return self
+
+    def matches(self, asked: FrameList) -> bool:
+        """True if these are the frames, and their gates."""
+        return (
+            self.look == asked.look
+            and np.array_equal(self.frames, asked.frames)
+            and np.array_equal(self.gate_ns, asked.gate_ns)
+        )
+
+
+class ShownScene(BaseModel):
+    """A scene as it was shown, and what was decided.
+
+    Attributes
+    ----------
+    scene : int
+        From 0.
+    first_marker : int
+        Markers before those of this scene.
+    lists : tuple of ShownList
+        In their order. A marker follows each: the all-OFF frame that is shown while the next list
+        is chosen.
+    chances : tuple of float
+        Probabilities of the classes; none if there was no light.
+    light_s, clock_s : float
+        Exposure used, and time from the scene's first command to its decision, seconds.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scene: int = Field(ge=0)
+    first_marker: int = Field(ge=0)
+    lists: tuple[ShownList, ...]
+    chances: tuple[float, ...]
+    light_s: float = Field(ge=0)
+    clock_s: float = Field(ge=0)
+
+    @property
+    def looks(self) -> int:
+        """Looks that were shown."""
+        return sum(each.look >= 0 for each in self.lists)
+
+    @property
+    def first_markers(self) -> list[np.ndarray]:
+        """Number of the marker that each frame begins with, list by list."""
+        at, out = self.first_marker, []
+        for each in self.lists:
+            markers = np.array(each.markers, np.int64)
+            out.append(at + np.cumsum(markers) - markers)
+            at += int(markers.sum()) + 1
+        return out
+
+
+def read_shown(folder: Path) -> tuple[ShownScene, ...]:
+    """Scenes of a run that are finished, or `InputError` if there are none or they do not follow.
+
+    A last line that is not whole is that of a run that was killed, and is left out.
+    """
+    path = folder / NAME
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", "it is no text")
+        raise InputError(f"{path} cannot be read ({reason}): give a run of `camera live`") from None
+    lines = text.split("\n")[:-1]
+    try:
+        scenes = tuple(ShownScene.model_validate_json(line) for line in lines)
+    except ValidationError:
+        raise InputError(f"{path} is damaged: run `deepfsi camera live` again") from None
+    if not scenes:
+        raise InputError(f"{path} has no finished scene: run `deepfsi camera live` again")
+    if [each.scene for each in scenes] != list(range(len(scenes))):
+        raise InputError(f"{path} has scenes that do not follow each other: it was changed")
+    return scenes

@@ -1,0 +1,215 @@
+"""Virtual projector and counter of a live run, on a clock of their own.
+
+Nothing waits: the clock is set on by the time that each step takes. What the display shows is seen
+frame by frame as by the virtual camera; photons and markers are written to a PTU file as they
+come, and the counts are read from that file while it grows.
+"""
+
+import math
+from contextlib import AbstractContextManager
+from io import FileIO
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import check_patterns
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
+from deepfsi.hardware.virtual.camera import MARKER, Camera
+from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
+from deepfsi.progress import SILENT, Report
+
+START_S = 1e-3
+"""Time on the counter's clock before the first list, seconds."""
+
+
+class Latencies(BaseModel):
+    """Times that the steps of a loop take, seconds; docs/live.md says where each is from.
+
+    Attributes
+    ----------
+    display : float
+        Until the display shows another scene, and it has settled.
+    command : float
+        From a decision until the first frame of its list is shown: USB, and the device's start.
+    trigger : float
+        From the start of a frame until its marker is recorded.
+    block : float
+        The counter hands over its records in blocks, each so long after the last.
+    transfer : float
+        From the end of a block until the computer has it.
+    decision : float
+        From the counts until the next list is known, or the class.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    display: float = Field(20e-3, ge=0, le=1e3)
+    command: float = Field(1e-3, ge=0, le=1e3)
+    trigger: float = Field(0.0, ge=0, le=1e-6)
+    block: float = Field(1e-3, gt=0, le=1e3)
+    transfer: float = Field(0.25e-3, ge=0, le=1e3)
+    decision: float = Field(0.1e-3, ge=0, le=1e3)
+
+
+class Laboratory:
+    """Laboratory that virtual devices share: a clock, the scene on the display, the detectors.
+
+    Parameters
+    ----------
+    rates : array, shape (S, F, inputs)
+        Of `camera.arrival_rates`: arrivals/s while each frame of the folder is shown.
+    camera : Camera
+    latencies : Latencies
+    seed : int
+        The same one gives the same run.
+
+    Attributes
+    ----------
+    now_s : float
+        Time on the clock.
+    """
+
+    def __init__(
+        self, rates: np.ndarray, camera: Camera, latencies: Latencies, seed: int = 0
+    ) -> None:
+        self.latencies, self.now_s = latencies, START_S
+        self._rates, self._scene, self._frame = rates, 0, 1
+        rng = np.random.default_rng(seed)
+        self._streams = [Stream(camera, rng) for _ in range(rates.shape[2])]
+        self._reach = self._streams[0].reach
+        self._end = 0  # ticks up to which the detectors' light is known
+        self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        self.written: Writer | None = None
+
+    def display(self, scene: int) -> None:
+        """Show a scene on the display."""
+        self.now_s += self.latencies.display
+        self._see(np.array([self._frame]), np.array([max(self._ticks(self.now_s), self._end)]))
+        self._scene = scene
+
+    def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
+        """Let the detectors see frames; the last one stays."""
+        self.now_s += self.latencies.command
+        start = max(self._ticks(self.now_s), self._end)
+        self._see(np.array([self._frame]), np.array([start]))
+        ends = start + np.cumsum(np.rint(dwells_s / TICK_S).astype(np.int64))
+        marks = np.append(start, ends[:-1]) + self._ticks(self.latencies.trigger)
+        self._add(marks, -MARKER)
+        self._see(frames, ends)
+        self._frame = int(frames[-1])
+        # All that came before the last frame's marker is handed over with it.
+        self.now_s = self._handed_over(float(marks[-1]) * TICK_S)
+
+    def _handed_over(self, time_s: float) -> float:
+        """Time at which the computer has decided upon what was recorded until a time."""
+        block = self.latencies.block
+        whole = math.ceil(time_s / block) * block
+        return whole + self.latencies.transfer + self.latencies.decision
+
+    @staticmethod
+    def _ticks(seconds: float) -> int:
+        return round(seconds / TICK_S)
+
+    def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
+        """Draw the events while frames are shown, the last until `ends[-1]`, and write them."""
+        durations = np.diff(ends, prepend=self._end)
+        for pieces, flow in divide(durations, self._rates[self._scene, frames]):
+            stop = self._end + int(pieces.sum())
+            for each, stream in enumerate(self._streams):
+                self._add(stream.events(self._end, pieces, flow[:, each]), each)
+            self._end = stop
+            self._write()
+
+    def _add(self, times: np.ndarray, code: int) -> None:
+        self._times = np.append(self._times, np.maximum(times, 0))
+        self._codes = np.append(self._codes, np.full(len(times), code))
+
+    def _write(self) -> None:
+        """Write what no later event can come before."""
+        order = np.argsort(self._times, kind="stable")
+        times, codes = self._times[order], self._codes[order]
+        ready = int(np.searchsorted(times, self._end - self._reach))
+        if self.written is not None and ready:
+            self.written.write(times[:ready], codes[:ready])
+        self._times, self._codes = times[ready:], codes[ready:]
+
+
+class BenchProjector(AbstractContextManager["BenchProjector"]):
+    """Projector that shows lists of frames to the detectors of a virtual laboratory."""
+
+    def __init__(self, laboratory: Laboratory) -> None:
+        self._laboratory = laboratory
+        self._loaded = False
+
+    def __exit__(self, *error: object) -> None:
+        """Do nothing: there is nothing to close."""
+
+    def load(self, folder: Path, report: Report = SILENT) -> None:
+        """Check every frame of a pattern folder, as a real device must read them."""
+        check_patterns(folder, report)
+        self._loaded = True
+
+    def markers(self, dwells_s: np.ndarray) -> np.ndarray:
+        """One marker for each frame."""
+        return np.ones(len(dwells_s), np.int64)
+
+    def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
+        """Show frames; the clock is then where their counts have come and are decided upon."""
+        if not self._loaded:
+            raise InputError("no patterns are loaded: load a pattern folder first")
+        self._laboratory.show(frames, dwells_s)
+
+    def halt(self) -> None:
+        """Do nothing: a virtual list has ended."""
+
+
+class BenchCounter(AbstractContextManager["BenchCounter"]):
+    """Counter of the photons of a virtual laboratory, which it records into a PTU file.
+
+    Parameters
+    ----------
+    laboratory : Laboratory
+    inputs : int
+        Number of detectors, on the counter's first inputs.
+    """
+
+    def __init__(self, laboratory: Laboratory, inputs: int) -> None:
+        self._laboratory, self._inputs = laboratory, inputs
+        self._file: FileIO | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the recording; its file stays."""
+        self.stop()
+
+    def start(self, path: Path) -> None:
+        """Begin to record into a new file."""
+        self._laboratory.written = Writer(path, TICK_S, growing=True).__enter__()
+        self._file = FileIO(path)
+        self._counter = StreamCounter(range(self._inputs), MARKER, path)
+
+    def expect(self, gates: FrameGates) -> None:
+        """Tell the gates of the frames that are shown next."""
+        self._counter.expect(gates)
+
+    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
+        """Frames whose gates have ended since the last call; a virtual counter never waits."""
+        if self._file is None:
+            raise InputError("nothing is recorded: start the counter first")
+        return self._counter.feed(self._file.read())
+
+    def stop(self) -> None:
+        """End the recording; its file is then whole."""
+        if self._file is None:
+            return
+        self._file.close()
+        self._file = None
+        writer, self._laboratory.written = self._laboratory.written, None
+        assert writer is not None
+        writer.__exit__(None, None, None)

@@ -1,0 +1,67 @@
+"""Live runs that the tests share: a small design, its patterns and a virtual laboratory."""
+
+from pathlib import Path
+
+import numpy as np
+
+from conftest import quick
+from deepfsi.cli.dmd import design_rails
+from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
+from deepfsi.hardware.recording.acquisition import Scene
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
+from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates
+
+LOOKS = 3
+OPTICS = {
+    "single": {"light": "free-dwell", "rails": "single", "levels": 2},
+    "dual": {"light": "free-dwell", "rails": "dual", "readout": "both"},
+    "two arms": {"light": "two-arm", "readout": "both"},
+    "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
+}
+
+
+def make_patterns(folder: Path, digits, optics: str = "single", **settings) -> Path:
+    """Folder of patterns of a design of several looks, on a small device."""
+    words = {"masks": 6, "looks": LOOKS, "photons": 1e4, "epochs": 4, **OPTICS[optics], **settings}
+    design = quick(digits, **words)
+    design.save(folder / "looks.safetensors")
+    frames = FrameSettings(find_device("64x48"), 1e-3)
+    export_patterns(design_rails(folder / "looks.safetensors"), frames, folder / "patterns")
+    return folder / "patterns"
+
+
+def bench(
+    patterns: Path, scenes: np.ndarray, flux: float, camera: Camera = CAMERAS["ideal"],
+    latencies: Latencies | None = None, seed: int = 0,
+) -> Bench:  # fmt: skip
+    rates = arrival_rates(patterns, scenes, camera, flux)
+    latencies = latencies or Latencies()
+    laboratory = Laboratory(rates, camera, latencies, seed)
+    return Bench(
+        BenchProjector(laboratory),
+        BenchCounter(laboratory, rates.shape[2]),
+        laboratory.display,
+        lambda: laboratory.now_s,
+        latencies.model_dump(),
+    )
+
+
+def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
+    """First test scenes as pictures, and their names."""
+    x = digits.x_test[:count].reshape(count, *digits.image_shape)
+    labels = [digits.classes[y] for y in digits.y_test[:count]]
+    return x, tuple(Scene(name=str(k), label=each) for k, each in enumerate(labels))
+
+
+def live(
+    folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
+    exposure_s: float = 10e-3, camera: Camera = CAMERAS["ideal"],
+    latencies: Latencies | None = None, **settings,
+) -> list[Decided]:  # fmt: skip
+    """Run a few scenes."""
+    x, scenes = scenes_of(digits, count)
+    acquisition = plan_live(patterns, scenes, exposure_s, **settings)
+    devices = bench(patterns, x, flux, camera, latencies)
+    return list(run_live(folder, patterns, acquisition, devices))
