@@ -7,7 +7,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
-from deepfsi.cli import acquisitions, calibrations, camera, common, data, dmd
+from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
@@ -40,6 +40,7 @@ def _start(
 for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
     app.command()(_command)
 camera.camera.command("prepare")(acquisitions.camera_prepare)
+camera.camera.command("classify")(classify.camera_classify)
 camera.camera.command("spots")(calibrations.camera_spots)
 camera.camera.command("calibrate")(calibrations.camera_calibrate)
 app.add_typer(dmd.dmd, name="dmd")

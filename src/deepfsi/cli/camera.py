@@ -11,15 +11,11 @@ from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
 
     from deepfsi.datasets.display import Display
-    from deepfsi.hardware.patterns.sequence import Patterns
     from deepfsi.hardware.ptu.contents import Contents
     from deepfsi.hardware.recording.counts import Counts
-    from deepfsi.hardware.recording.faults import Fault
     from deepfsi.hardware.virtual.camera import Camera
 
 NO_DRIFT = 1e-7
@@ -184,7 +180,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
     for problem in problems:
         print(f"photons.ptu: {problem}")
     for fault in counts.faults:
-        print(_named(fault, names))
+        print(fault.line(names))
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
@@ -201,112 +197,6 @@ def _drifted(drift: float) -> str:
         return "as planned"
     size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < SMALL_DRIFT else f"{abs(drift):.2%}"
     return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
-
-
-@camera.command("classify")
-def camera_classify(
-    file: Annotated[Path, typer.Argument(help="design file whose patterns were shown")],
-    folder: options.Run,
-    photons: Annotated[
-        float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
-    ] = None,
-    trust: options.Trust = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="classify counts that are not what it was trained for")
-    ] = False,
-    as_json: options.Json = False,
-) -> None:
-    """Say the class of each exposure of an acquisition that was counted.
-
-    Counts that do not look like what the design was trained for are refused, and single scenes
-    that do not are unsure.
-
-    Example: deepfsi camera classify one-dmd.safetensors run_0001
-    """
-    paths.check_design(file)
-    paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
-    import numpy as np
-
-    from deepfsi.cli.consistency import check_counts
-    from deepfsi.design.artifact import Design
-    from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.counts import load_counts
-
-    acquisition, patterns = read_acquisition(folder)
-    counts = load_counts(folder, acquisition, patterns.manifest)
-    design = Design.load(file, trust=trust)
-    if design.exposure.looks > 1:
-        raise InputError(f"{file} chooses dwells while the exposure runs: give a live run of it")
-    _check_shown(file, patterns)
-    made = design.as_shown(*patterns.realised)
-    usable = counts.valid & ~counts.spoilt[:, None]
-    if not usable.any():
-        raise InputError(
-            f"{folder} has no exposure that can be classified ({counts.faults[0]}): record again"
-        )
-    budgets = np.where(np.isfinite(counts.photons), photons or counts.photons, 1.0)
-    tested = check_counts(made, counts, usable, budgets, force)
-    probabilities = made.classify(made.readouts(counts.signal()), budgets[:, None])
-    scenes = []
-    for place, scene in enumerate(acquisition.scenes):
-        about = {
-            "photons": float(budgets[place]) if usable[place].any() else None,
-            "faults": [str(fault) for fault in counts.faults_of(place)],
-            **tested.scenes[place],
-        }
-        guessed = _guessed(probabilities[place][usable[place]], made.classes)
-        scenes.append({"scene": scene.name, "label": scene.label, **guessed, **about})
-    if as_json:
-        common.print_json("camera.classify", {"consistency": tested.summary, "scenes": scenes})
-        return
-    _print_classes(f"{made.name}, {made.masks} masks", scenes, counts, made.classes)
-    for remark in tested.remarks:
-        print(remark)
-
-
-def _guessed(chances: "np.ndarray", classes: tuple[str, ...]) -> dict[str, Any]:
-    """Class of a scene from the probabilities (R, C) of its exposures, for JSON."""
-    mean = chances.mean(axis=0) if len(chances) else None
-    return {
-        "class": None if mean is None else classes[mean.argmax()],
-        "probability": None if mean is None else float(mean.max()),
-        "exposures": len(chances),
-        "guesses": [classes[k] for k in chances.argmax(axis=-1)],
-    }
-
-
-def _print_classes(
-    title: str, scenes: list[dict[str, Any]], counts: "Counts", classes: tuple[str, ...]
-) -> None:
-    rows = [
-        (
-            str(s["scene"]),
-            str(s["class"] or "none"),
-            f"{s['probability']:.3f}" if s["probability"] is not None else "",
-            f"{s['guesses'].count(s['class'])} of {len(s['guesses'])}" if s["guesses"] else "",
-            str(s["label"] or ""),
-            ", ".join(
-                sorted({fault.kind for fault in counts.faults_of(place)})
-                + ["unsure"] * bool(s["unsure"])
-            ),
-        )
-        for place, s in enumerate(scenes)
-    ]
-    heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "remarks")
-    common.print_table(title, heads, rows)
-    for fault in counts.faults:
-        print(_named(fault, [str(s["scene"]) for s in scenes]))
-    labelled = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
-    known = [(guess, label) for guess, label in labelled if label in classes]
-    if known:
-        right = sum(guess == label for guess, label in known)
-        print(f"right: {right} of {len(known)} exposures")
-    if foreign := len(labelled) - len(known):
-        print(f"{foreign} exposures have labels that are none of the design's classes: left out")
-
-
-def _named(fault: "Fault", names: "Sequence[str]") -> str:
-    return f"{'marker' if fault.of_markers else 'light'} {fault.words(names)}"
 
 
 @camera.command("image")
@@ -407,15 +297,3 @@ def _span(values: "np.ndarray") -> str:
 
     ends = [f"{end:.4g}" for end in (np.nanmin(values), np.nanmax(values))]
     return " to ".join(dict.fromkeys(ends))
-
-
-def _check_shown(file: Path, patterns: "Patterns") -> None:
-    """Raise `InputError` where the patterns are known to be of another design."""
-    import hashlib
-
-    known = patterns.manifest.design_sha256
-    if known and file.is_file() and hashlib.sha256(file.read_bytes()).hexdigest() != known:
-        raise InputError(
-            f"{file} is not the design whose patterns were shown: give the file that "
-            "`deepfsi dmd export` was given"
-        )

@@ -61,7 +61,8 @@ def check_counts(
     some = often > 0
     exposures = counts.by_readout(usable)
     signal = counts.signal().sum(axis=1, where=exposures)[some]
-    background = (counts.background * exposures.sum(axis=1))[some]
+    dark = counts.background.clip(min=0) * exposures.sum(axis=1)
+    background = (dark + counts.excess.sum(axis=1, where=exposures))[some]
     found = design.consistency(
         design.readouts(signal), (budgets * often)[some], design.readouts(background)
     )

@@ -1,4 +1,8 @@
-"""Arrays of real numbers in ``.npy`` files, and in ``.mat`` files up to version 7."""
+"""Arrays of real numbers in ``.npy``, ``.mat`` and HDF5 files.
+
+A ``.mat`` file of version 7.3 is an HDF5 file, in which MATLAB turns the order of axes around; it
+is turned back here. Either needs h5py, an extra of the package.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +20,9 @@ NUMBERS = (
 )
 """Names in ``.mat`` files of the types that hold numbers."""
 
+MATLAB_HDF5 = b"MATLAB 7.3"
+"""Beginning of a ``.mat`` file that is an HDF5 file."""
+
 
 def read_npy(path: Path) -> npt.NDArray[Any]:
     """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
@@ -32,10 +39,15 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the numeric variables in a ``.mat`` file that have so many dimensions, by name.
+    """Shapes of the numeric variables in a file that have so many dimensions, by name.
 
-    Raises `InputError` if the file is damaged or of version 7.3.
+    Of a ``.mat`` file, or of an HDF5 file, in which a name is a path such as ``run/counts``. Raises
+    `InputError` if the file is damaged, or an HDF5 file and h5py is not installed.
     """
+    if _in_hdf5(path):
+        with _open_hdf5(path) as found:
+            shapes = {name: _matlab_shape(path, held.shape) for name, held in found.items()}
+        return {name: shape for name, shape in shapes.items() if len(shape) in dimensions}
     from scipy.io import whosmat
 
     with _as_input_error(path):
@@ -47,7 +59,7 @@ def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int
 
 
 def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
-    """Variable of a ``.mat`` file.
+    """Variable of a ``.mat`` or HDF5 file.
 
     Parameters
     ----------
@@ -68,18 +80,64 @@ def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -
 
     if np.prod(shape, dtype=float) > largest:
         raise InputError(f"{path}: {name} has the shape {shape}: give {largest} values or fewer")
+    values: npt.NDArray[Any]
+    if _in_hdf5(path):
+        with _open_hdf5(path) as found:
+            values = np.asarray(found[name])
+        return np.ascontiguousarray(values if path.suffix.lower() != ".mat" else values.T)
     with _as_input_error(path):
-        values: npt.NDArray[Any] = loadmat(path, variable_names=[name])[name]
+        values = loadmat(path, variable_names=[name])[name]
     if values.dtype.kind not in "biuf":
         raise InputError(f"{path}: {name} holds complex numbers: give real ones")
     return np.ascontiguousarray(values)
+
+
+def _in_hdf5(path: Path) -> bool:
+    """True if a file's name says HDF5, or MATLAB's header in it says version 7.3."""
+    if path.suffix.lower() != ".mat":
+        return True
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MATLAB_HDF5)) == MATLAB_HDF5
+    except OSError as error:
+        raise InputError(f"cannot read {path} ({error.strerror})") from error
+
+
+def _matlab_shape(path: Path, shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Shape of a variable as MATLAB has it."""
+    return shape[::-1] if path.suffix.lower() == ".mat" else shape
+
+
+@contextmanager
+def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
+    """Data sets of real numbers in an HDF5 file, by name, but those of MATLAB's own use."""
+    kind = "a .mat file of version 7.3" if path.suffix.lower() == ".mat" else "an HDF5 file"
+    other = ", or save it in MATLAB with '-v7'" if path.suffix.lower() == ".mat" else ""
+    try:
+        import h5py
+    except ImportError as error:
+        raise InputError(
+            f"{path} is {kind}, read by the package h5py: pip install deepfsi[hdf5]{other}"
+        ) from error
+    held: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        real = isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf"
+        matlab = item.attrs.get("MATLAB_class", b"double").decode()
+        if real and matlab in NUMBERS and not name.startswith("#"):
+            held[name] = item
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+            yield held
+    except Exception as error:  # h5py raises almost anything on a damaged file
+        raise InputError(f"cannot read {path} as {kind} ({error}); save it again{other}") from error
 
 
 @contextmanager
 def _as_input_error(path: Path) -> Iterator[None]:
     try:
         yield
-    except NotImplementedError as error:
-        raise InputError(f"{path} is of version 7.3; save it in MATLAB with '-v7'") from error
     except Exception as error:  # scipy raises almost anything on a damaged file
         raise InputError(f"cannot read {path} as a .mat file ({error}); save it again") from error

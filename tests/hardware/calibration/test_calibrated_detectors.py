@@ -58,7 +58,10 @@ def test_a_detector_without_cells_is_named(tmp_path):
     idle = np.zeros((*counts.counts.shape[:-1], 1), int)
     some = {
         **vars(counts),
-        "counts": np.concatenate([counts.counts, idle], axis=-1),
+        **{
+            name: np.concatenate([getattr(counts, name), idle], axis=-1)
+            for name in ("counts", "arrivals", "variance")
+        },
         "dark_rate": np.concatenate([counts.dark_rate, 0 * counts.dark_rate[..., :1]], axis=-1),
         "inputs": (*counts.inputs, 12),
     }

@@ -31,19 +31,13 @@ from deepfsi.hardware.recording.gates import (
     find_lateness,
     in_ticks,
 )
-from deepfsi.hardware.recording.light import Light, find_light
-from deepfsi.hardware.recording.sentinels import PARTS, Seen
+from deepfsi.hardware.recording.light import Light, find_light, see_inputs, wire
+from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
+from deepfsi.hardware.recording.sentinels import PARTS
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
-
-_READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {
-    "plus": ((0, 0),),
-    "minus": ((1, 0),),
-    "both": ((0, 0), (1, 1)),
-}
-"""Rails for which a frame is read, and the arm that sees them."""
 
 
 def count(
@@ -85,19 +79,20 @@ def count(
     frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
     check_gates(header, gates, manifest, frames)
     windows = Windows.of(manifest, gates, frames)
-    whole, faults = frames.whole, frames.faults
+    whole = frames.whole
     starts, parts = frames.starts_s[whole], find_frame_parts(frames, gates.settle_s, PARTS)
     (found, seconds), parted = _count_windows(
         header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
-    detectors, wired = manifest.detector_count, _wired(acquisition.inputs, manifest)
-    fits = _show_ends(header, photons[..., :detectors].sum(axis=-1), spent)
+    arm = slice(0, manifest.detector_count)
+    fits = _show_ends(header, photons[..., arm].sum(axis=-1), spent)
     lost = np.flatnonzero(whole)[~fits]
-    faults += [_shifted(scene) for scene in lost.tolist()]
-    faults += find_lateness(windows, found[fits, :, :detectors].sum(axis=-1), seconds[fits])
+    late = find_lateness(windows, found[fits][..., arm].sum(axis=-1), seconds[fits])
+    faults = [*frames.faults, *map(_shifted, lost.tolist()), *late]
     whole[whole] = fits
-    light = find_light(*_see(parts, parted, fits, whole, wired), manifest, lost)
+    seen = _see(parts, parted, fits, whole)
+    light = find_light(*see_inputs(*seen, wire(acquisition.inputs, manifest)), manifest, lost)
     _check_lit(header, acquisition, light)
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s
@@ -170,42 +165,18 @@ def _count_windows(
     return out
 
 
-def _wired(inputs: tuple[int, ...], manifest: Manifest) -> list[tuple[int, ...]]:
-    """Inputs of the detectors of each arm."""
-    count = manifest.detector_count
-    return [inputs[first : first + count] for first in range(0, len(inputs), count)]
-
-
 def _see(
-    parts: FrameParts,
-    parted: tuple[np.ndarray, np.ndarray],
-    fits: np.ndarray,
-    whole: np.ndarray,
-    wired: list[tuple[int, ...]],
-) -> tuple[list[Seen], list[Seen]]:
-    """Photons in the parts of frames, of the passes that fit, for `find_light`.
-
-    Of each arm's detectors together, and of each detector where an arm has several.
-    """
+    parts: FrameParts, parted: tuple[np.ndarray, np.ndarray], fits: np.ndarray, whole: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Photons and seconds in the parts of frames, of the passes that fit, for `see_inputs`."""
+    shape = int(fits.sum()), *parts.middles.shape
     photons, seconds = (each[fits] for each in parted)
-    frames = len(parts.middles)
-    on, off = (0, frames - 2), (1, frames - 1)
-    shape = len(photons), *parts.middles.shape
-    arms, detectors = [], []
-    for arm, inputs in enumerate(wired):
-        together = Seen(
-            photons[..., arm * len(inputs) : (arm + 1) * len(inputs)].sum(axis=-1).reshape(shape),
-            seconds.reshape(shape),
-            parts.middles,
-            np.flatnonzero(whole),
-            *((on, off) if arm == 0 else (off, on)),
-            f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
-        )
-        arms.append(together)
-        for column, each in enumerate(inputs if len(inputs) > 1 else (), arm * len(inputs)):
-            own, name = photons[..., column].reshape(shape), f" on input {each + 1}"
-            detectors.append(replace(together, photons=own, name=name, part=True))
-    return arms, detectors
+    return (
+        photons.reshape(*shape, -1),
+        seconds.reshape(shape),
+        parts.middles,
+        np.flatnonzero(whole),
+    )
 
 
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
@@ -254,33 +225,32 @@ def _assemble(
     exposure_s: float,
 ) -> Counts:
     """Counts of windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
-    scenes, rails, masks = len(whole), manifest.rails, manifest.masks
-    detectors, several = manifest.detector_count, manifest.several
-    counts = np.zeros((scenes, gates.repeats, rails, masks, detectors), np.int64)
-    found = found.reshape(*found.shape[:2], -1, detectors)
-    lengths = np.zeros((rails, masks))
-    for place, length, own in zip(manifest.shown, gates.length_s, windows.gates, strict=True):
-        frame = manifest.frames[place]
-        for rail, arm in _READ_BY[frame.rail]:
-            counts[whole, :, rail, frame.mask] = found[:, own, arm]
-            lengths[rail, frame.mask] = length
+    scenes, detectors = len(whole), manifest.detector_count
+    gated = found[:, windows.gates].swapaxes(1, 2)
+    readouts = by_readout(manifest, gated)
+    counts = np.zeros((scenes, *readouts.shape[1:]), np.int64)
+    counts[whole] = readouts
     on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
     on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
     on_rate[whole], off_rate[whole] = (each[:, :detectors].sum(axis=1) for each in (on, off))
-    flux, dark = np.full(scenes, np.nan), np.zeros((scenes, rails, detectors))
+    flux = np.full(scenes, np.nan)
     flux[whole] = light.flux
-    dark[whole] = light.dark_rate.reshape(len(rates), -1, detectors)  # of one arm, or of both
+    dark = by_rail(manifest, light.dark_rate)
+    dark_rate = np.zeros((scenes, *dark.shape[1:]))
+    dark_rate[whole] = dark
     return Counts(
-        counts=counts.reshape(*counts.shape[:4], *several),
+        counts=counts,
+        arrivals=counts.astype(np.float64),
+        variance=counts.astype(np.float64),
         valid=np.repeat(whole[:, None], gates.repeats, axis=1),
         gate_s=gates.length_s,
         on_rate=on_rate,
         off_rate=off_rate,
         flux=flux,
-        dark_rate=dark.reshape(scenes, rails, *several),
+        dark_rate=dark_rate,
         exposure_s=exposure_s,
         settle_s=gates.settle_s,
-        lengths_s=lengths,
+        lengths_s=lengths_by_readout(manifest, gates.length_s),
         drift=0.0,
         inputs=(),
         faults=(),

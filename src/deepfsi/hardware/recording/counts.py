@@ -56,8 +56,11 @@ class Counts:
     Attributes
     ----------
     counts : array, shape (S, R, rails, m[, D])
-        int64; D only of several detectors. 0 for a rail that is dark and for an exposure that is
-        not valid.
+        Registered counts, int64; D only of several detectors. 0 for a rail that is dark and for an
+        exposure that is not valid.
+    arrivals, variance : arrays, shape (S, R, rails, m[, D])
+        Counts of the light and the dark in each gate by themselves, estimated from what was
+        registered, and the variance of their noise; both are the counts where nothing was lost.
     valid : array, shape (S, R)
         bool; whether all readouts of an exposure were recorded.
     gate_s : array, shape (f,)
@@ -86,6 +89,8 @@ class Counts:
     """
 
     counts: np.ndarray
+    arrivals: np.ndarray
+    variance: np.ndarray
     valid: np.ndarray
     gate_s: np.ndarray
     on_rate: np.ndarray
@@ -106,8 +111,13 @@ class Counts:
         return self.dark_rate[:, :, None] * lengths
 
     def signal(self) -> np.ndarray:
-        """Counts less the background, float64 (S, R, rails, m[, D])."""
-        return self.counts - self.background[:, None] * self.by_readout(self.valid)
+        """Arrivals less the background, float64 (S, R, rails, m[, D])."""
+        return self.arrivals - self.background[:, None] * self.by_readout(self.valid)
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Variance of the arrivals beyond Poisson's, 0 or more, float64 (S, R, rails, m[, D])."""
+        return np.maximum(self.variance - np.maximum(self.arrivals, 0.0), 0.0)
 
     def by_readout(self, exposures: np.ndarray) -> np.ndarray:
         """Array (S, R) of exposures, with further axes so that it goes with `counts`."""
@@ -182,8 +192,11 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
             if about.acquisition != acquisition.digest:
                 raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
             scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
+            each = scenes, about.repeats, rails, masks, *manifest.several
             kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-                "counts": ("<i8", (scenes, about.repeats, rails, masks, *manifest.several)),
+                "counts": ("<i8", each),
+                "arrivals": ("<f8", each),
+                "variance": ("<f8", each),
                 "valid": ("|b1", (scenes, about.repeats)),
                 "gate_s": ("<f8", (len(manifest.shown),)),
                 "on_rate": ("<f8", (scenes,)),

@@ -68,6 +68,10 @@ class Fault(BaseModel):
             where.append(f" frame {self.frame}")
         return f"{self.kind}{','.join(where)}: {self.detail}"
 
+    def line(self, names: Sequence[str] = ()) -> str:
+        """The fault in one line that also says if it is of markers or light; as of `words`."""
+        return f"{'marker' if self.of_markers else 'light'} {self.words(names)}"
+
     @property
     def of_markers(self) -> bool:
         """True for a fault of the markers, False for one of the light."""

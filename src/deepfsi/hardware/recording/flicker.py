@@ -100,6 +100,8 @@ def find_flicker(
 
 def _frequencies(blocks: list[_Block]) -> np.ndarray:
     """Frequencies in Hz of which the longest block has a whole period, and parts can see."""
+    if blocks[0].middles.shape[1] < 2:
+        return np.empty(0)
     longest = max(float(np.ptp(block.middles)) for block in blocks)
     part = float(np.median(np.diff(blocks[0].middles, axis=1)))
     if longest <= 0 or part <= 0:

@@ -5,12 +5,13 @@ differ in brightness, and a dim one is to stay dim. What a scene's brightness ma
 the training scenes (`Brightness`). Where the all-ON rates change by more, the light did.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from deepfsi.hardware.patterns.sequence import Brightness, Manifest
+from deepfsi.hardware.recording.acquisition import name_inputs
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.levels import Row, find_parts
@@ -54,6 +55,50 @@ class Light:
     dark_rate: np.ndarray
     lit: np.ndarray
     faults: tuple[Fault, ...]
+
+
+def wire(inputs: tuple[int, ...], manifest: Manifest) -> list[tuple[int, ...]]:
+    """Inputs of the detectors of each arm."""
+    count = manifest.detector_count
+    return [inputs[first : first + count] for first in range(0, len(inputs), count)]
+
+
+def see_inputs(
+    photons: np.ndarray,
+    seconds: np.ndarray,
+    middles: np.ndarray,
+    scenes: np.ndarray,
+    wired: list[tuple[int, ...]],
+) -> tuple[list[Seen], list[Seen]]:
+    """Photons in the parts of frames, for `find_light`.
+
+    Of each arm's detectors together, and of each detector where an arm has several.
+
+    Parameters
+    ----------
+    photons : array, shape (P, F, K, inputs)
+    seconds, middles, scenes
+        As of `Seen`.
+    wired : list of tuple of int
+        Inputs of the detectors of each arm.
+    """
+    frames = len(middles)
+    on, off = (0, frames - 2), (1, frames - 1)
+    arms, detectors = [], []
+    for arm, inputs in enumerate(wired):
+        together = Seen(
+            photons[..., arm * len(inputs) : (arm + 1) * len(inputs)].sum(axis=-1),
+            seconds,
+            middles,
+            scenes,
+            *((on, off) if arm == 0 else (off, on)),
+            f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
+        )
+        arms.append(together)
+        for column, each in enumerate(inputs if len(inputs) > 1 else (), arm * len(inputs)):
+            own, name = photons[..., column], f" on input {each + 1}"
+            detectors.append(replace(together, photons=own, name=name, part=True))
+    return arms, detectors
 
 
 def find_light(

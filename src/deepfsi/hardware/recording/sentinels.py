@@ -64,7 +64,8 @@ class Seen:
     Attributes
     ----------
     photons, seconds : arrays, shape (P, F, K)
-        Photons, and how long each part was open: 0 where a frame's time is not known.
+        Photons, and how long each part was open: 0 where a frame's time is not known. K is `PARTS`,
+        or 1 where frames were counted whole.
     middles : array, shape (F, K)
         Times of the parts after the start of their pass, seconds.
     scenes : array, shape (P,)
@@ -254,6 +255,8 @@ def _find_restless(seen: Seen, background: Background, chance: float) -> np.ndar
     """Frames (P, F) in which the light is not steady."""
     whole, whole_s = seen.photons.sum(axis=2), seen.seconds.sum(axis=2)
     out = np.zeros(whole.shape, bool)
+    if seen.photons.shape[2] < PARTS:
+        return out  # frames were counted whole
     on, on_s = seen.together(seen.bright)
     light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
     rate = (whole + 1) / np.where(whole_s > 0, whole_s, np.inf)

@@ -1,0 +1,59 @@
+"""Frames of a design for which no device was chosen: their order, and times as good as any."""
+
+import math
+from importlib.metadata import version
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import DesignRails
+from deepfsi.hardware.patterns.mirrors import count_mirrors
+from deepfsi.hardware.patterns.sequence import Device, Frame, Manifest
+
+LEVELS = 2**16
+"""Grey levels of a cell: more than any device has, so that a rail is dark only where it is zero."""
+
+PASS_US = 10**9
+"""Time of the masks' frames of a pass together, µs: long, so that whole ones keep their ratios."""
+
+LEAST_DIMMED = 0.999
+"""Share of a design's light that one device must show."""
+
+
+def nominal_manifest(design: DesignRails) -> Manifest:
+    """Manifest of a design's frames in their usual order, on a device of one mirror a cell.
+
+    A mask's frame lasts for its share of the exposure, a sentinel for the mean of them. Raises
+    `InputError` if one device cannot show the design with all its light.
+    """
+    counted = count_mirrors(design.rails, design.light, LEVELS)
+    if not counted.shown or counted.dimmed < LEAST_DIMMED:
+        raise InputError(
+            f"one device shows a {design.light} design only dimmed, or not at all: give the folder "
+            "of its patterns in place of its file"
+        )
+    down, across = design.image_shape if len(design.image_shape) == 2 else (1, *design.image_shape)
+    device = Device(name="none", columns=across, rows=down, settle_us=0)
+    mean = math.ceil(PASS_US * float(counted.shares.mean()))
+    ends = [Frame(role=role, picture_us=mean, sha256="0" * 64) for role in ("on", "off")]
+    pairs = zip(counted.shown, counted.shares.tolist(), strict=True)
+    shown = [
+        Frame(role="mask", mask=mask, rail=rail, share=share,
+              picture_us=max(1, round(share * PASS_US)), sha256="0" * 64)
+        for (mask, rail), share in pairs
+    ]  # fmt: skip
+    return Manifest(
+        deepfsi=version("deepfsi"),
+        device=device,
+        image_shape=design.image_shape,
+        masks=design.rails.shape[1],
+        rails=2 if len(design.rails) == 2 else 1,
+        light=design.light,
+        dimmed=1.0,
+        summed_reflectance=design.summed_reflectance,
+        brightness=design.brightness,
+        detectors=design.detectors,
+        readout=design.readout,
+        selection="ordered",
+        format="npy",
+        mirrors_sha256="0" * 64,
+        frames=(*ends, *shown, *ends),
+    )

@@ -1,0 +1,370 @@
+"""Counts of any counter: a table with a value for each frame and input becomes `Counts`.
+
+A value is what the counter counted from one frame's marker to the next, or from `settle` after it.
+Pictures last longer than their share of the exposure asks for, so the value of frame f, counted for
+the time T_f, becomes that of its gate,
+
+    value · share_f · E / T_f,      E = Σ T_f / Σ share_f  over the masks' frames,
+
+and the budget is the flux times E: all the light of these frames.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+
+from deepfsi.datasets.table_files import Table
+from deepfsi.errors import InputError, check_known, closest
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
+from deepfsi.hardware.recording.counts import Counts
+from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.light import find_light, see_inputs, wire
+from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
+
+SCENE, LABEL = "scene", "label"
+WORDS = (SCENE, LABEL)
+"""Names of the columns of words."""
+
+Along = Literal["rows", "columns"]
+"""Exposures are the rows of a table, or its columns."""
+
+
+@dataclass(frozen=True)
+class TableSettings:
+    """Settings with which a table is read.
+
+    Parameters
+    ----------
+    photons : float, optional
+        Budget of an exposure; that of the all-ON frames unless given.
+    background : float, optional
+        Counts that an input has in the masks' frames of one exposure together without light; those
+        of the all-OFF frames unless given, and none without such frames.
+    settle_s : float
+        Time after each marker that was not counted, seconds.
+    exposures : {"rows", "columns"}, optional
+        Told by the shape unless given.
+    repeats : int
+        Exposures of each scene, one after another, where the table does not name scenes.
+    gain : float, optional
+        Counts for a unit of the table, of an analogue detector.
+    read_noise : float, optional
+        Of each value of an analogue detector, counts rms.
+
+    Raises
+    ------
+    InputError
+        If one of them is not allowed.
+    """
+
+    photons: float | None = None
+    background: float | None = None
+    settle_s: float = 0.0
+    exposures: str | None = None
+    repeats: int = 1
+    gain: float | None = None
+    read_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.exposures is not None:
+            check_known("`exposures`", self.exposures, get_args(Along))
+        for name, value in (("photons", self.photons), ("gain", self.gain)):
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"`{name}` {value:g} is not allowed: give a number above 0")
+        for name, value in (("background", self.background), ("read_noise", self.read_noise)):
+            if value is not None and not 0 <= value < np.inf:
+                raise InputError(f"`{name}` {value:g} is not allowed: give counts, 0 or more")
+        if self.repeats < 1:
+            raise InputError(f"`repeats` {self.repeats} is not allowed: give 1 or more")
+
+    @property
+    def analogue(self) -> bool:
+        """True for values that are no photon counts."""
+        return self.gain is not None or self.read_noise is not None
+
+
+def column_names(manifest: Manifest) -> list[str]:
+    """Names of the values of an exposure: frame by frame, and in each frame input by input.
+
+    `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
+    and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on.
+    """
+    names, seen = [], set()
+    for frame in manifest.frames:
+        name = frame.role
+        if frame.role == "mask":
+            sign = "" if manifest.rails == 1 or frame.rail == "both" else "+-"[frame.rail != "plus"]
+            names.append(f"mask{frame.mask}{sign}")
+        else:
+            names.append(f"{name}2" if name in seen else name)
+            seen.add(name)
+    inputs = manifest.inputs
+    if inputs == 1:
+        return names
+    return [f"{name}/{each}" for name in names for each in range(1, inputs + 1)]
+
+
+class _Values(NamedTuple):
+    """Values of exposures.
+
+    Attributes
+    ----------
+    masks : array, shape (E, f, inputs)
+    ends : array, shape (E, 4, inputs), or None
+        Of the frames all ON, all OFF, all ON, all OFF.
+    """
+
+    masks: np.ndarray
+    ends: np.ndarray | None
+
+
+def count_table(
+    table: Table, manifest: Manifest, settings: TableSettings, name: str = "the table"
+) -> tuple[Counts, tuple[Scene, ...]]:
+    """Counts of the exposures in a table, and their scenes.
+
+    Parameters
+    ----------
+    table : Table
+        A row or a column for each exposure, with a value for each frame and input, in the order of
+        `column_names` or with these names: of the masks' frames, or with the all-ON and all-OFF
+        frames before and after them.
+    manifest : Manifest
+        Of the patterns that were shown.
+    settings : TableSettings
+    name : str
+        What to call the table.
+
+    Raises
+    ------
+    InputError
+        If the table does not fit the patterns, its values are no counts, or no budget is known.
+    """
+    values = _find_values(table, manifest, settings, name)
+    scenes, place = _find_scenes(table, len(values.masks), settings.repeats, name)
+    _check_values(values, settings, name)
+    times = _find_times(manifest, settings.settle_s)
+    exposure = float(times[manifest.shown].sum() / manifest.shares.sum())
+    gain, lengths = settings.gain or 1.0, manifest.shares * exposure
+    masks, ends = values.masks * gain, None if values.ends is None else values.ends * gain
+    light = _find_light(masks, ends, _Passes(place, times, exposure), manifest, settings)
+    _check_budget(light.flux, settings, name)
+    repeats = np.bincount(place)
+    valid = np.arange(repeats.max()) < repeats[:, None]
+    scale = (lengths / times[manifest.shown])[:, None]
+    noise = (settings.read_noise or 0.0) ** 2
+    counts = Counts(
+        counts=_by_scene(by_readout(manifest, masks), valid),
+        arrivals=_by_scene(by_readout(manifest, masks * scale), valid),
+        variance=_by_scene(by_readout(manifest, (masks.clip(min=0) + noise) * scale**2), valid),
+        valid=valid,
+        gate_s=lengths,
+        on_rate=light.on_rate,
+        off_rate=light.off_rate,
+        flux=light.flux,
+        dark_rate=by_rail(manifest, light.dark_rate),
+        exposure_s=exposure,
+        settle_s=settings.settle_s,
+        lengths_s=lengths_by_readout(manifest, lengths),
+        drift=0.0,
+        inputs=tuple(range(manifest.inputs)),
+        faults=light.faults,
+    )
+    return counts, scenes
+
+
+def _by_scene(readouts: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Readouts (S, R, ...) from those of exposures (E, ...), where an array (S, R) is true."""
+    out = np.zeros((*valid.shape, *readouts.shape[1:]))
+    out[valid] = readouts
+    return out
+
+
+def _find_times(manifest: Manifest, settle_s: float) -> np.ndarray:
+    """For how long each frame is counted, seconds (F,), or `InputError` if one is not."""
+    times = np.asarray(manifest.picture_s - settle_s)
+    if times.min() <= 0:
+        raise InputError(
+            f"`settle` {settle_s:g} s leaves nothing of the shortest frame: give less than "
+            f"{manifest.picture_s.min():g}"
+        )
+    return times
+
+
+def _find_values(table: Table, manifest: Manifest, settings: TableSettings, name: str) -> _Values:
+    """Values of a table in the order of frames and inputs."""
+    names, inputs = column_names(manifest), manifest.inputs
+    ends = 2 * inputs
+    values, given = table.values, [each.lower() for each in table.names]
+    known = [each for each in given if each in names]
+    if known:
+        _check_names(known, table.names, names, ends, name)
+        wanted = names if len(known) == len(names) else names[ends:-ends]
+        values = values[:, [given.index(each) for each in wanted]]
+        along = "rows"
+    else:
+        along = _find_direction(table, names, inputs, settings, name)
+    if along == "columns":
+        values = values.T
+    split = values.reshape(len(values), -1, inputs)
+    if values.shape[1] == len(names) - 2 * ends:
+        return _Values(split, None)
+    return _Values(split[:, 2:-2], split[:, [0, 1, -2, -1]])
+
+
+def _check_names(
+    known: list[str], given: tuple[str, ...], names: list[str], ends: int, name: str
+) -> None:
+    """Raise `InputError` unless columns with names are those of all frames, or of all masks'."""
+    other = [each for each in given if each.lower() not in names]
+    if other:
+        raise InputError(
+            f"{name} has a column {other[0]!r} that is no frame: {closest(other[0], names)}, and "
+            f"{SCENE} and {LABEL}"
+        )
+    missing = [each for each in names if each not in known]
+    sentinels = {*names[:ends], *names[-ends:]}
+    if missing and set(missing) != sentinels:
+        lacking = [each for each in missing if each not in sentinels] or missing
+        raise InputError(
+            f"{name} has no column {lacking[0]!r}: give one for each of the masks' frames, and "
+            "all of the all-ON and all-OFF frames or none"
+        )
+
+
+def _find_direction(
+    table: Table, names: list[str], inputs: int, settings: TableSettings, name: str
+) -> str:
+    """Exposures are a table's rows or its columns, by its shape or as the settings say."""
+    frames = len(names) // inputs
+    allowed = (len(names) - 4 * inputs, len(names))
+    rows, columns = table.values.shape
+    fits = {"rows": columns in allowed, "columns": rows in allowed and not table.words}
+    along = settings.exposures
+    if along is None and all(fits.values()):
+        raise InputError(
+            f"{name} has {rows} rows and {columns} columns, and either may be exposures: say "
+            "`exposures` rows or columns"
+        )
+    chosen = along or next((each for each, fit in fits.items() if fit), None)
+    if chosen is None or not fits[chosen]:
+        each = f"{frames - 4} frames of masks" + (f" x {inputs} inputs" if inputs > 1 else "")
+        raise InputError(
+            f"{name} has {rows} rows and {columns} columns"
+            + (f", and exposures are its {along}" if along else "")
+            + f": an exposure has {allowed[0]} values ({each}), or {allowed[1]} with all ON and "
+            "all OFF before and after them"
+        )
+    return chosen
+
+
+def _find_scenes(
+    table: Table, exposures: int, repeats: int, name: str
+) -> tuple[tuple[Scene, ...], np.ndarray]:
+    """Scenes, and which of them each exposure (E,) is of: those of one scene follow each other."""
+    names, labels = table.words.get(SCENE), table.words.get(LABEL)
+    if names is None:
+        if exposures % repeats:
+            raise InputError(f"{name} has {exposures} exposures, no multiple of {repeats} repeats")
+        place = np.arange(exposures) // repeats
+        names = tuple(str(k + 1) for k in place.tolist())
+    else:
+        if repeats > 1:
+            raise InputError(f"{name} names its scenes: leave `repeats` out")
+        changes = [a != b for a, b in zip(names[1:], names, strict=False)]
+        place = np.cumsum([0, *changes])
+        if len(set(names)) <= place[-1]:
+            raise InputError(f"{name} has a scene twice, with others between: sort its rows")
+    firsts = np.searchsorted(place, np.arange(place[-1] + 1)).tolist()
+    scenes = (Scene(name=names[k], label=(labels[k] or None) if labels else None) for k in firsts)
+    return tuple(scenes), place
+
+
+def _check_values(values: _Values, settings: TableSettings, name: str) -> None:
+    """Raise `InputError` for too many values, and for photon counts that are none."""
+    if values.masks.size > MOST_READOUTS:
+        raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
+    parts = [values.masks] if values.ends is None else [values.masks, values.ends]
+    for part in () if settings.analogue else parts:
+        wrong = part[(part < 0) | (part % 1 != 0)]
+        if wrong.size:
+            raise InputError(
+                f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 "
+                "or more, or --gain and --read-noise of an analogue detector"
+            )
+
+
+class _Passes(NamedTuple):
+    """Scene of each exposure (E,), for how long each frame is counted (F,), and the exposure."""
+
+    place: np.ndarray
+    times: np.ndarray
+    exposure_s: float
+
+
+class _Light(NamedTuple):
+    """Rates of each scene (S,), counts/s, as of `Counts`; dark rates (S, inputs); faults."""
+
+    on_rate: np.ndarray
+    off_rate: np.ndarray
+    flux: np.ndarray
+    dark_rate: np.ndarray
+    faults: tuple[Fault, ...]
+
+
+def _find_light(
+    masks: np.ndarray,
+    ends: np.ndarray | None,
+    passes: _Passes,
+    manifest: Manifest,
+    settings: TableSettings,
+) -> _Light:
+    """Light of each scene, all exposures of one together, from counts (E, f or 4, inputs)."""
+    scenes, arm = int(passes.place[-1]) + 1, slice(0, manifest.detector_count)
+    given = None if settings.background is None else settings.background / passes.exposure_s
+    dark = np.full((scenes, manifest.inputs), given or 0.0)
+    if ends is None:
+        unknown = np.full(scenes, np.nan)
+        flux = np.full(scenes, (settings.photons or np.nan) / passes.exposure_s)
+        return _Light(unknown, unknown, flux, dark, ())
+    every = np.concatenate([ends[:, :2], masks, ends[:, 2:]], axis=1)
+    found = np.zeros((scenes, *every.shape[1:]))
+    np.add.at(found, passes.place, every)
+    seconds = np.bincount(passes.place)[:, None] * passes.times
+    on, off = (
+        found[:, frames].sum(axis=1) / seconds[:, frames].sum(axis=1, keepdims=True)
+        for frames in ([0, -2], [1, -1])
+    )
+    faults: tuple[Fault, ...] = ()
+    if settings.analogue:
+        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
+        measured = off.copy()
+        measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
+        measured[:] = measured.mean(axis=0)
+    else:
+        middles = (np.cumsum(passes.times) - passes.times / 2)[:, None]
+        wired = wire(tuple(range(manifest.inputs)), manifest)
+        seen = see_inputs(found[:, :, None], seconds[..., None], middles, np.arange(scenes), wired)
+        light = find_light(*seen, manifest, np.empty(0, np.int64))
+        flux, measured, faults = light.flux, light.dark_rate, light.faults
+    if given is None:
+        dark = measured
+    flux = flux + (measured - dark)[:, arm].sum(axis=1)
+    return _Light(on[:, arm].sum(axis=1), off[:, arm].sum(axis=1), flux, dark, faults)
+
+
+def _check_budget(flux: np.ndarray, settings: TableSettings, name: str) -> None:
+    """Raise `InputError` if nothing tells the budget."""
+    if settings.photons is not None:
+        return
+    if np.isnan(flux).all():
+        raise InputError(
+            f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
+        )
+    if not (flux > 0).any():
+        raise InputError(
+            f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
+            "at the order of frames, or give `photons`"
+        )

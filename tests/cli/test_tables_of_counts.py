@@ -1,0 +1,121 @@
+"""Tables of counts on the command line: classes of any counter's values."""
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.io import savemat
+
+from conftest import quick
+from deepfsi.cli.dmd import design_rails
+from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
+from deepfsi.hardware.recording.tables import column_names
+from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+
+FLUX, SCENES, DWELL = 1e6, 60, 1e-3
+
+
+@dataclass
+class Lab:
+    """A design that reads digits, its patterns, and counts between markers of test scenes."""
+
+    folder: Path
+    design: Path
+    patterns: Path
+    names: list[str]
+    values: np.ndarray
+    labels: list[str]
+
+    def csv(self, name: str, values: np.ndarray) -> Path:
+        """Table with named scenes, in the order of the frames."""
+        words = {"scene": [f"s{k}" for k in range(len(values))], "label": self.labels}
+        numbers = pl.DataFrame(values, schema=self.names, orient="row")
+        pl.DataFrame(words).hstack(numbers).write_csv(self.folder / name)
+        return self.folder / name
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits) -> Lab:
+    folder = tmp_path_factory.mktemp("lab")
+    made = quick(digits, masks=8, epochs=15, hidden=(40, 128), light="free-dwell", rails="single")
+    design, patterns = folder / "one.safetensors", folder / "patterns"
+    made.save(design)
+    export_patterns(design_rails(design), FrameSettings(find_device("64x48"), DWELL), patterns)
+    manifest = read_patterns(patterns).manifest
+    images = digits.x_test[:SCENES].reshape(-1, 8, 8)
+    rates = arrival_rates(patterns, images, Camera(dark=1e3), FLUX)[..., 0]
+    values = np.random.default_rng(1).poisson(rates * manifest.picture_s)
+    labels = [digits.classes[k] for k in digits.y_test[:SCENES]]
+    found = Lab(folder, design, patterns, column_names(manifest), values, labels)
+    found.csv("counts.csv", values)
+    np.save(folder / "counts.npy", values)
+    savemat(folder / "counts.mat", {"counts": values.T.astype(float)})
+    return found
+
+
+def guesses(said: str) -> list[str]:
+    return [scene["class"] for scene in json.loads(said)["scenes"]]
+
+
+def test_a_table_is_classified_whatever_its_file(done, lab):
+    words = ["camera", "classify", lab.patterns]
+    text = done(*words, lab.folder / "counts.csv", "--json")
+    said = json.loads(text)
+    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
+    assert [scene["scene"] for scene in said["scenes"][:2]] == ["s0", "s1"]
+    budgets = {scene["photons"] for scene in said["scenes"]}
+    assert len(budgets) == 1
+    right = np.mean([scene["class"] == scene["label"] for scene in said["scenes"]])
+    assert right > 0.6  # ten classes
+    for name in ("counts.npy", "counts.mat"):
+        assert guesses(done(*words, lab.folder / name, "--json")) == guesses(text)
+    printed = done(*words, lab.folder / "counts.csv")
+    assert f"right: {round(right * SCENES)} of {SCENES} exposures" in printed
+
+
+def test_a_design_file_does_without_patterns(done, lab):
+    """Pictures of whole microseconds after settling are nearly in proportion to their shares."""
+    table = lab.folder / "counts.npy"
+    by_patterns = guesses(done("camera", "classify", lab.patterns, table, "--json"))
+    by_design = guesses(done("camera", "classify", lab.design, table, "--json"))
+    assert np.mean([a == b for a, b in zip(by_patterns, by_design, strict=True)]) > 0.9
+    np.save(lab.folder / "bare.npy", lab.values[:, 2:-2])
+    words = ["--photons", FLUX * 8 * DWELL, "--background", 8, "--json"]
+    again = guesses(done("camera", "classify", lab.design, lab.folder / "bare.npy", *words))
+    assert np.mean([a == b for a, b in zip(by_design, again, strict=True)]) > 0.9
+
+
+def test_counts_in_a_wrong_order_are_refused(refuse, done, lab):
+    backwards = lab.values.copy()
+    backwards[:, 2:-2] = backwards[:, -3:1:-1]
+    table = lab.csv("backwards.csv", backwards)
+    assert "do not look like" in refuse("camera", "classify", lab.patterns, table)
+    done("camera", "classify", lab.patterns, table, "--force")
+
+
+def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, tmp_path):
+    words = ["camera", "classify", lab.patterns]
+    np.save(tmp_path / "short.npy", lab.values[:, :-1])
+    np.save(tmp_path / "bare.npy", lab.values[:, 2:-2])
+    (tmp_path / "run").mkdir()
+    shutil.copy(lab.design, tmp_path / "d.safetensors")
+    table = lab.folder / "counts.npy"
+    for given, said in (
+        ([*words, tmp_path / "short.npy"], "an exposure has 8 values (8 frames of masks), or 12"),
+        ([*words, tmp_path / "bare.npy"], "give --photons"),
+        ([*words, tmp_path / "none.csv"], "there is no file"),
+        ([*words, tmp_path / "none.ptu"], "nothing that was counted"),
+        ([*words, table, "--exposures", "up"], "--exposures"),
+        ([*words, tmp_path / "run", "--gain", 2], "--gain is for tables"),
+        (
+            ["camera", "classify", lab.design, table, "--settle", "1us"],
+            "the folder of its patterns",
+        ),
+        ([*words[:2], tmp_path / "run", table], "design.safetensors"),
+    ):
+        assert said in refuse(*given)
