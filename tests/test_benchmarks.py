@@ -187,6 +187,15 @@ def test_the_comparison_of_photon_counting_runs(capsys):
     assert "peak memory, deepfsi" in printed
 
 
+def test_the_comparison_of_streaming_runs(capsys):
+    """Counts of all ways are compared inside."""
+    small = ["--records", "2e5", "--frame", "1e-4", "--blocks", "65536", "--rounds", "1"]
+    benchmark("live").main(["reader", *small])
+    printed = capsys.readouterr().out
+    for name in ("stream, 65,536 bytes at once", "whole file", "numpy"):
+        assert f"| {name} |" in printed
+
+
 def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
     from deepfsi.datasets import from_arrays

@@ -30,9 +30,10 @@ class Library:
     """The C library: sequences in memory, a queue, and what was shown, in order."""
 
     def __init__(self):
-        self.calls, self.shown, self.sequences = [], [], {}
+        self.calls, self.shown, self.sequences, self.lists = [], [], {}, []
         self.queue, self.busy, self.queue_mode = [], 0, None
         self.memory, self.places, self.stuck = 1000, 2, False
+        self.entries, self.table, self.mode = 4096, {}, vialux.MASTER
         self.allocated = False
         self.fail_at: dict[str, BaseException | int] = {}
 
@@ -45,6 +46,15 @@ class Library:
         if failure is not None:
             raise KeyError(failure) if failure > 1020 else ALPError(f"Failure {failure}.")
 
+    def note(self, number):
+        """Note the list of frames that a sequence shows, and its picture time."""
+        controls = self.sequences[number]["controls"]
+        wide = controls.get(vialux.FLUT_MODE) == vialux.FLUT_18BIT
+        if vialux.FLUT_MODE in controls:
+            frames = self.table[vialux.FLUT_WRITE_18BIT if wide else vialux.FLUT_WRITE_9BIT]
+            shown = frames[: controls[vialux.FLUT_ENTRIES9] // (1 + wide)]
+            self.lists.append((shown, self.sequences[number]["us"]))
+
     def AlpProjInquire(self, alp_id, which, value):
         self.step("AlpProjInquire")
         assert alp_id.value == 7, "the device's own id"
@@ -56,6 +66,7 @@ class Library:
         answers = {
             vialux.PROJ_STATE: vialux.PROJ_ACTIVE if self.busy else 1201,
             vialux.QUEUE_AVAIL: self.places - len(self.queue),
+            vialux.FLUT_MAX_ENTRIES9: self.entries,
         }
         value._obj.value = answers[which.value]
         return 0
@@ -85,9 +96,21 @@ class ALP4:
         self._ALPLib.step("ProjControl")
         if kind == vialux.QUEUE_MODE:
             self._ALPLib.queue_mode = value
+        elif kind == vialux.PROJ_MODE:
+            self._ALPLib.mode = value
         else:
             assert (kind, value) == (vialux.RESET_QUEUE, vialux.DEFAULT)
             self._ALPLib.queue.clear()
+
+    def ProjControlEx(self, kind, pointer):
+        self._ALPLib.step("ProjControlEx")
+        assert not self._ALPLib.busy, "the table is written while nothing is shown"
+        table = pointer._obj
+        assert table.nOffset == 0
+        wide = kind == vialux.FLUT_WRITE_18BIT
+        assert wide or kind == vialux.FLUT_WRITE_9BIT
+        assert 0 < table.nSize <= self._ALPLib.entries // (1 + wide)
+        self._ALPLib.table = {kind: list(table.FrameNumbers[: table.nSize])}
 
     def DevInquire(self, which):
         assert which == vialux.AVAIL_MEMORY
@@ -124,6 +147,7 @@ class ALP4:
         assert self._ALPLib.queue_mode == vialux.SEQUENCE_QUEUE
         assert len(self._ALPLib.queue) < self._ALPLib.places, "the queue is full"
         self._ALPLib.queue.append(SequenceId.value)
+        self._ALPLib.note(SequenceId.value)
 
     def FreeSeq(self, SequenceId):
         self._ALPLib.step("FreeSeq")
@@ -141,13 +165,23 @@ class ALP4:
         del self._ALPLib
 
 
+class tFlutWrite(ctypes.Structure):
+    _fields_ = (
+        ("nOffset", ctypes.c_long),
+        ("nSize", ctypes.c_long),
+        ("FrameNumbers", ctypes.c_ulong * 4096),
+    )
+
+
 @pytest.fixture
 def library(monkeypatch):
     fake = Library()
     module = types.ModuleType("ALP4")
     module.ALP4 = type("ALP4", (ALP4,), {"library": fake})
+    module.tFlutWrite = tFlutWrite
     monkeypatch.setitem(sys.modules, "ALP4", module)
     monkeypatch.setattr(vialux, "POLL_S", 0)
+    monkeypatch.setattr(vialux, "LIST_POLL_S", 0)
     return fake
 
 
@@ -318,3 +352,106 @@ def test_words_where_the_library_or_the_context_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "ALP4", None)
     with pytest.raises(InputError, match="pip install"), vialux.VialuxProjector():
         pass
+
+
+# Lists of frames ---------------------------------------------------------------------------------
+
+
+def test_a_list_repeats_frames_that_were_loaded_once(library, tmp_path):
+    folder = patterns(tmp_path / "patterns", masks=9)
+    looks = [([0, 1], [100e-6, 44e-6]), ([12, 3, 3], [45e-6, 1e-6, 440e-6]), ([5], [1e-3])]
+    with vialux.VialuxLooks() as projector:
+        projector.load(folder)
+        (sequence,) = library.sequences.values()
+        assert sequence["count"] == 13
+        for frame, wanted in zip(sequence["frames"].values(), read_frames(folder), strict=True):
+            np.testing.assert_array_equal(frame, wanted.ravel())
+        sent = library.calls.count("SeqPut")
+        for frames, dwells in looks:
+            projector.show(np.array(frames), np.array(dwells))
+            shown, us = library.lists[-1]
+            repeats = projector.markers(np.array(dwells))
+            assert us == 44
+            assert shown == np.repeat(frames, repeats).tolist()
+            assert (repeats * 44e-6 >= np.array(dwells) * (1 - 1e-9)).all()
+            assert ((repeats - 1) * 44e-6 < np.array(dwells)).all()
+        assert library.calls.count("SeqPut") == sent
+        assert library.mode == vialux.MASTER
+    assert [len(shown) for shown, _ in library.lists] == [4, 13, 23]
+    assert not library.allocated
+
+
+def test_a_list_longer_than_the_table_has_longer_pictures(library, tmp_path):
+    dwells = np.array([0.5, 0.1, 44e-6, 0.3])
+    library.entries = 512
+    with vialux.VialuxLooks() as projector:
+        projector.load(patterns(tmp_path / "patterns", masks=2))
+        projector.show(np.arange(4), dwells)
+        repeats = projector.markers(dwells)
+    shown, us = library.lists[-1]
+    assert len(shown) == repeats.sum() <= 512
+    assert (repeats * us * 1e-6 >= dwells).all()
+    assert us < 1.02 * dwells.sum() * 1e6 / (512 - 4)
+
+
+def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, tmp_path):
+    with vialux.VialuxLooks() as projector:
+        projector.load(patterns(tmp_path / "patterns", "equal-dwell", masks=600))
+        projector.show(np.array([603, 511]), np.array([44e-6, 88e-6]))
+        assert library.lists == [([603, 511, 511], 44)]
+        with pytest.raises(InputError, match=r"a list of 2049 pictures .* takes 2048"):
+            projector.show(np.zeros(2049, int), np.full(2049, 44e-6))
+
+
+def test_a_trigger_gives_the_pictures_their_time(library, tmp_path):
+    with vialux.VialuxLooks(trigger_s=50e-6) as projector:
+        projector.load(patterns(tmp_path / "patterns", masks=2))
+        assert library.mode == vialux.SLAVE
+        assert projector.markers(np.array([50e-6, 51e-6, 1e-3])).tolist() == [1, 2, 20]
+        with pytest.raises(InputError, match="a list of 20000 pictures"):
+            projector.show(np.array([1]), np.array([1.0]))
+    with vialux.VialuxLooks(trigger_s=44e-6) as projector:
+        with pytest.raises(InputError, match="too fast"):
+            projector.load(tmp_path / "patterns")
+        assert not library.sequences
+
+
+def test_lists_that_cannot_be_are_refused(library, tmp_path):
+    one = np.array([44e-6])
+    with vialux.VialuxLooks() as projector:
+        with pytest.raises(InputError, match="load a pattern folder first"):
+            projector.show(np.array([0]), one)
+        projector.load(patterns(tmp_path / "patterns", masks=2))
+        for frames, dwells, words in [
+            (np.array([6]), one, "of those loaded, 0 to 5"),
+            (np.array([-1]), one, "of those loaded, 0 to 5"),
+            (np.array([0, 1]), one, "one for each time"),
+            (np.array([0]), np.array([0.0]), "times that are none"),
+            (np.array([0]), np.array([np.nan]), "times that are none"),
+        ]:
+            with pytest.raises(InputError, match=words):
+                projector.show(frames, dwells)
+        assert not library.lists
+
+
+@pytest.mark.parametrize("step", ["ProjControlEx", "Run"])
+def test_a_refused_list_is_one_line_and_frees_the_device(library, tmp_path, step):
+    folder = patterns(tmp_path / "patterns", masks=2)
+    with vialux.VialuxLooks() as projector:
+        projector.load(folder)
+        library.fail_at = {step: 1009}
+        with pytest.raises(InputError, match="Failure 1009") as caught:
+            projector.show(np.array([0]), np.array([44e-6]))
+    assert "\n" not in str(caught.value)
+    assert not library.allocated
+
+
+def test_a_list_waits_until_the_last_has_ended(library, tmp_path, monkeypatch):
+    monkeypatch.setattr(vialux, "GRACE_S", 0.0)
+    with vialux.VialuxLooks() as projector:
+        projector.load(patterns(tmp_path / "patterns", masks=2))
+        projector.show(np.array([0]), np.array([44e-6]))
+        library.stuck = True
+        with pytest.raises(InputError, match="should have ended"):
+            projector.show(np.array([1]), np.array([44e-6]))
+        projector.halt()

@@ -8,6 +8,11 @@ one sequence, and the sequences of a pass follow each other through the controll
 leaves no gap as long as the next sequence waits in it. An `equal-dwell` design whose sentinels
 have the same time is one sequence; a `free-dwell` design may need one for each frame. Mirrors keep
 their pattern for the whole picture time (binary, uninterrupted).
+
+For several looks frames are loaded once, as one sequence of the device's shortest picture time, and
+each look is a list of frames in the controller's frame look-up table (FLUT), in which a frame
+stands as often as it is repeated. So a look takes three calls to the device however many frames it
+has: the list, its length and the start.
 """
 
 import contextlib
@@ -16,6 +21,7 @@ import importlib
 import itertools
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -27,11 +33,20 @@ from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.progress import SILENT, Report
 
+FRAMES_OF_9BIT = 512
+"""Frames that entries of 9 bits can name; more need entries of 18."""
+
+LONGEST_LIST = 4096
+"""Entries of a frame list at most: those of ALP4lib's structure."""
+
 FRAMES_AT_ONCE = 64
 """Frames sent at a time, 6 MB on a DLP7000."""
 
 POLL_S = 0.002
 """Time between two questions to the device, seconds."""
+
+LIST_POLL_S = 0.0001
+"""The same before a list of frames is shown, which has to begin soon, seconds."""
 
 GRACE_S = 5.0
 """Time by which a pass may end later than planned, seconds."""
@@ -39,6 +54,10 @@ GRACE_S = 5.0
 # Constants of Vialux's alp.h
 AVAIL_MEMORY, QUEUE_AVAIL = 2003, 2317  # binary pictures and sequences that still fit
 BIN_MODE, BIN_UNINTERRUPTED = 2104, 2106
+FLUT_MODE, FLUT_9BIT, FLUT_18BIT = 2118, 1, 2
+FLUT_ENTRIES9, FLUT_MAX_ENTRIES9 = 2120, 2324  # entries of 9 bits; one of 18 counts as two
+FLUT_WRITE_9BIT, FLUT_WRITE_18BIT = 2325, 2326
+PROJ_MODE, MASTER, SLAVE = 2300, 2301, 2302
 DATA_FORMAT, DATA_BINARY_TOPDOWN = 2110, 2
 MIN_PICTURE_TIME, MAX_PICTURE_TIME = 2211, 2213
 QUEUE_MODE, SEQUENCE_QUEUE = 2314, 1
@@ -46,8 +65,8 @@ RESET_QUEUE, DEFAULT = 2319, 0
 PROJ_STATE, PROJ_ACTIVE = 2400, 1200
 
 
-class VialuxProjector:
-    """Projector of pattern folders on a Vialux device. Untested on hardware: see the module.
+class _Board(ABC):
+    """A Vialux device that is open, and the frames in it.
 
     Parameters
     ----------
@@ -57,19 +76,6 @@ class VialuxProjector:
         Folder of Vialux's library; by default where its installer puts it.
     serial : int, optional
         Of the device; by default the first that is found.
-
-    Raises
-    ------
-    InputError
-        On entering, if ALP4lib, Vialux's library or the device is not there; later, if the device
-        refuses something.
-
-    Examples
-    --------
-    >>> with VialuxProjector() as projector:  # doctest: +SKIP
-    ...     projector.load(Path("patterns"))
-    ...     projector.run()
-    ...     projector.wait()
     """
 
     def __init__(
@@ -77,8 +83,8 @@ class VialuxProjector:
     ) -> None:
         self.version, self.library, self.serial = version, library, serial
         self._alp: Any = None
+        self._flut: Any = None  # structure of a frame list
         self._sequences: list[Any] = []
-        self._pass_s = 0.0
         self._end = 0.0
 
     def __enter__(self) -> Self:
@@ -99,7 +105,7 @@ class VialuxProjector:
                 with contextlib.suppress(Exception):
                     alp.Free()
                 raise
-        self._alp = alp
+        self._alp, self._flut = alp, module.tFlutWrite
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
@@ -127,51 +133,25 @@ class VialuxProjector:
             with contextlib.suppress(InputError):
                 self._unload()
             raise
-        self._pass_s = manifest.pass_s
-
-    def run(self) -> None:
-        """Start one pass; returns when its last sequence is in the controller's queue.
-
-        Raises `InputError` if nothing is loaded, a pass is still running or the device refuses.
-        """
-        if not self._sequences:
-            raise InputError("no patterns on the Vialux device: load a pattern folder first")
-        with _refusals("show patterns"):
-            if self._running():
-                raise InputError("the Vialux device still shows a pass: wait for it or halt it")
-            self._end = time.monotonic() + self._pass_s + GRACE_S
-            for sequence in self._sequences:
-                while self._ask(QUEUE_AVAIL) < 1:
-                    self._sleep()
-                self._alp.Run(sequence, loop=False)
-
-    def wait(self) -> None:
-        """Return when the pass has ended; Ctrl-C is heard meanwhile.
-
-        Raises `InputError` if it has not ended 5 s after it should have.
-        """
-        with _refusals("show patterns"):
-            while self._running():
-                self._sleep()
 
     def halt(self) -> None:
         """Stop at once, and take what waits from the queue."""
         if self._alp is None:
-            raise InputError("the Vialux device is not open: use `with VialuxProjector() as ...`")
+            raise InputError("the Vialux device is not open: use `with` to open it")
         with _refusals("be halted"), contextlib.ExitStack() as stack:
             stack.callback(self._alp.Halt)
             self._alp.ProjControl(RESET_QUEUE, DEFAULT)
 
+    @abstractmethod
     def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
-        sent = 0
-        for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
-            count = len(list(run))
-            sequence = self._new_sequence(count, picture_us)
-            for first in range(0, count, FRAMES_AT_ONCE):
-                block = np.stack(list(itertools.islice(frames, min(FRAMES_AT_ONCE, count - first))))
-                self._alp.SeqPut(block.ravel(), sequence, first, len(block))
-                sent += len(block)
-                report(sent / len(manifest.frames))
+        """Bring frames into the device, in sequences of their own."""
+
+    def _put(self, sequence: Any, frames: Iterator[np.ndarray], count: int, sent: Report) -> None:
+        """Fill a sequence with the next frames."""
+        for first in range(0, count, FRAMES_AT_ONCE):
+            block = np.stack(list(itertools.islice(frames, min(FRAMES_AT_ONCE, count - first))))
+            self._alp.SeqPut(block.ravel(), sequence, first, len(block))
+            sent((first + len(block)) / count)
 
     def _unload(self) -> None:
         with _refusals("free its frames"):
@@ -214,6 +194,12 @@ class VialuxProjector:
                 f"for {free}: export fewer masks"
             )
 
+    def _wait(self, poll_s: float) -> None:
+        """Return when nothing is shown or waits to be."""
+        with _refusals("show patterns"):
+            while self._running():
+                self._sleep(poll_s)
+
     def _running(self) -> bool:
         return self._ask(PROJ_STATE) == PROJ_ACTIVE
 
@@ -227,19 +213,208 @@ class VialuxProjector:
         )
         return value.value
 
-    def _sleep(self) -> None:
+    def _sleep(self, poll_s: float) -> None:
         if time.monotonic() > self._end:
             raise InputError(
-                f"the pass should have ended {GRACE_S:g} s ago and has not: check that the Vialux "
-                "device does not wait for a trigger"
+                f"the frames should have ended {GRACE_S:g} s ago and have not: check that the "
+                "Vialux device does not wait for a trigger"
             )
-        time.sleep(POLL_S)
+        time.sleep(poll_s)
 
     def _free(self) -> None:
         alp, self._alp = self._alp, None
         self._sequences.clear()  # freed with the device
         with _refusals("be freed"):
             alp.Free()
+
+
+class VialuxProjector(_Board):
+    """Projector of pattern folders on a Vialux device. Untested on hardware: see the module.
+
+    Parameters
+    ----------
+    version : str
+        Of the ALP interface that is installed, "4.1" to "5.1".
+    library : path, optional
+        Folder of Vialux's library; by default where its installer puts it.
+    serial : int, optional
+        Of the device; by default the first that is found.
+
+    Raises
+    ------
+    InputError
+        On entering, if ALP4lib, Vialux's library or the device is not there; later, if the device
+        refuses something.
+
+    Examples
+    --------
+    >>> with VialuxProjector() as projector:  # doctest: +SKIP
+    ...     projector.load(Path("patterns"))
+    ...     projector.run()
+    ...     projector.wait()
+    """
+
+    _pass_s = 0.0
+
+    def run(self) -> None:
+        """Start one pass; returns when its last sequence is in the controller's queue.
+
+        Raises `InputError` if nothing is loaded, a pass is still running or the device refuses.
+        """
+        if not self._sequences:
+            raise InputError("no patterns on the Vialux device: load a pattern folder first")
+        with _refusals("show patterns"):
+            if self._running():
+                raise InputError("the Vialux device still shows a pass: wait for it or halt it")
+            self._end = time.monotonic() + self._pass_s + GRACE_S
+            for sequence in self._sequences:
+                while self._ask(QUEUE_AVAIL) < 1:
+                    self._sleep(POLL_S)
+                self._alp.Run(sequence, loop=False)
+
+    def wait(self) -> None:
+        """Return when the pass has ended; Ctrl-C is heard meanwhile.
+
+        Raises `InputError` if it has not ended 5 s after it should have.
+        """
+        self._wait(POLL_S)
+
+    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
+        sent = 0
+        for picture_us, run in itertools.groupby(manifest.frames, lambda f: f.picture_us):
+            count = len(list(run))
+            first, sent = sent, sent + count
+            share = report.part(first / len(manifest.frames), sent / len(manifest.frames))
+            self._put(self._new_sequence(count, picture_us), frames, count, share)
+        self._pass_s = manifest.pass_s
+
+
+class VialuxLooks(_Board):
+    """Streaming projector on a Vialux device. Untested on hardware: see the module.
+
+    A frame is held for a whole number of picture times, and gives a marker with each. Lists that
+    are longer than the controller's table are shown with a longer picture time.
+
+    Parameters
+    ----------
+    version, library, serial
+        As of `VialuxProjector`.
+    trigger_s : float, optional
+        Period of a signal at the device's trigger input, seconds, each edge of which starts a
+        picture (slave mode), so that frames keep another clock than the device's: such as that of
+        the counter. Without it the device keeps its own.
+
+    Raises
+    ------
+    InputError
+        On entering, if ALP4lib, Vialux's library or the device is not there; later, if the device
+        refuses something.
+
+    Examples
+    --------
+    >>> with VialuxLooks() as projector:  # doctest: +SKIP
+    ...     projector.load(Path("patterns"))
+    ...     projector.show(np.array([0, 5, 2]), np.array([44e-6, 200e-6, 88e-6]))
+    """
+
+    def __init__(
+        self,
+        version: str = "4.3",
+        library: Path | None = None,
+        serial: int | None = None,
+        trigger_s: float | None = None,
+    ) -> None:
+        super().__init__(version, library, serial)
+        self.trigger_s = trigger_s
+        self._shortest_us = self._picture_us = self._frames = self._entries = 0
+
+    def markers(self, dwells_s: np.ndarray) -> np.ndarray:
+        """Markers that frames give, (F,): one each time that they are repeated.
+
+        Raises `InputError` if nothing is loaded, or these times cannot be kept.
+        """
+        return self._plan(dwells_s)[1]
+
+    def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
+        """Show a list of frames when the last list has ended; may return before its end.
+
+        Parameters
+        ----------
+        frames : array of int, shape (F,)
+            Places in the folder.
+        dwells_s : array, shape (F,)
+            For how long each is held at least, seconds.
+
+        Raises
+        ------
+        InputError
+            As `markers`; if there is no such frame, or the device refuses.
+        """
+        picture_us, repeats = self._plan(dwells_s)
+        if len(frames) != len(dwells_s) or not np.isin(frames, np.arange(self._frames)).all():
+            raise InputError(
+                f"frames {frames!s:.40} cannot be shown: give one for each time, of those loaded, "
+                f"0 to {self._frames - 1}"
+            )
+        places = np.repeat(frames, repeats)
+        (sequence,) = self._sequences
+        with _refusals("show patterns"):
+            self._wait(LIST_POLL_S)
+            wide = self._frames > FRAMES_OF_9BIT
+            entries = (ctypes.c_ulong * LONGEST_LIST)(*places.tolist())
+            table = self._flut(ctypes.c_long(0), ctypes.c_long(len(places)), entries)
+            write = FLUT_WRITE_18BIT if wide else FLUT_WRITE_9BIT
+            self._alp.ProjControlEx(write, ctypes.byref(table))
+            self._alp.SeqControl(FLUT_ENTRIES9, len(places) * (1 + wide), sequence)
+            if picture_us != self._picture_us:
+                self._alp.SetTiming(sequence, pictureTime=picture_us)
+                self._picture_us = picture_us
+            period_s = self.trigger_s or picture_us * 1e-6
+            self._end = time.monotonic() + len(places) * period_s + GRACE_S
+            self._alp.Run(sequence, loop=False)
+
+    def _plan(self, dwells_s: np.ndarray) -> tuple[int, np.ndarray]:
+        """Picture time, µs, and how often each frame is repeated to be held for so long."""
+        if not self._sequences:
+            raise InputError("no patterns on the Vialux device: load a pattern folder first")
+        if not (np.isfinite(dwells_s).all() and (dwells_s > 0).all()):
+            raise InputError("frames are held for times that are none: give seconds above 0")
+        wanted_us = dwells_s * 1e6
+        if self.trigger_s is not None:
+            repeats = _repeats(wanted_us, self.trigger_s * 1e6)
+            picture_us = self._shortest_us
+        else:
+            picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
+            while (
+                (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats)
+            ):
+                picture_us = max(picture_us + 1, picture_us * 101 // 100)
+        if repeats.sum() > self._entries:
+            raise InputError(
+                f"a list of {repeats.sum()} pictures does not fit the Vialux controller, which "
+                f"takes {self._entries}: show fewer frames, or for less time"
+            )
+        return picture_us, repeats
+
+    def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
+        self._shortest_us = self._picture_us = manifest.device.shortest_us
+        self._frames = len(manifest.frames)
+        if self.trigger_s is not None and self.trigger_s * 1e6 <= self._shortest_us:
+            raise InputError(
+                f"a trigger every {self.trigger_s:g} s is too fast: give a period above "
+                f"{self._shortest_us * 1e-6:g} s"
+            )
+        self._alp.ProjControl(PROJ_MODE, MASTER if self.trigger_s is None else SLAVE)
+        sequence = self._new_sequence(self._frames, self._shortest_us)
+        wide = self._frames > FRAMES_OF_9BIT
+        self._alp.SeqControl(FLUT_MODE, FLUT_18BIT if wide else FLUT_9BIT, sequence)
+        self._entries = min(self._ask(FLUT_MAX_ENTRIES9) // (1 + wide), LONGEST_LIST)
+        self._put(sequence, frames, self._frames, report)
+
+
+def _repeats(wanted_us: np.ndarray, picture_us: float) -> np.ndarray:
+    """Number of pictures of a length that last at least as long as wanted."""
+    return np.maximum(np.ceil(np.round(wanted_us / picture_us, 9)), 1).astype(np.int64)
 
 
 @contextlib.contextmanager

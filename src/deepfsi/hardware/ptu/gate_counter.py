@@ -56,18 +56,21 @@ class GateCounter:
             If they do not, or one begins before the end of what was read.
         """
         edges = _join_edges(starts, stops)
+        if not len(edges):
+            return
         every = np.concatenate([self._edges, edges])
         if (every[1:] < every[:-1]).any():
             raise InputError(
                 "gates overlap or run back: give them in order, each start <= its stop"
             )
-        if len(edges) and edges[0] <= self._latest:
+        if edges[0] <= self._latest:
             raise InputError(
                 f"{self._name} holds photons up to {self._latest}, and a gate begins at "
                 f"{edges[0]}: tell gates before they begin"
             )
         self._edges = every
-        self._before = np.pad(self._before, ((0, len(edges)), (0, 0)))
+        unknown = np.zeros((len(edges), len(self._inputs)), np.int64)
+        self._before = np.concatenate([self._before, unknown])
 
     def add(self, part: Part) -> None:
         """Count the photons of the next part."""
