@@ -1,0 +1,185 @@
+"""PicoQuant counters through the vendor's snAPI: records are counted as the device hands them over.
+
+**Untested on hardware.** It was written from the source and the documentation of snAPI 1.2.5, and
+is tested against a fake of it. Compare its first runs with the PTU file that they leave: counted
+from there, the counts must be the same.
+
+snAPI serves the MultiHarp 150 and 160, HydraHarp 400 and 500, TimeHarp 260 and PicoHarp 330, not
+the PicoHarp 300. All give T2 records of one kind. They are handed over in blocks, of whatever came
+since the last; the device keeps up to 16 records to itself, and by default overflows for 2 ms,
+which is switched off here where the device can.
+"""
+
+import importlib
+import time
+from pathlib import Path
+from typing import Any, Self
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.ptu import records
+from deepfsi.hardware.ptu.header import GENERIC_T2
+from deepfsi.hardware.ptu.records import Decoder
+from deepfsi.hardware.recording.streaming import FrameCounter, FrameCounts, FrameGates
+
+LONGEST_MS = 360_000_000
+"""Longest recording that the devices take, 100 hours, milliseconds."""
+
+POLL_S = 0.0002
+"""Time between two questions for records, seconds."""
+
+
+class SnapiCounter:
+    """Streaming counter of a PicoQuant device. Untested on hardware: see the module.
+
+    Parameters
+    ----------
+    inputs : tuple of int
+        One for each detector; 0 is input 1.
+    marker_bit : {1, 2, 4, 8}
+        Which of the counter's marker inputs the device's trigger is wired to; it is to rise at the
+        start of a frame. The others are switched off.
+    serial : str, optional
+        Of the device; by default the first that is found.
+    config : path, optional
+        Ini file with the levels and offsets of the inputs, as snAPI's `loadIniConfig` takes it.
+    buffer : int
+        Records that may wait to be counted; snAPI throws them away when there are more.
+
+    Raises
+    ------
+    InputError
+        On entering, if snAPI or the device is not there; later, if the device refuses something.
+
+    Examples
+    --------
+    >>> with SnapiCounter() as counter:  # doctest: +SKIP
+    ...     counter.start(Path("photons.ptu"))
+    ...     counter.expect(FrameGates.of(10e-6, [34e-6]))
+    ...     counter.counts_since_marker(1.0)
+    """
+
+    def __init__(
+        self,
+        inputs: tuple[int, ...] = (0,),
+        marker_bit: int = 1,
+        serial: str | None = None,
+        config: Path | None = None,
+        buffer: int = 2**24,
+    ) -> None:
+        self.inputs, self.marker_bit = inputs, marker_bit
+        self.serial, self.config, self.buffer = serial, config, buffer
+        self._api: Any = None
+        self._decoder: Decoder | None = None
+        self._frames: FrameCounter | None = None
+        self._path = Path()
+
+    def __enter__(self) -> Self:
+        """Take hold of the device, in T2 mode, with one marker input."""
+        try:
+            module = importlib.import_module("snAPI.Main")
+        except ImportError:
+            raise InputError(
+                "PicoQuant counters need snAPI, which is not installed: pip install "
+                "'deepfsi[picoquant]'"
+            ) from None
+        except OSError as error:
+            raise InputError(
+                f"snAPI's library cannot be loaded: {error}; install the device's software"
+            ) from None
+        self._api = api = module.snAPI()
+        try:
+            found = api.getDevice() if self.serial is None else api.getDevice(self.serial)
+            self._accept(found, "be found")
+            self._accept(api.initDevice(module.MeasMode.T2), "be set to T2 mode")
+            if self.config is not None:
+                self._accept(api.loadIniConfig(str(self.config)), f"take {self.config}")
+            used = [int(self.marker_bit == 1 << number) for number in range(4)]
+            self._accept(api.device.setMarkerEdges(*used), "set its marker edges")
+            self._accept(api.device.setMarkerEnable(*used), "switch on its marker input")
+            api.device.setOflCompression(0)  # not all devices compress overflows
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the recording and let go of the device."""
+        try:
+            self.stop()
+        finally:
+            self._close()
+
+    def start(self, path: Path) -> None:
+        """Begin to record into a new file, which snAPI writes.
+
+        Raises `InputError` if this is not open, there is such a file, or the device refuses.
+        """
+        if self._api is None:
+            raise InputError("the PicoQuant device is not open: use `with` to open it")
+        self.stop()
+        if path.exists():
+            raise InputError(f"{path} is there already: give a new file")
+        self._accept(self._api.setPTUFilePath(str(path.absolute())), f"record into {path}")
+        self._accept(self._api.raw.startBlock(LONGEST_MS, self.buffer, True), "start to record")
+        tick_s = self._api.deviceConfig["BaseResolution"] * 1e-12
+        self._decoder, self._path = Decoder(GENERIC_T2, tick_s), path
+        self._frames = FrameCounter(GENERIC_T2, tick_s, self.inputs, self.marker_bit, path)
+
+    def expect(self, gates: FrameGates) -> None:
+        """Tell the gates of the frames that are shown next, before they are shown."""
+        self._recording()[1].expect(gates)
+
+    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
+        """Frames whose gates have ended since the last call, as `StreamingCounter` says.
+
+        Raises `InputError` also if the device stopped by itself, or records were lost.
+        """
+        decoder, frames = self._recording()
+        end = time.monotonic() + timeout_s
+        while True:
+            finished = self._api.raw.isFinished()
+            words = self._api.raw.getBlock()  # a view, until the next call
+            if len(words) >= self.buffer:
+                raise InputError(
+                    f"{self._path}: more records came than the {self.buffer} that may wait, and "
+                    "some were lost: give a larger `buffer`, or less light"
+                )
+            found = []
+            for first in range(0, len(words), records.RECORDS_IN_MEMORY):
+                block = words[first : first + records.RECORDS_IN_MEMORY]
+                found.append(frames.add(decoder.decode(block)))
+            counts = FrameCounts.join(found, len(self.inputs))
+            if len(counts.counts) or time.monotonic() > end:
+                return counts
+            if finished:
+                raise InputError(
+                    f"{self._path}: the PicoQuant device stopped by itself; look into snAPI's log, "
+                    "and for less light if its buffer ran over"
+                )
+            if not len(words):
+                time.sleep(POLL_S)
+
+    def stop(self) -> None:
+        """End the recording; its file is then whole. Without one, do nothing."""
+        if self._frames is not None:
+            self._decoder = self._frames = None
+            self._api.raw.stopMeasure()
+
+    def _recording(self) -> tuple[Decoder, FrameCounter]:
+        if self._decoder is None or self._frames is None:
+            raise InputError("nothing is recorded: start the counter first")
+        return self._decoder, self._frames
+
+    def _close(self) -> None:
+        api, self._api = self._api, None
+        if api is not None:
+            api.closeDevice()
+
+    @staticmethod
+    def _accept(done: object, doing: str) -> None:
+        """Raise `InputError` where snAPI says that something was not done."""
+        if not done:
+            raise InputError(
+                f"the PicoQuant device cannot {doing}: see snAPI's log, and check that it is on, "
+                "connected and not used by another program"
+            )

@@ -1,0 +1,213 @@
+"""PicoQuant's driver against a fake of snAPI that keeps its rules."""
+
+import sys
+import types
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.drivers import picoquant
+from deepfsi.hardware.drivers.picoquant import SnapiCounter
+from deepfsi.hardware.drivers.protocols import StreamingCounter
+from deepfsi.hardware.ptu.header import read_header
+from deepfsi.hardware.ptu.reader import count_gates, read_markers
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.streaming import FrameGates
+
+TICK_S, FRAME = 5e-12, 10**7
+GATES = FrameGates.of(10e-6, np.linspace(5e-6, 30e-6, 12))
+
+
+class MeasMode(Enum):
+    T2 = 2
+
+
+class Device:
+    """Settings of the device."""
+
+    def __init__(self, api):
+        self.api = api
+
+    def setMarkerEdges(self, *edges):
+        self.api.edges = edges
+        return self.api.step("setMarkerEdges")
+
+    def setMarkerEnable(self, *enabled):
+        self.api.enabled = enabled
+        return self.api.step("setMarkerEnable")
+
+    def setOflCompression(self, holdtime):
+        assert holdtime == 0
+        return False  # as devices answer that cannot
+
+
+class Raw:
+    """Records handed over in blocks, in one buffer that the next block overwrites."""
+
+    def __init__(self, api):
+        self.api, self.running, self.left = api, False, None
+
+    def startBlock(self, acqTime, size, savePTU):
+        assert savePTU
+        assert 0 < acqTime <= 360_000_000
+        self.buffer = np.zeros(size, np.uint32)
+        self.left = np.split(self.api.words, np.sort(self.api.cuts))
+        self.running = self.api.step("startBlock")
+        if self.running:
+            Path(self.api.path).write_bytes(self.api.content)
+        return self.running
+
+    def getBlock(self):
+        assert self.running
+        block = self.left.pop(0) if self.left else self.buffer[:0]
+        self.buffer[:] = 0xFFFFFFFF
+        self.buffer[: len(block)] = block
+        return self.buffer[: len(block)]
+
+    def isFinished(self):
+        return self.api.dead and not self.left
+
+    def stopMeasure(self):
+        self.api.steps.append("stopMeasure")
+        self.running = False
+
+
+class Api:
+    """The class `snAPI`, as far as the driver may use it."""
+
+    steps: list[str]
+    refused: set[str]
+    words: np.ndarray
+    cuts: np.ndarray
+    content: bytes
+    made: list["Api"]
+    dead = False
+
+    def __init__(self):
+        self.made.append(self)
+        self.device, self.raw, self.deviceConfig, self.path = Device(self), Raw(self), (), ""
+
+    def step(self, name):
+        self.steps.append(name)
+        return name not in self.refused
+
+    def getDevice(self, *serial):
+        self.serial = serial
+        return self.step("getDevice")
+
+    def initDevice(self, mode):
+        assert mode is MeasMode.T2
+        self.deviceConfig = {"BaseResolution": TICK_S * 1e12, "Resolution": 80.0}
+        return self.step("initDevice")
+
+    def loadIniConfig(self, path):
+        return self.step(f"loadIniConfig {path}")
+
+    def setPTUFilePath(self, path):
+        assert Path(path).is_absolute()
+        self.path = path
+        return self.step("setPTUFilePath")
+
+    def closeDevice(self):
+        self.steps.append("closeDevice")
+
+
+@pytest.fixture
+def api(monkeypatch, tmp_path):
+    """A fake whose device records 12 frames, a marker of bit 2 at the start of each."""
+    rng = np.random.default_rng(0)
+    starts = np.arange(1, 13) * FRAME
+    times = np.sort(np.append(starts, rng.integers(0, 14 * FRAME, 4000)))
+    codes = np.where(np.isin(times, starts), -2, rng.integers(0, 3, len(times)))
+    with Writer(tmp_path / "made.ptu", TICK_S) as writer:
+        writer.write(times, codes)
+    content = (tmp_path / "made.ptu").read_bytes()
+    words = np.frombuffer(content, "<u4", offset=read_header(tmp_path / "made.ptu").offset)
+    state = {"steps": [], "refused": set(), "words": words, "content": content, "made": []}
+    fake = type("snAPI", (Api,), {**state, "cuts": rng.integers(0, len(words), 100)})
+    module = types.ModuleType("snAPI.Main")
+    module.snAPI, module.MeasMode = fake, MeasMode
+    monkeypatch.setitem(sys.modules, "snAPI", types.ModuleType("snAPI"))
+    monkeypatch.setitem(sys.modules, "snAPI.Main", module)
+    monkeypatch.setattr(picoquant, "POLL_S", 0)
+    return fake
+
+
+def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
+    found: list[list[int]] = []
+    while len(found) < frames:
+        found += counter.counts_since_marker(60).counts.tolist()
+    return np.array(found)
+
+
+def test_counts_are_those_of_the_file_that_is_left(api, tmp_path):
+    path = tmp_path / "photons.ptu"
+    with SnapiCounter((2, 0), marker_bit=2, serial="1045483", config=Path("a.ini")) as counter:
+        counter.start(path)
+        counter.expect(GATES)
+        found = collect(counter, 12)
+    (made,) = api.made
+    times, bits = read_markers(path)
+    opens = times[bits == 2] + round(10e-6 / TICK_S)
+    closes = opens + np.rint(GATES.lengths_s / TICK_S).astype(int)
+    assert np.array_equal(found, count_gates(path, opens, closes, (2, 0)))
+    assert found.sum() > 100
+    assert (made.serial, made.enabled, made.edges) == (("1045483",), (0, 1, 0, 0), (0, 1, 0, 0))
+    assert "loadIniConfig a.ini" in api.steps
+    assert api.steps[-2:] == ["stopMeasure", "closeDevice"]
+
+
+@pytest.mark.parametrize(
+    "step",
+    ["getDevice", "initDevice", "setMarkerEdges", "setMarkerEnable", "startBlock"],
+)
+def test_a_refusal_is_one_line_and_lets_go_of_the_device(api, tmp_path, step):
+    api.refused.add(step)
+    with (
+        pytest.raises(InputError, match="the PicoQuant device cannot") as caught,
+        SnapiCounter() as counter,
+    ):
+        counter.start(tmp_path / "photons.ptu")
+    assert "\n" not in str(caught.value)
+    assert api.steps[-1] == "closeDevice"
+    assert not (tmp_path / "photons.ptu").exists()
+
+
+def test_a_device_that_stops_and_records_that_are_lost_are_named(api, tmp_path):
+    api.dead = True
+    with SnapiCounter(marker_bit=4) as counter:
+        counter.start(tmp_path / "photons.ptu")
+        counter.expect(GATES)
+        with pytest.raises(InputError, match="stopped by itself"):
+            counter.counts_since_marker(60)
+    with SnapiCounter(marker_bit=4, buffer=int(np.diff(np.sort(api.cuts)).max())) as counter:
+        counter.start(tmp_path / "other.ptu")
+        with pytest.raises(InputError, match="a larger `buffer`"):
+            collect(counter, 1)
+
+
+def test_nothing_is_counted_before_it_is_recorded(api, tmp_path):
+    with SnapiCounter() as counter:
+        with pytest.raises(InputError, match="start the counter first"):
+            counter.counts_since_marker(0.0)
+        (tmp_path / "photons.ptu").touch()
+        with pytest.raises(InputError, match="is there already"):
+            counter.start(tmp_path / "photons.ptu")
+    with pytest.raises(InputError, match="not open"):
+        counter.start(tmp_path / "new.ptu")
+
+
+def test_words_where_the_library_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "snAPI.Main", None)
+    with pytest.raises(InputError, match="pip install"), SnapiCounter():
+        pass
+
+    def broken(name):
+        raise OSError("libusb is not there")
+
+    monkeypatch.setattr(picoquant.importlib, "import_module", broken)
+    with pytest.raises(InputError, match="libusb is not there"), SnapiCounter():
+        pass
