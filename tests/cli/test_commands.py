@@ -16,7 +16,7 @@ COMMANDS = [
     *("compare", "sweep", "reproduce", "report", "plan"),
     *("design", "evaluate", "stop", "show", "export"),
     *(f"data {name}" for name in ("list", "download", "check", "export")),
-    *(f"dmd {name}" for name in ("export", "check")),
+    *(f"dmd {name}" for name in ("export", "check", "devices")),
     *(f"camera {name}" for name in ("simulate", "count", "classify", "image")),
     *(f"camera {name}" for name in ("inspect", "spots", "calibrate")),
 ]

@@ -31,6 +31,7 @@ STEPS = {
     "data export": "digits -o images",
     "dmd export": "one.safetensors --device 64x64 -o patterns",
     "dmd check": "patterns",
+    "dmd devices": "",
     "camera prepare": "patterns --scenes images -o lab",
     "camera simulate": "patterns --scene images --flux 1e7 --exposure 2ms --camera ideal -o run",
     "camera count": "run",

@@ -12,8 +12,9 @@ from scipy.io import savemat
 
 from conftest import quick
 from deepfsi.cli.dmd import design_rails
+from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names
 from deepfsi.hardware.virtual.camera import Camera, arrival_rates
 

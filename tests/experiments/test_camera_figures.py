@@ -10,7 +10,8 @@ from deepfsi.errors import InputError
 from deepfsi.experiments.camera import figures
 from deepfsi.experiments.camera.figures import Accuracy
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
-from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
+from deepfsi.hardware.patterns.devices import Device, find_device
+from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.report import style
 from shared.figures import assert_legible
 

@@ -9,6 +9,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
+    from deepfsi.hardware.patterns.devices import Device
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Patterns
 
@@ -38,12 +39,14 @@ def dmd_export(
             "cells each sees; 1 if none",
         ),
     ] = None,
-    device: Annotated[str, typer.Option(help="dlp7000, or COLUMNSxROWS mirrors")] = "dlp7000",
+    device: Annotated[
+        str, typer.Option(help="name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a TOML file")
+    ] = "dlp7000",
     shortest: Annotated[
-        str | None, typer.Option(help="shortest picture time of the device; 44us if none")
+        str | None, typer.Option(help="shortest picture time of the device; its own if none")
     ] = None,
     settle: Annotated[
-        str | None, typer.Option(help="time for its mirrors to settle; 10us if none")
+        str | None, typer.Option(help="time for its mirrors to settle; its own if none")
     ] = None,
     dwell: Annotated[
         str, typer.Option(help="mean time of a frame on the device, such as 1ms or 44us")
@@ -53,8 +56,13 @@ def dmd_export(
     ] = "ordered",
     seed: Annotated[int, typer.Option(min=0, help="of a random selection")] = 0,
     kind: Annotated[
-        str, typer.Option("--format", help="npy or raw (packed bits), or png (one a frame)")
-    ] = "npy",
+        str | None,
+        typer.Option(
+            "--format",
+            help="npy or raw (packed bits), png (one a frame), or planes (24 frames a picture, "
+            "with a pattern table); what the device takes if none",
+        ),
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Turn a design into frames for a micromirror device, with a manifest.
@@ -65,18 +73,17 @@ def dmd_export(
     """
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import export_patterns
-    from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
+    from deepfsi.hardware.patterns.sequence import FrameSettings
 
+    shown_by = _device(device).timed(
+        options.optional_seconds("shortest", shortest), options.optional_seconds("settle", settle)
+    )
     settings = FrameSettings(
-        find_device(
-            device,
-            options.optional_seconds("shortest", shortest),
-            options.optional_seconds("settle", settle),
-        ),
+        shown_by,
         options.seconds("dwell", dwell),
         selection,  # type: ignore[arg-type]
         seed,
-        kind,  # type: ignore[arg-type]
+        kind or ("planes" if shown_by.packed else "npy"),  # type: ignore[arg-type]
     )
     rails = _rails(file, size, detectors)
     with common.progress("patterns", quiet=as_json) as report:
@@ -87,6 +94,17 @@ def dmd_export(
             f"{settings.device.name} shows no shorter picture (--shortest)"
         )
     _print_patterns("dmd.export", patterns, out, as_json)
+
+
+def _device(text: str) -> "Device":
+    """Device of a name, of so many mirrors, or of a TOML file."""
+    from deepfsi.hardware.patterns.devices import Device, find_device
+
+    if not text.endswith(".toml"):
+        return find_device(text)
+    given = common.read_toml(text, Path(text))
+    with as_input_error(text):
+        return Device.model_validate({"name": Path(text).stem, **given})
 
 
 def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":
@@ -157,14 +175,48 @@ def dmd_check(
     _print_patterns("dmd.check", patterns, folder, as_json)
 
 
+@dmd.command("devices")
+def dmd_devices(as_json: options.Json = False) -> None:
+    """List the devices that have a name, with their limits and where each number is from.
+
+    Example: deepfsi dmd devices
+    """
+    from deepfsi.hardware.patterns.devices import DEVICES, SOURCES
+
+    every = list(DEVICES.values())
+    if as_json:
+        common.print_json(
+            "dmd.devices",
+            {"devices": [{**one.model_dump(), "sources": SOURCES[one.name]} for one in every]},
+        )
+        return
+    rows = [
+        [
+            one.name,
+            f"{one.columns} x {one.rows}",
+            one.lattice,
+            f"{one.pitch_um}",
+            f"{one.shortest_us}",
+            "memory" if one.patterns is None else f"{one.patterns}",
+            "planes" if one.packed else "npy",
+        ]
+        for one in every
+    ]
+    heads = ["device", "mirrors", "lattice", "pitch, µm", "shortest, µs", "frames", "format"]
+    common.print_table("Devices", heads, rows)
+    print("where each number is from, and what is assumed: deepfsi dmd devices --json")
+
+
 def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
+    from deepfsi.hardware.patterns.limits import count_different, departures
     from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
 
-    manifest = patterns.manifest
+    manifest, device = patterns.manifest, patterns.manifest.device
+    different, times = count_different(manifest), [frame.picture_us for frame in manifest.frames]
     sentinels = len(manifest.frames) - len(manifest.shown)
-    longest = longest_exposure(manifest, manifest.device.settle_us * 1e-6)
+    longest = longest_exposure(manifest, device.settle_us * 1e-6)
     cost = find_cost(manifest, find_gates(manifest, longest))
     if as_json:
         common.print_json(
@@ -179,6 +231,11 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "uncounted": asdict(cost),
                 "dimmed": manifest.dimmed,
                 "looks": manifest.looks.count if manifest.looks else 1,
+                "device": device.name,
+                "different_frames": different,
+                "most_different_frames": device.patterns,
+                "picture_us": [min(times), max(times)],
+                "departures": departures(device),
             },
         )
         return
@@ -187,8 +244,13 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
         f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
         f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
         f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
-        f"{cost.idle:.1%} since no picture is shorter than {manifest.device.shortest_us} µs"
+        f"{cost.idle:.1%} since no picture is shorter than {device.shortest_us} µs\n"
+        f"limits of {device.name}: {different} different frames"
+        f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
+        f"{min(times)} to {max(times)} µs ({device.shortest_us} to {device.longest_us} allowed)"
     )
+    for departure in departures(device):
+        print(f"beyond its documents: {departure}")
     if manifest.dimmed < 0.999:
         print(
             f"cost in light: one device shows a {manifest.light} design with "

@@ -9,7 +9,8 @@ from deepfsi.hardware.calibration.background import (
     expected_background,
     subtract_background,
 )
-from deepfsi.hardware.patterns.sequence import Device, Frame, Manifest, Patterns
+from deepfsi.hardware.patterns.devices import Device
+from deepfsi.hardware.patterns.sequence import Frame, Manifest, Patterns
 
 
 def patterns_of(frames, on, rails):

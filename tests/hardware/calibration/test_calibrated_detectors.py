@@ -7,8 +7,9 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
 from deepfsi.hardware.calibration.fit import spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.virtual.camera import Camera, RecordingSettings, record

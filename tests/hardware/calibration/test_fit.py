@@ -13,8 +13,10 @@ from deepfsi.hardware.calibration.view import (
     save_calibration,
     view_matrix,
 )
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings, find_grid
+from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera
 

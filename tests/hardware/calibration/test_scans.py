@@ -5,8 +5,9 @@ import pytest
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import check_patterns, export_patterns
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.patterns.sequence import FrameSettings
 
 
 @pytest.mark.parametrize("name", SCANS)

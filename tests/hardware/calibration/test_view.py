@@ -17,7 +17,8 @@ from deepfsi.hardware.calibration.view import (
     view_dataset,
     view_matrix,
 )
-from deepfsi.hardware.patterns.sequence import Device, find_device, find_grid
+from deepfsi.hardware.patterns.devices import Device, find_device
+from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.virtual import camera
 
 

@@ -9,13 +9,14 @@ import pytest
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import vialux
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import (
     DesignRails,
     export_patterns,
     read_frames,
     read_patterns,
 )
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.progress import Report
 
 DEVICE = Device(name="small", columns=64, rows=24)

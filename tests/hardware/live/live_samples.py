@@ -7,8 +7,9 @@ import numpy as np
 from conftest import quick
 from deepfsi.cli.dmd import design_rails
 from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
+from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
-from deepfsi.hardware.patterns.sequence import FrameSettings, find_device
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates

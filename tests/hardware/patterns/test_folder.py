@@ -19,6 +19,7 @@ from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import DEVICES, Device, find_device
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
     hash_mirrors,
@@ -26,7 +27,6 @@ from deepfsi.hardware.patterns.folder import (
     read_patterns,
 )
 from deepfsi.hardware.patterns.mirrors import make_frames, unpack
-from deepfsi.hardware.patterns.sequence import DEVICES, Device, find_device
 from deepfsi.optics import constraints
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.progress import Report

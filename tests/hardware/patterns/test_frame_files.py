@@ -6,8 +6,8 @@ from pattern_samples import FORMATS, SMALL, every_format, export, grey
 from PIL import Image
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import DEVICES, find_device
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
-from deepfsi.hardware.patterns.sequence import DEVICES, find_device
 
 
 def test_formats_hold_the_same_bits(tmp_path):

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pattern_samples import SMALL
 
+from deepfsi.hardware.patterns.devices import Device
+from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
-from deepfsi.hardware.patterns.sequence import Device, find_grid
 
 
 @settings(max_examples=150, deadline=None)

@@ -13,15 +13,9 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import DEVICES, find_device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import (
-    DEVICES,
-    Frame,
-    FrameSettings,
-    Manifest,
-    Patterns,
-    find_device,
-)
+from deepfsi.hardware.patterns.sequence import Frame, FrameSettings, Manifest, Patterns
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.alignment import Counter

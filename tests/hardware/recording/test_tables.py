@@ -9,9 +9,10 @@ import torch
 from deepfsi.datasets.table_files import Table
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.virtual.camera import Camera, arrival_rates
 from deepfsi.optics import constraints

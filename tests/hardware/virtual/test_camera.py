@@ -10,8 +10,10 @@ from pydantic import ValidationError
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Patterns, find_grid
+from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.ptu import reader as ptu
 from deepfsi.hardware.recording.acquisition import read_acquisition

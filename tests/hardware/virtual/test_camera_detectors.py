@@ -10,8 +10,9 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.ptu.header import GENERIC_T2, PICOHARP_T2
 from deepfsi.hardware.recording.counting import count

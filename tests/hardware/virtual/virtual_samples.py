@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints
 from deepfsi.progress import Report
 

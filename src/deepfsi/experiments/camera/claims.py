@@ -38,8 +38,8 @@ from deepfsi.experiments.camera.published import (
 )
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.experiments.experiment import Experiment, Finding
+from deepfsi.hardware.patterns.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
-from deepfsi.hardware.patterns.sequence import Grid, find_grid
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.bootstrap import (

@@ -28,9 +28,11 @@ from deepfsi.hardware.calibration.background import (
 )
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.calibration.view import Calibration, view_dataset
+from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames
-from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns, find_device, find_grid
+from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counting import count

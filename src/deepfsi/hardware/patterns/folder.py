@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
@@ -21,8 +21,11 @@ import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import new_folder
-from deepfsi.hardware.patterns import frame_files, mirrors, sequence
+from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.devices import Device
+from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.progress import SILENT, Report
 
@@ -103,18 +106,17 @@ def export_patterns(
     InputError
         If the device cannot show the rails, or the folder holds something.
     """
-    device, grid = settings.device, sequence.find_grid(settings.device, design.image_shape)
+    device, grid = settings.device, find_grid(settings.device, design.image_shape)
     _check_design(design)
     counted = mirrors.count_mirrors(design.rails, design.light, grid.mirrors)
     if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
     total = len(counted.shown) + SENTINELS
-    if total > sequence.MOST_FRAMES:
-        raise InputError(f"{total} frames are too many: give at most {sequence.MOST_FRAMES}")
-    pictures = settings.picture_us(
-        design.first_dwells(counted), "free-dwell" if design.looks else design.light
+    pictures, sentinel = settings.times_us(
+        design.first_dwells(counted), "free-dwell" if design.looks else design.light, SENTINELS
     )
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
+    _check_count(device, total, chain(ends, counted.on))
     every = chain(ends, counted.on, ends)
     with new_folder(folder) as draft:
         frames = mirrors.make_frames(every, device, grid, settings.selection, settings.seed)
@@ -137,9 +139,18 @@ def export_patterns(
             format=settings.format,
             design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
             mirrors_sha256=hash_mirrors(counted.on),
-            frames=_list_frames(counted, pictures, settings.sentinel_us, hashes),
+            frames=_list_frames(counted, pictures, sentinel, hashes),
         )
+        check_limits(manifest)
         return _write(draft, sequence.Patterns(manifest, counted.on), design)
+
+
+def _check_count(device: Device, total: int, counts: Iterable[np.ndarray]) -> None:
+    """Raise `InputError` if there are too many frames, of which these are the different ones."""
+    if total > sequence.MOST_FRAMES:
+        raise InputError(f"{total} frames are too many: give at most {sequence.MOST_FRAMES}")
+    if device.patterns is not None:
+        check_stored(device, len({hash_mirrors(each) for each in counts}))
 
 
 def _list_frames(
@@ -168,6 +179,9 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
     digest = _digest(patterns.manifest.model_dump_json())
     manifest = patterns.manifest.model_copy(update={"sha256": digest})
     (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
+    if manifest.format == "planes":
+        for name, table in planes.tables(manifest).items():
+            (folder / name).write_bytes(table.encode())
     return sequence.Patterns(manifest, patterns.on)
 
 
@@ -237,11 +251,13 @@ def _load_frames(folder: Path, manifest: sequence.Manifest) -> Iterator[np.ndarr
 def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> sequence.Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts.
 
-    Raises `InputError` naming the first frame that is missing or not what was exported.
+    Raises `InputError` naming the first frame that is missing or not what was exported, or what the
+    device cannot show.
     """
     folder = Path(folder)
     patterns = read_patterns(folder)
     manifest, grid = patterns.manifest, patterns.manifest.grid
+    check_limits(manifest)
     masks = iter(patterns.on)
     for place, packed in enumerate(_load_frames(folder, manifest)):
         frame = manifest.frames[place]
@@ -255,6 +271,8 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
                 "patterns again"
             )
         report((place + 1) / len(manifest.frames))
+    if manifest.format == "planes":
+        planes.check_tables(folder, manifest)
     for name, digest in companions(manifest).items():
         _check_hash(folder / name, digest)
     return patterns

@@ -3,6 +3,7 @@
 npy    frames.npy, uint8 (frames, rows, bytes of a row)
 png    frames/0000.png ..., one bit a pixel, ON white
 raw    frames.bin, the same bytes as frames.npy without its header, top row first
+planes 24 frames a picture, with tables (`planes`)
 """
 
 import hashlib
@@ -17,7 +18,9 @@ import numpy as np
 from PIL import Image, PngImagePlugin
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings, Manifest
+from deepfsi.hardware.patterns.devices import Device
+from deepfsi.hardware.patterns.planes import load_planes, reading, write_planes
+from deepfsi.hardware.patterns.sequence import FrameSettings, Manifest
 from deepfsi.progress import SILENT, Report
 
 STREAMS = {"npy": "frames.npy", "raw": "frames.bin"}
@@ -39,6 +42,8 @@ def write_frames(
         Packed.
     """
     hashes, device, format = [], settings.device, settings.format
+    if format == "planes":
+        return write_planes(folder, frames, total, device, report)
     if format == "png":
         (folder / "frames").mkdir()
     stream = None if format == "png" else (folder / STREAMS[format]).open("wb")
@@ -60,6 +65,9 @@ def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
     """Packed frames of a folder in their order, one at a time."""
     device, total = manifest.device, len(manifest.frames)
     shape = device.frame_shape
+    if manifest.format == "planes":
+        yield from load_planes(folder, manifest)
+        return
     if manifest.format == "png":
         for place in range(total):
             yield _read_png(folder / _png(place, total), device).reshape(shape)
@@ -76,7 +84,7 @@ def _png(place: int, total: int) -> str:
 
 
 def _read_png(path: Path, device: Device) -> np.ndarray:
-    with _reading(f"frame {path}"), PngImagePlugin.PngImageFile(path) as picture:
+    with reading(f"frame {path}"), PngImagePlugin.PngImageFile(path) as picture:
         if picture.mode != "1" or picture.size != (device.columns, device.rows):
             raise InputError(
                 f"{path} is a {picture.size[0]} x {picture.size[1]} PNG of mode {picture.mode}, "
@@ -84,19 +92,6 @@ def _read_png(path: Path, device: Device) -> np.ndarray:
                 "again"
             )
         return np.frombuffer(picture.tobytes(), dtype=np.uint8)
-
-
-@contextmanager
-def _reading(name: str) -> Iterator[None]:
-    """Turn errors of reading a file into one `InputError`."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise InputError(f"{name} is missing: export the patterns again") from None
-    except InputError:
-        raise
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"{name} cannot be read ({error}): export the patterns again") from None
 
 
 def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
@@ -125,7 +120,7 @@ def open_array(
         If the file is missing, cut, too long or another array's.
     """
     again = "export the patterns again"
-    with _reading(str(path)), path.open("rb") as file:
+    with reading(str(path)), path.open("rb") as file:
         dtype = np.dtype(kind or "u1")
         if kind is not None:
             header = io.BytesIO()

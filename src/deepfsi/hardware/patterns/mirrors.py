@@ -15,7 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.hardware.patterns.sequence import Device, Grid, Light, Rail, Selection
+from deepfsi.hardware.patterns.devices import Device
+from deepfsi.hardware.patterns.grid import Grid
+from deepfsi.hardware.patterns.sequence import Light, Rail, Selection
 
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)
 """Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""

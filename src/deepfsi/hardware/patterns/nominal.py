@@ -4,9 +4,10 @@ import math
 from importlib.metadata import version
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.mirrors import count_mirrors
-from deepfsi.hardware.patterns.sequence import Device, Frame, Manifest
+from deepfsi.hardware.patterns.sequence import Frame, Manifest
 
 LEVELS = 2**16
 """Grey levels of a cell: more than any device has, so that a rail is dark only where it is zero."""

@@ -23,18 +23,14 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from deepfsi.errors import InputError, check_known, closest
+from deepfsi.errors import InputError, check_known
 from deepfsi.hardware.patterns.detectors import Detectors
+from deepfsi.hardware.patterns.devices import LONGEST_PICTURE_S, Device
+from deepfsi.hardware.patterns.grid import Grid, find_grid
 from deepfsi.hardware.patterns.looks import Looks
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
-
-MOST_MIRRORS = 2**14
-"""Mirrors of a device in each direction at most."""
-
-LONGEST_PICTURE_S = 1e3
-"""Longest picture time that is exported, seconds."""
 
 SHARES_SLACK = 1e-4
 """Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
@@ -54,144 +50,8 @@ Readout = Literal["difference", "both"]
 Selection = Literal["ordered", "random"]
 """Choice of the mirrors of a grey cell."""
 
-Format = Literal["npy", "raw", "png"]
+Format = Literal["npy", "raw", "png", "planes"]
 """Files of the frames."""
-
-
-class Device(BaseModel):
-    """A micromirror device.
-
-    Attributes
-    ----------
-    columns, rows : int
-        Mirrors across and down.
-    shortest_us : int
-        Shortest picture time, µs.
-    settle_us : float
-        Time after the start of a frame in which mirrors still move, µs.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str
-    columns: int = Field(ge=1, le=MOST_MIRRORS)
-    rows: int = Field(ge=1, le=MOST_MIRRORS)
-    shortest_us: int = Field(44, ge=1)
-    settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
-
-    @property
-    def frame_shape(self) -> tuple[int, int]:
-        """Rows, and bytes of a row at one bit a mirror: each row begins a new byte."""
-        return self.rows, -(-self.columns // 8)
-
-    @property
-    def frame_bytes(self) -> int:
-        """Bytes of a frame."""
-        return math.prod(self.frame_shape)
-
-
-DEVICES = {"dlp7000": Device(name="dlp7000", columns=1024, rows=768)}
-"""Devices by name."""
-
-
-def find_device(
-    name: str, shortest_s: float | None = None, settle_s: float | None = None
-) -> Device:
-    """Device of a name, or one of COLUMNSxROWS mirrors.
-
-    Parameters
-    ----------
-    name : str
-        One of `DEVICES`, or such as "1920x1080".
-    shortest_s, settle_s : float, optional
-        Shortest picture time, whole microseconds, and time to settle, in seconds: the named
-        device's, or those of any other, unless given.
-
-    Raises
-    ------
-    InputError
-        If there is no such device, or the times are not allowed.
-    """
-    device = DEVICES.get(name.lower()) or _device_of_size(name)
-    if shortest_s is not None:
-        shortest = round(shortest_s * 1e6, 6)
-        if not (1 <= shortest <= LONGEST_PICTURE_S * 1e6 and shortest.is_integer()):
-            raise InputError(
-                f"`shortest` {shortest:g} µs is not allowed: give whole microseconds, 1 to "
-                f"{LONGEST_PICTURE_S * 1e6:g}"
-            )
-        device = device.model_copy(update={"shortest_us": int(shortest)})
-    if settle_s is not None:
-        if not 0 <= settle_s <= LONGEST_PICTURE_S:
-            raise InputError(
-                f"`settle` {settle_s:g} s is not allowed: give 0 to {LONGEST_PICTURE_S:g}"
-            )
-        device = device.model_copy(update={"settle_us": round(settle_s * 1e6, 6)})
-    return device
-
-
-def _device_of_size(name: str) -> Device:
-    sides = name.lower().split("x")
-    if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
-        columns, rows = map(int, sides)
-        if 1 <= columns <= MOST_MIRRORS and 1 <= rows <= MOST_MIRRORS:
-            return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
-    raise InputError(
-        f"unknown device {name!r}: {closest(name, DEVICES)}; or COLUMNSxROWS, such as 1920x1080"
-    )
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF.
-
-    Attributes
-    ----------
-    down, across : int
-        Cells.
-    height, width : int
-        Mirrors of a cell.
-    top, left : int
-        Mirrors before the first cell.
-    """
-
-    down: int
-    across: int
-    height: int
-    width: int
-    top: int
-    left: int
-
-    @property
-    def mirrors(self) -> int:
-        """K, mirrors of a cell."""
-        return self.height * self.width
-
-    @property
-    def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the mirrors of all cells, to index those of a device."""
-        return (
-            slice(self.top, self.top + self.down * self.height),
-            slice(self.left, self.left + self.across * self.width),
-        )
-
-
-def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
-    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device.
-
-    Raises `InputError` if the device has fewer mirrors than the mask has cells.
-    """
-    if len(image_shape) not in (1, 2) or min(image_shape) < 1:
-        raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
-    down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)
-    height, width = device.rows // down, device.columns // across
-    if not (height and width):
-        raise InputError(
-            f"{down} x {across} cells do not fit {device.name} with {device.rows} x "
-            f"{device.columns} mirrors: use a larger device or fewer pixels"
-        )
-    top, left = (device.rows - down * height) // 2, (device.columns - across * width) // 2
-    return Grid(down, across, height, width, top, left)
 
 
 @dataclass(frozen=True)
@@ -229,6 +89,10 @@ class FrameSettings:
         if self.seed < 0:
             raise InputError(f"seed {self.seed} is not allowed: give 0 or more")
         check_known("format", self.format, get_args(Format))
+        if self.format == "planes" and not self.device.packed:
+            raise InputError(
+                f"{self.device.name} takes no pictures of 24 bit-planes: use format npy, raw or png"
+            )
 
     @property
     def raised(self) -> bool:
@@ -239,6 +103,36 @@ class FrameSettings:
     def sentinel_us(self) -> int:
         """Picture time of a sentinel, µs."""
         return max(self.device.shortest_us, _whole(self.dwell_s * 1e6))
+
+    def times_us(self, shares: np.ndarray, light: Light, sentinels: int) -> tuple[list[int], int]:
+        """Picture times of the masks' frames and of a sentinel, µs: one for all in a video.
+
+        Parameters
+        ----------
+        shares, light
+            As of `picture_us`.
+        sentinels : int
+            Frames of a pass that show no mask.
+
+        Raises
+        ------
+        InputError
+            As of `picture_us`, or if the one time is longer than the device allows.
+        """
+        pictures, sentinel = self.picture_us(shares, light), self.sentinel_us
+        if self.device.video_us:
+            total = len(shares) + sentinels
+            together = self.device.packed_frames(total)
+            one = max(*pictures, sentinel, -(-self.device.video_us // together))
+            if one > self.device.longest_us:
+                raise InputError(
+                    f"{total} frames, {together} in each picture of the video, would last {one} µs "
+                    f"each, and {self.device.name} shows {self.device.longest_us} at most: give a "
+                    f"shorter --dwell, or masks that make with {sentinels} sentinels a multiple of "
+                    "more frames"
+                )
+            return [one] * len(pictures), one
+        return pictures, sentinel
 
     def picture_us(self, shares: np.ndarray, light: Light) -> list[int]:
         """Picture times of the masks' frames, µs, from their shares of the exposure (f,).
@@ -258,11 +152,11 @@ class FrameSettings:
         if light == "equal-dwell":
             return [_whole(mean)] * len(shares)
         wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
-        if wanted.max() > 1e6 * LONGEST_PICTURE_S:
+        if wanted.max() > device.longest_us:
             raise InputError(
                 f"with a dwell of {self.dwell_s:g} s the longest picture takes "
-                f"{wanted.max() / 1e6:.3g} s, and {LONGEST_PICTURE_S:g} are allowed: give a "
-                "shorter one"
+                f"{wanted.max() / 1e6:.3g} s, and {device.name} allows "
+                f"{device.longest_us / 1e6:.4g}: give a shorter one"
             )
         return [max(device.shortest_us, _whole(us)) for us in wanted.tolist()]
 

@@ -24,9 +24,11 @@ from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
+from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.grid import Grid
 from deepfsi.hardware.patterns.mirrors import unpack
-from deepfsi.hardware.patterns.sequence import Device, Grid, Manifest, Patterns
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
@@ -141,8 +143,9 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     from scipy.fft import irfft2, rfft2
     from scipy.ndimage import fourier_gaussian
 
-    height, width = grid.down * grid.height, grid.across * grid.width
-    edge = math.ceil(4 * camera.blur)
+    height, width = grid.lattice_shape
+    blur = camera.blur * (math.sqrt(2) if grid.diamond else 1)  # half diagonals, or mirrors
+    edge = math.ceil(4 * blur)
     down = (np.arange(-edge, height + edge) + 0.5) / height
     across = (np.arange(-edge, width + edge) + 0.5) / width
     place, inside = _find_pixels(camera, down, across, scenes.shape[1:])
@@ -153,10 +156,10 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
     out = np.zeros((len(scenes), device.rows, device.columns), dtype=np.float32)
     for scene, mirrors in zip(scenes, out, strict=True):
         image = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
-        if camera.blur:
-            spectrum = fourier_gaussian(rfft2(image), camera.blur, n=image.shape[1])
+        if blur:
+            spectrum = fourier_gaussian(rfft2(image), blur, n=image.shape[1])
             image = np.maximum(irfft2(spectrum, image.shape), 0)
-        mirrors[grid.window] = image[kept] * share
+        mirrors[grid.window] = grid.at_mirrors(image[kept] * share)
     return out
 
 

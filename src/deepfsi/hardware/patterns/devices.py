@@ -1,0 +1,171 @@
+"""Micromirror devices: geometry, limits of their controllers, and where the numbers are from.
+
+`devices.toml` beside this file holds the devices that have a name.
+"""
+
+import math
+import tomllib
+from importlib.resources import files
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from deepfsi.errors import InputError, closest
+
+MOST_MIRRORS = 2**14
+"""Mirrors of a device in each direction at most."""
+
+LONGEST_PICTURE_S = 1e3
+"""Longest picture time that is exported, seconds."""
+
+LONGEST_PICTURE_US = 10**9
+"""The same in microseconds."""
+
+PLANES = 24
+"""Bit-planes of a picture of 24 bits a pixel."""
+
+Lattice = Literal["square", "diamond"]
+"""Places of mirrors: rows and columns, or turned by 45°, with odd rows half a mirror aside."""
+
+Controller = Literal["any", "alp", "dlpc900", "dlpc350", "dlpc347x"]
+"""Controller of a device: what it takes, and how; "any" takes packed frames."""
+
+
+class Device(BaseModel):
+    """A micromirror device and its controller.
+
+    Attributes
+    ----------
+    columns, rows : int
+        Mirrors across and down, as they are addressed.
+    shortest_us, longest_us : int
+        Shortest and longest picture time, µs.
+    settle_us : float
+        Time after the start of a frame in which mirrors still move, µs.
+    patterns : int or None
+        Different frames that the controller holds for one sequence; None where frames fit as
+        memory allows.
+    video_us : int or None
+        Shortest video frame, µs, of a controller that takes frames as a video's bit-planes and
+        shows all for one time; None of one that stores frames.
+    lattice : {"square", "diamond"}
+        Places of the mirrors.
+    pitch_um : float or None
+        Side of a mirror with its gap, µm.
+    planes : str
+        Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    columns: int = Field(ge=1, le=MOST_MIRRORS)
+    rows: int = Field(ge=1, le=MOST_MIRRORS)
+    shortest_us: int = Field(44, ge=1, le=LONGEST_PICTURE_US)
+    longest_us: int = Field(LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
+    settle_us: float = Field(10.0, ge=0, allow_inf_nan=False)
+    patterns: int | None = Field(None, ge=1)
+    video_us: int | None = Field(None, ge=1, le=LONGEST_PICTURE_US)
+    lattice: Lattice = "square"
+    pitch_um: float | None = Field(None, gt=0, allow_inf_nan=False)
+    controller: Controller = "any"
+    planes: str = "BGR"
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.shortest_us > self.longest_us:
+            raise ValueError("shortest_us is above longest_us")
+        if sorted(self.planes) != sorted("BGR"):
+            raise ValueError("planes has to name B, G and R, in the order of bit positions")
+        return self
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows, and bytes of a row at one bit a mirror: each row begins a new byte."""
+        return self.rows, -(-self.columns // 8)
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame."""
+        return math.prod(self.frame_shape)
+
+    @property
+    def packed(self) -> bool:
+        """True where the controller takes 24 frames as the bit-planes of a picture."""
+        return self.controller in ("dlpc900", "dlpc350", "dlpc347x")
+
+    def packed_frames(self, total: int) -> int:
+        """Frames in each 24-bit picture of a sequence.
+
+        All pictures of a video have as many, so that no bit-plane without a frame is shown.
+        """
+        if self.video_us is None:
+            return PLANES
+        return max(size for size in range(1, PLANES + 1) if total % size == 0)
+
+    def timed(self, shortest_s: float | None = None, settle_s: float | None = None) -> "Device":
+        """Give the device with another shortest picture time or time to settle, in seconds.
+
+        Raises `InputError` if one of them is not allowed.
+        """
+        changes: dict[str, float] = {}
+        if shortest_s is not None:
+            shortest = round(shortest_s * 1e6, 6)
+            if not (1 <= shortest <= self.longest_us and shortest.is_integer()):
+                raise InputError(
+                    f"`shortest` {shortest:g} µs is not allowed: give whole microseconds, 1 to "
+                    f"{self.longest_us:g}"
+                )
+            changes["shortest_us"] = int(shortest)
+        if settle_s is not None:
+            if not 0 <= settle_s <= LONGEST_PICTURE_S:
+                raise InputError(
+                    f"`settle` {settle_s:g} s is not allowed: give 0 to {LONGEST_PICTURE_S:g}"
+                )
+            changes["settle_us"] = round(settle_s * 1e6, 6)
+        return self.model_copy(update=changes)
+
+
+def _read_devices() -> tuple[dict[str, Device], dict[str, dict[str, str]]]:
+    """Devices by name, and the source of each of their numbers."""
+    content = tomllib.loads(files(__package__).joinpath("devices.toml").read_text("utf-8"))
+    sources = {name: fields.pop("sources") for name, fields in content.items()}
+    return {name: Device(name=name, **fields) for name, fields in content.items()}, sources
+
+
+DEVICES, SOURCES = _read_devices()
+"""Devices by name, and where each of their numbers is from."""
+
+
+def find_device(
+    name: str, shortest_s: float | None = None, settle_s: float | None = None
+) -> Device:
+    """Device of a name, or one of COLUMNSxROWS mirrors.
+
+    Parameters
+    ----------
+    name : str
+        One of `DEVICES`, or such as "1920x1080".
+    shortest_s, settle_s : float, optional
+        Shortest picture time, whole microseconds, and time to settle, in seconds: the named
+        device's, or those of any other, unless given.
+
+    Raises
+    ------
+    InputError
+        If there is no such device, or the times are not allowed.
+    """
+    device = DEVICES.get(name.lower()) or _device_of_size(name)
+    return device.timed(shortest_s, settle_s)
+
+
+def _device_of_size(name: str) -> Device:
+    sides = name.lower().split("x")
+    if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
+        columns, rows = map(int, sides)
+        if 1 <= columns <= MOST_MIRRORS and 1 <= rows <= MOST_MIRRORS:
+            return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
+    raise InputError(
+        f"unknown device {name!r}: {closest(name, DEVICES)}; or COLUMNSxROWS, such as 1920x1080, "
+        "or a TOML file"
+    )

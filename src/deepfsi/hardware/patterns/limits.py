@@ -1,0 +1,55 @@
+"""Limits of a device that a sequence of frames has to keep: how many frames, and for how long."""
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import DEVICES, SOURCES, Device
+from deepfsi.hardware.patterns.sequence import Manifest
+
+
+def check_stored(device: Device, different: int) -> None:
+    """Raise `InputError` if a controller does not hold as many different frames."""
+    if device.patterns is None or different <= device.patterns:
+        return
+    larger = [
+        f"{one.name} ({one.patterns or 'as many as fit its memory'})"
+        for one in DEVICES.values()
+        if not one.video_us and (one.patterns is None or one.patterns >= different)
+    ]
+    raise InputError(
+        f"{different} different frames do not fit {device.name}, whose controller holds "
+        f"{device.patterns}: use fewer masks (of a scan: a smaller --size), or a device that holds "
+        f"them, such as {', '.join(larger[:3])}"
+    )
+
+
+def check_limits(manifest: Manifest) -> None:
+    """Raise `InputError` unless the device of a manifest can show all of its frames."""
+    device = manifest.device
+    check_stored(device, count_different(manifest))
+    for place, frame in enumerate(manifest.frames):
+        if not device.shortest_us <= frame.picture_us <= device.longest_us:
+            raise InputError(
+                f"frame {place} ({frame}) lasts {frame.picture_us} µs, and {device.name} shows "
+                f"{device.shortest_us} to {device.longest_us} µs: export again with another --dwell"
+            )
+    times = {frame.picture_us for frame in manifest.frames}
+    if device.video_us and len(times) > 1:
+        raise InputError(
+            f"frames last {min(times)} to {max(times)} µs, and {device.name} shows all for one "
+            "time: export the patterns for it again"
+        )
+
+
+def count_different(manifest: Manifest) -> int:
+    """Number of frames that differ, which a controller has to hold."""
+    return len({frame.sha256 for frame in manifest.frames})
+
+
+def departures(device: Device) -> list[str]:
+    """Limits of a named device that are wider than those of its documents, one line each."""
+    known = DEVICES.get(device.name)
+    if known is None or device.shortest_us >= known.shortest_us:
+        return []
+    return [
+        f"shortest picture {device.shortest_us} µs, and {device.name} needs {known.shortest_us} "
+        f"({SOURCES[device.name]['shortest_us']}): export without --shortest unless you know why"
+    ]

@@ -1,0 +1,192 @@
+"""Frames as the bit-planes of 24-bit pictures, for controllers that take them so.
+
+images/0000.bmp ...   24 bits a pixel: each bit of a pixel is a mirror of another frame
+patterns.csv          the frames in the order in which they are shown, and where each is
+sequence.txt          of a DLPC900, the same as commands in a batch file of TI's program
+
+`Device.planes` says which colours hold bit positions 0 to 7, 8 to 15 and 16 to 23, each colour's
+lowest bit first. A controller that stores frames gets each different one once; of one that shows
+them as video every frame has a bit of its own, and all pictures hold as many.
+"""
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import BmpImagePlugin, Image
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import Device
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.progress import SILENT, Report
+
+ON_THE_FLY = 3
+"""Display mode of a DLPC900 in which its pictures come over USB (guide DLPU018, 0x1A1B)."""
+
+Place = tuple[int, int]
+"""Picture that holds a frame, and the bit position in it."""
+
+
+class Places:
+    """Places of frames that are told one after another."""
+
+    def __init__(self, device: Device, total: int) -> None:
+        self._size, self._video = device.packed_frames(total), device.video_us is not None
+        self._known: dict[str | int, int] = {}
+
+    def find(self, digest: str) -> tuple[Place, bool]:
+        """Place of the next frame, and whether it is a new one."""
+        key = len(self._known) if self._video else digest
+        new = key not in self._known
+        return divmod(self._known.setdefault(key, len(self._known)), self._size), new
+
+
+def place_frames(manifest: Manifest) -> list[Place]:
+    """Place of each frame of a manifest."""
+    places = Places(manifest.device, len(manifest.frames))
+    return [places.find(frame.sha256)[0] for frame in manifest.frames]
+
+
+def write_planes(
+    folder: Path,
+    frames: Iterable[np.ndarray],
+    total: int,
+    device: Device,
+    report: Report = SILENT,
+) -> list[str]:
+    """Write frames as they come, and give the SHA-256 of the packed bits of each.
+
+    Parameters
+    ----------
+    frames : iterable of array, shape (rows, bytes of a row)
+        Packed.
+    """
+    (folder / "images").mkdir()
+    places, hashes = Places(device, total), []
+    picture, image = np.zeros((device.rows, device.columns, 3), np.uint8), 0
+    for shown, frame in enumerate(frames):
+        hashes.append(hashlib.sha256(frame.data).hexdigest())
+        (found, bit), new = places.find(hashes[-1])
+        if found > image:
+            Image.fromarray(picture).save(folder / _file(image))
+            picture[:], image = 0, found
+        if new:
+            lit = np.unpackbits(frame, axis=1, count=device.columns)
+            picture[..., _channel(device, bit)] |= lit << bit % 8
+        report((shown + 1) / total)
+    Image.fromarray(picture).save(folder / _file(image))
+    return hashes
+
+
+def load_planes(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
+    """Packed frames of a folder in their order, one at a time."""
+    device, read = manifest.device, -1
+    for image, bit in place_frames(manifest):
+        if image != read:
+            picture, read = _read_picture(folder / _file(image), device), image
+        yield np.packbits(picture[..., _channel(device, bit)] >> bit % 8 & 1, axis=1)
+
+
+def tables(manifest: Manifest) -> dict[str, str]:
+    """Files that say how the pictures of a manifest are shown: name and content."""
+    out = {"patterns.csv": _table(manifest)}
+    if manifest.device.controller == "dlpc900":
+        out["sequence.txt"] = _commands(manifest)
+    return out
+
+
+def check_tables(folder: Path, manifest: Manifest) -> None:
+    """Raise `InputError` unless the tables of a folder say what its manifest says."""
+    for name, content in tables(manifest).items():
+        with reading(str(folder / name)):
+            found = (folder / name).read_text("utf-8")
+        if found != content:
+            raise InputError(
+                f"{folder / name} does not say what manifest.json says: export the patterns again"
+            )
+
+
+@contextmanager
+def reading(name: str) -> Iterator[None]:
+    """Turn errors of reading a file into one `InputError`."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{name} is missing: export the patterns again") from None
+    except InputError:
+        raise
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(f"{name} cannot be read ({error}): export the patterns again") from None
+
+
+def _file(image: int) -> str:
+    return f"images/{image:04d}.bmp"
+
+
+def _channel(device: Device, bit: int) -> int:
+    """Place of a bit position's colour in a pixel of red, green and blue."""
+    return "RGB".index(device.planes[bit // 8])
+
+
+def _read_picture(path: Path, device: Device) -> np.ndarray:
+    with reading(f"picture {path}"), BmpImagePlugin.BmpImageFile(path) as picture:
+        if picture.mode != "RGB" or picture.size != (device.columns, device.rows):
+            raise InputError(
+                f"{path} is a {picture.size[0]} x {picture.size[1]} BMP of mode {picture.mode}, "
+                f"not {device.columns} x {device.rows} at 24 bits a pixel: export the patterns "
+                "again"
+            )
+        return np.asarray(picture)
+
+
+def _times(manifest: Manifest) -> list[tuple[int, int]]:
+    """Exposure and dark time of each frame, µs.
+
+    A controller of the DLPC347x family turns all mirrors OFF between frames, for what its devices
+    have as time to settle; the others change from frame to frame.
+    """
+    device = manifest.device
+    dark = round(device.settle_us) if device.controller == "dlpc347x" else 0
+    return [(frame.picture_us - dark, dark) for frame in manifest.frames]
+
+
+def _table(manifest: Manifest) -> str:
+    """Rows of patterns.csv, the frames in their order."""
+    out, before = io.StringIO(), -1
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(
+        ["pattern", "image", "bit", "exposure_us", "dark_us", "trigger_out", "new_image", "shows"]
+    )
+    every = zip(place_frames(manifest), _times(manifest), manifest.frames, strict=True)
+    for pattern, ((image, bit), (exposure, dark), frame) in enumerate(every):
+        rows.writerow(
+            [pattern, _file(image), bit, exposure, dark, 1, int(image != before), str(frame)]
+        )
+        before = image
+    return out.getvalue()
+
+
+def _commands(manifest: Manifest) -> str:
+    """Batch file for a DLPC900: the mode, the pattern look-up table, and its length.
+
+    One command a line, "NAME : bytes", as the batch files of DLPC900REF-SW; the bytes are those of
+    the programmer's guide DLPU018 (display mode 0x1A1B, LUT definition 0x1A34 and configuration
+    0x1A31). Lamps of the board stay off, no frame waits for a trigger, and the sequence runs once
+    when it is started.
+    """
+    lines = [("DISP_MODE", bytes([ON_THE_FLY]))]
+    every = enumerate(zip(place_frames(manifest), _times(manifest), strict=True))
+    for pattern, ((image, bit), (exposure, dark)) in every:
+        entry = pattern.to_bytes(2, "little") + exposure.to_bytes(3, "little")
+        entry += b"\0"  # do not clear, 1 bit, no lamp, no trigger in
+        entry += dark.to_bytes(3, "little") + b"\0"  # trigger out 2 marks its start
+        lines.append(("MBOX_DATA", entry + (image | bit << 11).to_bytes(2, "little")))
+    total = len(manifest.frames)
+    lines.append(("PAT_CONFIG", total.to_bytes(2, "little") + (1).to_bytes(4, "little")))
+    return "".join(
+        f"{name} : {' '.join(f'0x{byte:02X}' for byte in content)}\n" for name, content in lines
+    )

@@ -1,0 +1,91 @@
+"""Devices as data: numbers with sources, and limits of a device of one's own."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import DEVICES, SOURCES, Device, find_device
+
+DIAGONAL_INCHES = {
+    "dlp7000": 0.7, "dlp9500": 0.95, "dlp650lnir": 0.65, "dlp6500": 0.65, "dlp9000": 0.9,
+    "dlp670s": 0.67, "dlp500yx": 0.5, "dlp4500": 0.45, "dlp3010": 0.3, "dlp4710": 0.47,
+    "dlp6500-dlpc910": 0.65, "dlp9000x": 0.9,
+}  # fmt: skip
+"""As the names say, rounded."""
+
+PATTERNS = {"dlp6500": 400, "dlp9000": 480, "dlp670s": 400, "dlp500yx": 800}
+"""1-bit patterns that a DLPC900 holds, from its data sheet DLPS037H."""
+
+SHORTEST_US = {"dlp6500": 105, "dlp9000": 105, "dlp670s": 105, "dlp500yx": 62}
+"""Of 1-bit patterns, from table 7-3 of DLPS037F."""
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_mirrors_and_pitch_give_the_diagonal_of_the_name(name):
+    device = DEVICES[name]
+    across, down = device.columns * device.pitch_um, device.rows * device.pitch_um
+    if device.lattice == "diamond":  # columns are a diagonal apart, rows half a one
+        across, down = across * math.sqrt(2), down / math.sqrt(2)
+    inches = math.hypot(across, down) / 25400
+    assert inches == pytest.approx(DIAGONAL_INCHES[name], rel=0.05)
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_each_number_has_a_source_or_is_said_to_be_assumed(name):
+    device, usual = DEVICES[name], Device(name="any", columns=1, rows=1)
+    numbers = {"columns", "rows", "pitch_um", "shortest_us", "settle_us"}
+    numbers |= {key for key, value in device if value != getattr(usual, key)}
+    numbers |= {"planes"} if device.packed else set()
+    assert numbers - {"name", "controller"} == {*SOURCES[name]}
+    document = r"\bDLP[SU]\d{3}|thread \d+|data sheet|clocks at 400 MHz|DLPC900REF-SW|assumed"
+    assert all(re.search(document, source) for source in SOURCES[name].values())
+
+
+def test_limits_of_the_dlpc900_are_those_of_its_data_sheet():
+    family = {name: one for name, one in DEVICES.items() if one.controller == "dlpc900"}
+    assert {name: one.patterns for name, one in family.items()} == PATTERNS
+    assert {name: one.shortest_us for name, one in family.items()} == SHORTEST_US
+
+
+def test_names_are_found_in_any_case_and_the_nearest_is_told():
+    assert find_device("DLP6500") == DEVICES["dlp6500"]
+    with pytest.raises(InputError, match=r"did you mean 'dlp6500'.*a TOML file"):
+        find_device("dlp650")
+
+
+def test_times_are_changed_within_what_the_device_can():
+    changed = find_device("dlp6500", 24e-6, 5e-6)
+    assert (changed.shortest_us, changed.settle_us, changed.patterns) == (24, 5, 400)
+    with pytest.raises(InputError, match=r"`shortest` 2e\+07 µs .* 1 to 1\.67772e\+07"):
+        find_device("dlp6500", 20.0)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"shortest_us": 10, "longest_us": 9},
+        {"planes": "BGG"},
+        {"patterns": 0},
+        {"lattice": "hexagonal"},
+        {"pitch_um": -1},
+    ],
+)
+def test_devices_that_cannot_be_are_refused(fields):
+    with pytest.raises(ValueError, match=next(iter(fields))):
+        Device(name="mine", columns=8, rows=8, **fields)
+
+
+def test_the_page_on_devices_has_their_numbers():
+    page = (Path(__file__).parents[3] / "docs" / "devices.md").read_text()
+    rows = re.findall(r"^\| `([\w-]+)` \| (.*) \|$", page, re.M)
+    assert rows == [
+        (
+            one.name,
+            f"{one.columns} x {one.rows} | {one.lattice} | {one.pitch_um} | {one.controller} | "
+            f"{one.shortest_us} | {one.patterns or 'memory'} | {'planes' if one.packed else 'npy'}",
+        )
+        for one in DEVICES.values()
+    ]

@@ -1,0 +1,191 @@
+"""Exports for each family of controllers, opened by readers written from their documents."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+from pattern_samples import UNEQUAL, export, grey
+from vendor_readers import (
+    play_dlpc347x,
+    play_dlpc350,
+    play_dlpc900,
+    read_bmp,
+    read_packed,
+)
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.devices import DEVICES, Device
+from deepfsi.hardware.patterns.folder import check_patterns, read_frames
+
+SIZE = {"columns": 37, "rows": 26}
+"""Rows of no whole bytes, and of no whole 4 bytes of a bitmap."""
+
+
+def family(name: str) -> Device:
+    """A device of few mirrors with the limits of a named one."""
+    return DEVICES[name].model_copy(update=SIZE)
+
+
+def frames_of(folder, device, **changes):
+    """Mirrors and times of each frame, of an export as packed bits."""
+    shown = export(folder, device=device, format="npy", **changes)
+    bits = np.unpackbits(np.load(folder / "frames.npy"), axis=2, count=device.columns)
+    return list(bits.astype(bool)), [frame.picture_us for frame in shown.manifest.frames]
+
+
+def assert_shown(played, mirrors, times, dark=0):
+    assert len(played) == len(mirrors)
+    for frame, wanted, us in zip(played, mirrors, times, strict=True):
+        assert np.array_equal(frame.mirrors, wanted)
+        assert (frame.exposure_us, frame.dark_us) == (us - dark, dark)
+
+
+@pytest.mark.parametrize("name", ["dlp6500", "dlp9000", "dlp670s", "dlp500yx"])
+def test_a_dlpc900_shows_every_frame_for_its_own_time(tmp_path, name):
+    """33 masks of unlike dwells, in two pictures and one sequence."""
+    device, masks = family(name), grey(33, rails=1)
+    masks[0, 3] /= 100
+    mirrors, times = frames_of(tmp_path / "packed", device, rails=masks)
+    export(tmp_path / "p", masks, device=device, format="planes")
+    assert len({*times}) > 20
+    assert min(times) == device.shortest_us
+    assert len([*(tmp_path / "p" / "images").iterdir()]) == 2
+    assert_shown(play_dlpc900(tmp_path / "p"), mirrors, times)
+
+
+def test_a_dlpc350_takes_green_red_and_blue_in_turn(tmp_path):
+    device = family("dlp4500")
+    masks = grey(27, pixels=12, rails=1)
+    mirrors, times = frames_of(tmp_path / "packed", device, rails=masks, image_shape=(3, 4))
+    export(tmp_path / "p", masks, image_shape=(3, 4), device=device, format="planes")
+    assert_shown(play_dlpc350(tmp_path / "p"), mirrors, times)
+
+
+@pytest.mark.parametrize(("masks", "together"), [(44, 24), (45, 7), (42, 23)])
+def test_a_dlpc347x_shows_whole_pictures_of_a_video(tmp_path, masks, together):
+    """48, 49 and 46 frames, all for one time; no picture is shorter than a frame of the video."""
+    device, rails = family("dlp3010"), grey(masks, rails=1)
+    mirrors, times = frames_of(tmp_path / "packed", device, rails=rails, dwell_s=5e-4)
+    export(tmp_path / "p", rails, device=device, dwell_s=5e-4, format="planes")
+    assert len({*times}) == 1
+    assert times[0] * together >= 1e6 / 104.2
+    assert times[0] >= 1e6 / 2500
+    played = play_dlpc347x(tmp_path / "p", together, times[0] - 202, 202)
+    assert_shown(played, mirrors, times, dark=202)
+    rows = csv.DictReader((tmp_path / "p" / "patterns.csv").read_text().splitlines())
+    assert {(row["exposure_us"], row["dark_us"]) for row in rows} == {(str(times[0] - 202), "202")}
+
+
+def test_a_number_of_frames_that_fills_no_pictures_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"47 frames, 1 in each picture .* would last 9597 µs"):
+        export(tmp_path / "p", grey(43, rails=1), device=family("dlp3010"), format="planes")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_alp_takes_packed_rows(tmp_path):
+    device = family("dlp7000")
+    mirrors, _ = frames_of(tmp_path / "packed", device)
+    export(tmp_path / "p", device=device, format="raw")
+    read = read_packed(tmp_path / "p" / "frames.bin", device.rows, device.columns)
+    assert np.array_equal(read, mirrors)
+    header = (tmp_path / "packed" / "frames.npy").stat().st_size - len(read) * device.frame_bytes
+    read = read_packed(tmp_path / "packed" / "frames.npy", device.rows, device.columns, header)
+    assert np.array_equal(read, mirrors)
+
+
+@pytest.mark.parametrize("name", ["dlp6500", "dlp4500", "dlp4710"])
+def test_bit_planes_are_read_back_and_checked(tmp_path, name):
+    device = family(name)
+    shown = export(tmp_path / "p", grey(28, rails=1), device=device, format="planes")
+    mirrors, _ = frames_of(tmp_path / "packed", device, rails=grey(28, rails=1))
+    for packed, wanted in zip(read_frames(tmp_path / "p"), mirrors, strict=True):
+        assert np.array_equal(packed, np.packbits(wanted, axis=1))
+    assert check_patterns(tmp_path / "p").manifest == shown.manifest
+
+
+def test_frames_that_are_alike_are_held_once(tmp_path):
+    """All ON and all OFF come twice in a pass, and one of two uniform masks is all ON again."""
+    export(tmp_path / "p", UNEQUAL, device=family("dlp6500"), format="planes")
+    (picture,) = (tmp_path / "p" / "images").iterdir()
+    planes = [read_bmp(picture) >> bit & 1 for bit in range(24)]
+    assert [int(plane.any()) for plane in planes] == [1] + 23 * [0]
+    rows = list(csv.DictReader((tmp_path / "p" / "patterns.csv").read_text().splitlines()))
+    assert [row["bit"] for row in rows] == ["0", "1", "0", "0", "0", "1"]
+    assert [row["shows"] for row in rows[:3]] == ["all ON", "all OFF", "mask 0, plus"]
+
+
+@pytest.mark.parametrize("name", ["patterns.csv", "sequence.txt"])
+def test_tables_that_were_changed_are_found(tmp_path, name):
+    export(tmp_path / "p", device=family("dlp6500"), format="planes")
+    path = tmp_path / "p" / name
+    path.write_text(path.read_text().replace("1", "2"))
+    with pytest.raises(InputError, match=f"{name} does not say what manifest.json says"):
+        check_patterns(tmp_path / "p")
+    path.unlink()
+    with pytest.raises(InputError, match=f"{name} is missing"):
+        check_patterns(tmp_path / "p")
+
+
+def test_pictures_that_were_changed_are_found(tmp_path):
+    export(tmp_path / "p", device=family("dlp6500"), format="planes")
+    path = tmp_path / "p" / "images" / "0000.bmp"
+    whole = path.read_bytes()
+    changed = bytearray(whole)
+    changed[-4 * 112 + 3 * 18] ^= 0b100  # bit position 2, the first mask
+    path.write_bytes(changed)
+    with pytest.raises(InputError, match=r"frame 2 of .*\(mask 0, plus\) is not what was exported"):
+        check_patterns(tmp_path / "p")
+    path.write_bytes(whole[:-100])
+    with pytest.raises(InputError, match="cannot be read"):
+        check_patterns(tmp_path / "p")
+    export(
+        tmp_path / "q", device=family("dlp6500").model_copy(update={"columns": 40}), format="planes"
+    )
+    shutil.copy(tmp_path / "q" / "images" / "0000.bmp", path)
+    with pytest.raises(InputError, match="is a 40 x 26 BMP"):
+        check_patterns(tmp_path / "p")
+
+
+def test_only_controllers_that_take_pictures_get_them(tmp_path):
+    with pytest.raises(InputError, match="takes no pictures of 24 bit-planes"):
+        export(tmp_path / "p", format="planes")
+
+
+@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp9000", 480), ("dlp4500", 48)])
+def test_more_frames_than_a_controller_holds_are_refused(tmp_path, name, holds):
+    """Its frames and two sentinels; nothing is written, and what to do is said."""
+    device = family(name)
+    codes = np.arange(1, holds)[:, None] >> np.arange(16) & 1  # no two masks alike
+    masks = codes[None] / len(codes)
+    with pytest.raises(InputError, match=rf"{holds + 1} different frames do not fit .*fewer masks"):
+        export(tmp_path / "p", masks, device=device)
+    assert not list(tmp_path.iterdir())
+    export(tmp_path / "p", masks[:, 1:], device=device, format="npy")
+    check_patterns(tmp_path / "p")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shortest_us": 2000}, r"frame 0 \(all ON\) lasts 1000 µs, .* 2000 to"),
+        ({"longest_us": 900}, r"frame 0 \(all ON\) lasts 1000 µs, .* to 900 µs"),
+        ({"patterns": 11}, "12 different frames do not fit dlp6500"),
+        ({"video_us": 1000}, "shows all for one time"),
+    ],
+)
+def test_check_finds_what_the_device_cannot_show(tmp_path, changes, message):
+    """As where a manifest was written by hand."""
+    export(tmp_path / "p", device=family("dlp6500"), format="npy")
+    path = tmp_path / "p" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["device"].update(changes)
+    path.write_text(json.dumps({**manifest, "sha256": None}))
+    with pytest.raises(InputError, match=message):
+        check_patterns(tmp_path / "p")
+
+
+def test_no_picture_is_longer_than_its_table_can_say(tmp_path):
+    with pytest.raises(InputError, match=r"dlp6500 allows 16[.]78"):
+        export(tmp_path / "p", UNEQUAL, device=family("dlp6500"), dwell_s=10.0)

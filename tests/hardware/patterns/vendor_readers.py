@@ -1,0 +1,108 @@
+"""Readers of what is exported, written from the controllers' documents and without the package.
+
+bmp          Windows bitmap: header of 54 bytes, rows from the bottom, blue, green, red, each row
+             filled to 4 bytes
+batch file   of TI's DLPC900REF-SW: a command a line, "NAME : 0x00 0x01 ..."
+LUT entry    12 bytes, DLPC900 programmer's guide DLPU018J, 0x1A34
+video        DLPC347x: bit-planes of one picture after another
+ALP          one bit a mirror, the leftmost in the highest bit, rows from the top
+"""
+
+import csv
+import re
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Shown(NamedTuple):
+    """A frame as a controller shows it."""
+
+    mirrors: np.ndarray  # bool (rows, columns)
+    exposure_us: int
+    dark_us: int
+
+
+def read_bmp(path: Path) -> np.ndarray:
+    """Values of 24 bits (rows, columns): blue in the lowest 8 bits, then green, then red."""
+    content = path.read_bytes()
+    assert content[:2] == b"BM"
+    start, size, width, height, planes, bits, compression = struct.unpack_from(
+        "<IIiiHHI", content, 10
+    )
+    assert (size >= 40, planes, bits, compression) == (True, 1, 24, 0)
+    stride = -(-3 * width // 4) * 4
+    rows = [
+        content[start + row * stride : start + row * stride + 3 * width] for row in range(height)
+    ]
+    pixels = np.frombuffer(b"".join(reversed(rows)), np.uint8).reshape(height, width, 3)
+    return pixels[..., 0] + 2**8 * pixels[..., 1].astype(int) + 2**16 * pixels[..., 2].astype(int)
+
+
+def play_dlpc900(folder: Path) -> list[Shown]:
+    """Frames that a DLPC900 shows once it is given the pictures and the commands."""
+    lines = (folder / "sequence.txt").read_text().splitlines()
+    commands = [(line.split()[0], [int(each, 0) for each in line.split()[2:]]) for line in lines]
+    assert all(re.fullmatch(r"[A-Z_]+ :( 0x[0-9A-F]{2})+", line) for line in lines)
+    assert commands[0] == ("DISP_MODE", [3])  # pattern on the fly
+    assert {name for name, _ in commands[1:-1]} == {"MBOX_DATA"}
+    name, config = commands[-1]
+    assert name == "PAT_CONFIG"
+    assert config == [(len(lines) - 2) & 255, (len(lines) - 2) >> 8, 1, 0, 0, 0]  # runs once
+    out = []
+    for place, (_, entry) in enumerate(commands[1:-1]):
+        assert len(entry) == 12
+        assert entry[0] + 256 * entry[1] == place
+        assert entry[5] == 0  # not cleared, 1 bit, no lamp, runs on without a trigger
+        assert entry[9] == 0  # trigger out 2 is on
+        found = entry[10] + 256 * entry[11]
+        image, bit = found & 0x7FF, found >> 11
+        assert bit < 24
+        picture = read_bmp(folder / f"images/{image:04d}.bmp")
+        exposure, dark = (entry[at] + 2**8 * entry[at + 1] + 2**16 * entry[at + 2] for at in (2, 6))
+        out.append(Shown((picture >> bit & 1).astype(bool), exposure, dark))
+    return out
+
+
+def play_dlpc350(folder: Path) -> list[Shown]:
+    """Frames of a DLPC350: pattern numbers 0-7 are green's bits, 8-15 red's, 16-23 blue's."""
+    out, before = [], None
+    with (folder / "patterns.csv").open() as file:
+        for row in csv.DictReader(file):
+            assert row["new_image"] == str(int(row["image"] != before))  # swap the buffer
+            before, number = row["image"], int(row["bit"])
+            lowest = (8, 16, 0)[number // 8]  # of green, red, blue in a bitmap's pixel
+            picture = read_bmp(folder / row["image"])
+            mirrors = (picture >> lowest + number % 8 & 1).astype(bool)
+            out.append(Shown(mirrors, int(row["exposure_us"]), int(row["dark_us"])))
+    return out
+
+
+def play_dlpc347x(folder: Path, patterns: int, exposure_us: int, dark_us: int) -> list[Shown]:
+    """Frames of a video of pictures with so many patterns each, all for one time."""
+    out = []
+    for path in sorted((folder / "images").iterdir()):
+        picture = read_bmp(path)
+        assert picture.max() < 2**patterns  # nothing beyond the patterns that are set
+        out += [
+            Shown((picture >> bit & 1).astype(bool), exposure_us, dark_us)
+            for bit in range(patterns)
+        ]
+    return out
+
+
+def read_packed(path: Path, rows: int, columns: int, header: int = 0) -> list[np.ndarray]:
+    """Frames of one bit a mirror, bit by bit."""
+    content, stride = path.read_bytes()[header:], -(-columns // 8)
+    assert len(content) % (rows * stride) == 0
+    frames = []
+    for start in range(0, len(content), rows * stride):
+        lines = [content[start + row * stride :][:stride] for row in range(rows)]
+        frames.append(
+            np.array(
+                [[line[x // 8] >> 7 - x % 8 & 1 for x in range(columns)] for line in lines], bool
+            )
+        )
+    return frames
