@@ -12,7 +12,11 @@ from scipy.io import savemat
 
 from conftest import quick
 from deepfsi.cli.dmd import design_rails
+<<<<<<< HEAD
 from deepfsi.hardware.patterns.devices import find_device
+=======
+from deepfsi.datasets import write_pictures
+>>>>>>> 99144c0 (Counts are corrected for dead time, and tables of analogue detectors are read)
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names
@@ -120,3 +124,52 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, tmp_path):
         ([*words[:2], tmp_path / "run", table], "design.safetensors"),
     ):
         assert said in refuse(*given)
+
+
+def test_read_noise_is_told_to_the_test_of_consistency(refuse, done, lab):
+    """The same volts: sound with the noise that they have, and unlike the training without."""
+    rng = np.random.default_rng(3)
+    noise, gain = 150.0, 2e4
+    volts = (lab.values + noise * rng.standard_normal(lab.values.shape)) / gain
+    words = ["camera", "classify", lab.patterns, lab.csv("volts.csv", volts), "--gain", gain]
+    said = json.loads(done(*words, "--read-noise", noise, "--json"))
+    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
+    assert "do not look like" in refuse(*words, "--read-noise", 0)
+    bare = json.loads(done(*words, "--read-noise", 0, "--force", "--json"))
+    assert [s["guesses"] for s in bare["scenes"]] == [s["guesses"] for s in said["scenes"]]
+
+
+def test_dead_time_of_a_table_is_corrected(done, refuse, lab):
+    """The budget by the all-ON frames is what it was without losses."""
+    times = read_patterns(lab.patterns).manifest.picture_s
+    slow = 1e-7
+    seen = np.rint(lab.values / (1 + lab.values / times * slow))
+    words = ["camera", "classify", lab.patterns, lab.csv("slow.csv", seen), "--json"]
+    whole = ["camera", "classify", lab.patterns, lab.folder / "counts.csv", "--json"]
+    true, bare, corrected = (
+        json.loads(done(*each))["scenes"][0]["photons"]
+        for each in (whole, words, [*words, "--dead-time", "100ns"])
+    )
+    assert bare < 0.93 * true
+    assert corrected == pytest.approx(true, rel=1e-3)
+    assert "paralysable" in refuse(*words, "--dead-time", "1ns", "--dead-time-model", "some")
+    assert "up to 10us" in refuse(*words, "--dead-time", "1ms")
+    assert "dim the light" in refuse(*words, "--dead-time", "1us")
+
+
+def test_the_dead_time_of_a_recording_is_corrected_and_said(done, lab, tmp_path):
+    camera = tmp_path / "slow.toml"
+    camera.write_text("dead_time_s = 1e-7\nparalysable = true\n")
+    write_pictures({"a.png": np.full((8, 8), 0.5)}, tmp_path / "images")
+    words = ["--scene", tmp_path / "images", "--flux", 3 * FLUX, "--exposure", "5ms", "-o"]
+    done("camera", "simulate", lab.patterns, "--camera", camera, *words, tmp_path / "run")
+    bare = json.loads(done("camera", "count", tmp_path / "run", "--json"))
+    words = ["--dead-time", "100ns", "--dead-time-model", "paralysable"]
+    found = json.loads(done("camera", "count", tmp_path / "run", *words, "--json"))
+    assert (bare["dead_time_s"], bare["paralysable"]) == (0, False)
+    assert (found["dead_time_s"], found["paralysable"]) == (pytest.approx(1e-7), True)
+    assert bare["arrivals"] == bare["photons_counted"] == found["photons_counted"]
+    assert found["arrivals"] > 1.02 * bare["arrivals"]
+    assert found["photons"][0] > 1.05 * bare["photons"][0]
+    said = done("camera", "count", tmp_path / "run", *words)
+    assert "dead time of 100 ns, paralysable: " in said

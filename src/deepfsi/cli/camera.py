@@ -126,6 +126,8 @@ def camera_count(
     ] = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
+    dead_time: options.DeadTime = None,
+    dead_time_model: options.DeadTimeModel = "non-paralysable",
     as_json: options.Json = False,
 ) -> None:
     """Count the photons of each frame's gates; missing, doubled and late markers are named.
@@ -146,6 +148,7 @@ def camera_count(
             repeats=repeats,
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
+            dead_time=options.dead_time(dead_time, dead_time_model),
             report=report,
         )
     _print_counts(counts, folder, as_json)
@@ -167,6 +170,9 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         "dark_rate": counts.dark_rate.tolist(),
         "drift": counts.drift,
         "inputs": [each + 1 for each in counts.inputs],
+        "dead_time_s": counts.dead_time.seconds,
+        "paralysable": counts.dead_time.paralysable,
+        "arrivals": float(counts.arrivals.sum()),
         "problems": list(problems),
     }
     if as_json:
@@ -181,6 +187,11 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         print(f"photons.ptu: {problem}")
     for fault in counts.faults:
         print(fault.line(names))
+    if counts.dead_time.seconds:
+        lost = 1 - summary["photons_counted"] / max(summary["arrivals"], 1.0)
+        print(
+            f"dead time of {counts.dead_time}: {lost:.1%} of the photons were lost, and are added"
+        )
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"

@@ -67,6 +67,10 @@ def camera_classify(
     read_noise: Annotated[
         float | None, typer.Option(help="table of an analogue detector: counts rms of a value")
     ] = None,
+    dead_time: Annotated[
+        str | None, typer.Option(help="table: dead time of the counter, to be corrected for")
+    ] = None,
+    dead_time_model: options.DeadTimeModel = "non-paralysable",
     trust: options.Trust = False,
     force: Annotated[
         bool, typer.Option("--force", help="classify counts that are not what it was trained for")
@@ -87,7 +91,8 @@ def camera_classify(
 
     options_of_tables = {
         "background": background, "settle": settle, "exposures": exposures, "gain": gain,
-        "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,
+        "read-noise": read_noise, "dead-time": dead_time,
+        "repeats": None if repeats == 1 else repeats,
     }  # fmt: skip
     if _is_run(counted):
         given = [name for name, value in options_of_tables.items() if value is not None]
@@ -95,11 +100,13 @@ def camera_classify(
             raise InputError(f"--{given[0]} is for tables, and {counted} is a folder: leave it out")
         counts, listed, made = _of_run(file, counted, trust)
     else:
+        from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
         from deepfsi.hardware.recording.tables import TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
+        dead = options.dead_time(dead_time, dead_time_model) or NO_DEAD_TIME
         settings = TableSettings(
-            photons, background, settle_s, exposures, repeats, gain, read_noise
+            photons, background, settle_s, exposures, repeats, gain, read_noise, dead
         )
         counts, listed, made = _of_table(file, counted, settings, trust)
     usable = counts.valid & ~counts.spoilt[:, None]
@@ -167,10 +174,10 @@ def _of_table(file: Path, table: Path, settings: "TableSettings", trust: bool) -
         _check_shown(file, manifest)
         made = made.as_shown(*patterns.realised)
     else:
-        if settings.settle_s:
+        if settings.settle_s or settings.dead_time.seconds:
             raise InputError(
-                f"--settle needs the times of the frames, and {file} has none: give the folder of "
-                "its patterns"
+                f"--settle and --dead-time need the times of the frames, and {file} has none: give "
+                "the folder of its patterns"
             )
         manifest = nominal_manifest(dmd.design_rails(file))
     counts, scenes = count_table(read_table(table, WORDS), manifest, settings, str(table))

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, check_known
 
 if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
+    from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
     from deepfsi.optics.detection import Detection
 
 MOST_PIXELS = 10_000
@@ -186,6 +187,35 @@ Marker = Annotated[
         min=0, max=3, help="marker input of the trigger, 0 for the first, as `inspect` numbers them"
     ),
 ]
+
+
+DeadTime = Annotated[
+    str | None,
+    typer.Option(
+        help="dead time of the counter, such as 20ns, to be corrected for; that of the "
+        "calibration in the folder if none"
+    ),
+]
+DeadTimeModel = Annotated[
+    str,
+    typer.Option(
+        help="non-paralysable (a SPAD, a counter's electronics), or paralysable (a photomultiplier)"
+    ),
+]
+
+
+def dead_time(text: str | None, model: str) -> "CounterDeadTime | None":
+    """Dead time of --dead-time and --dead-time-model, or None where none is given."""
+    from deepfsi.hardware.recording.dead_time import LONGEST_S, DeadTime
+
+    models = {"non-paralysable": False, "paralysable": True}
+    check_known("--dead-time-model", model, models)
+    if text is None:
+        return None
+    length = seconds("dead-time", text)
+    if length > LONGEST_S:
+        raise InputError(f"--dead-time {text} is not allowed: give up to {LONGEST_S * 1e6:g}us")
+    return DeadTime(seconds=length, paralysable=models[model])
 
 
 def words(text: str | None) -> list[str] | None:

@@ -12,7 +12,12 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
+<<<<<<< HEAD
 from deepfsi.hardware.patterns.sequence import FrameSettings
+=======
+from deepfsi.hardware.patterns.sequence import Device, FrameSettings
+from deepfsi.hardware.recording.dead_time import DeadTime
+>>>>>>> 99144c0 (Counts are corrected for dead time, and tables of analogue detectors are read)
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.virtual.camera import Camera, arrival_rates
 from deepfsi.optics import constraints
@@ -198,3 +203,31 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
     for bad in ({"photons": 0.0}, {"gain": -1.0}, {"read_noise": -1.0}, {"exposures": "up"}):
         with pytest.raises(InputError, match="`"):
             TableSettings(**bad)
+
+
+def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
+    """Mean and variance of what `--gain` and `--read-noise` say, in gates of other lengths."""
+    patterns = exported(tmp_path / "p")
+    manifest, draws, gain, noise = patterns.manifest, 4000, 2.5e4, 30.0
+    rates = arrival_rates(tmp_path / "p", SCENES[:1], Camera(dark=1e7), 1e8)[0, :, 0]
+    rng = np.random.default_rng(6)
+    photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))
+    values = (photons + noise * rng.standard_normal(photons.shape)) / gain
+    settings = TableSettings(gain=gain, read_noise=noise)
+    counts, _ = count_table(Table(values), manifest, settings)
+    assert counts.faults == ()
+    found, variance = counts.arrivals[:, 0, 0], counts.variance[:, 0, 0]
+    wanted = rates[manifest.shown] * counts.lengths_s[0]
+    error = np.sqrt(variance.mean(axis=0) / draws)
+    assert (abs(found.mean(axis=0) - wanted) < 5 * error).all()
+    assert found.var(axis=0) == pytest.approx(variance.mean(axis=0), rel=5 * np.sqrt(2 / draws))
+    ends_s = 2 * manifest.picture_s[0] * draws
+    error = np.sqrt((rates[0] + rates[1] + 2 * noise**2 / manifest.picture_s[0]) / ends_s)
+    assert counts.flux[0] == pytest.approx(rates[0] - rates[1], abs=5 * error)
+    assert counts.dark_rate.mean() == pytest.approx(rates[1], abs=5 * error)
+    assert (counts.excess[:, 0, 0] > 0.5 * noise**2).any()
+
+
+def test_an_analogue_detector_has_no_dead_time():
+    with pytest.raises(InputError, match="counts no photons: leave `dead_time` out"):
+        TableSettings(gain=2.0, dead_time=DeadTime(seconds=1e-8))

@@ -213,7 +213,7 @@ def calibrate_run(
         seen = exposures.sum() / max(len(exposures), 1)
         lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
         ambient = max(0.0, float(seen / lit))
-    return calibrate(
+    fitted = calibrate(
         np.array([shown[name] for name in spots]),
         np.array([measured[name] for name in spots]),
         patterns.manifest.grid,
@@ -222,6 +222,8 @@ def calibrate_run(
         dark=dark,
         ambient=ambient,
     )
+    known = counts.dead_time if counts.dead_time.seconds else None
+    return fitted.model_copy(update={"dead_time": known})
 
 
 def find_spots(pictures: np.ndarray) -> np.ndarray:

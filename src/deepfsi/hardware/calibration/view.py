@@ -23,6 +23,7 @@ from scipy import ndimage, sparse
 from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
+from deepfsi.hardware.recording.dead_time import DeadTime
 
 LEAST_SPOTS = 16
 """Spots that a calibration should rest on, or all that were shown."""
@@ -70,6 +71,8 @@ class Calibration(BaseModel):
         Counts/s with all mirrors OFF and the display black.
     ambient : float
         Counts/s that all mirrors ON add to it, the display black.
+    dead_time : DeadTime or None
+        Of the counter, for which the run of spots was corrected.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -85,6 +88,7 @@ class Calibration(BaseModel):
     flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
     dark: Rate = 0.0
     ambient: Rate = 0.0
+    dead_time: DeadTime | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> "Calibration":

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.view import load_calibration
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header, read_header
@@ -20,6 +21,12 @@ from deepfsi.hardware.recording.acquisition import (
 )
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.counts import Counts
+from deepfsi.hardware.recording.dead_time import (
+    NO_DEAD_TIME,
+    Correction,
+    DeadTime,
+    check_rates,
+)
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.gates import (
     FrameParts,
@@ -33,7 +40,7 @@ from deepfsi.hardware.recording.gates import (
 )
 from deepfsi.hardware.recording.light import Light, find_light, see_inputs, wire
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.hardware.recording.sentinels import PARTS
+from deepfsi.hardware.recording.sentinels import PARTS, Seen
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
@@ -49,6 +56,7 @@ def count(
     tolerance_s: float | None = None,
     inputs: tuple[int, ...] | None = None,
     marker_bit: int | None = None,
+    dead_time: DeadTime | None = None,
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz.
@@ -66,11 +74,15 @@ def count(
         By how much a marker may be off; a tenth of the shortest frame, at most 10 µs, unless given.
     inputs, marker_bit
         In place of the acquisition's, where it was recorded otherwise.
+    dead_time : DeadTime, optional
+        Of the counter, to be corrected for: that of calibration/calibration.json in the folder
+        unless given, and none where there is no such file.
 
     Raises
     ------
     InputError
-        If files are missing, damaged or do not fit, gates do not fit, or no exposure is whole.
+        If files are missing, damaged or do not fit, gates do not fit, no exposure is whole, or the
+        counter is too near its saturation.
     """
     recorded, patterns = read_fixed(folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
@@ -91,14 +103,22 @@ def count(
     late = find_lateness(windows, found[fits][..., arm].sum(axis=-1), seconds[fits])
     faults = [*frames.faults, *map(_shifted, lost.tolist()), *late]
     whole[whole] = fits
-    seen = _see(parts, parted, fits, whole)
-    light = find_light(*see_inputs(*seen, wire(acquisition.inputs, manifest)), manifest, lost)
-    _check_lit(header, acquisition, light)
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
-    exposure = acquisition.exposure_s if exposure_s is None else exposure_s
-    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, light, exposure)
-    faults += light.faults
-    counts = replace(counts, drift=frames.drift, inputs=acquisition.inputs, faults=tuple(faults))
+    dead = _find_dead_time(Path(folder), dead_time)
+    check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
+    factors = dead.correction(rates)
+    seen = _see(parts, parted, fits, whole, wire(acquisition.inputs, manifest), factors)
+    light = find_light(*seen, manifest, lost)
+    _check_lit(header, acquisition, light)
+    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, light, factors)
+    counts = replace(
+        counts,
+        exposure_s=acquisition.exposure_s if exposure_s is None else exposure_s,
+        drift=frames.drift,
+        inputs=acquisition.inputs,
+        faults=(*faults, *light.faults),
+        dead_time=dead,
+    )
     counts.save(Path(folder), recorded)
     return counts
 
@@ -165,18 +185,29 @@ def _count_windows(
     return out
 
 
+def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
+    """Dead time that is given, or that the calibration in a folder knows."""
+    if given is None and (folder / "calibration" / "calibration.json").is_file():
+        given = load_calibration(folder / "calibration").dead_time
+    return given or NO_DEAD_TIME
+
+
 def _see(
-    parts: FrameParts, parted: tuple[np.ndarray, np.ndarray], fits: np.ndarray, whole: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Photons and seconds in the parts of frames, of the passes that fit, for `see_inputs`."""
+    parts: FrameParts,
+    parted: tuple[np.ndarray, np.ndarray],
+    fits: np.ndarray,
+    whole: np.ndarray,
+    wired: list[tuple[int, ...]],
+    factors: Correction,
+) -> tuple[list[Seen], list[Seen]]:
+    """Photons in the parts of frames, of the passes that fit, for `find_light`."""
     shape = int(fits.sum()), *parts.middles.shape
-    photons, seconds = (each[fits] for each in parted)
-    return (
-        photons.reshape(*shape, -1),
-        seconds.reshape(shape),
-        parts.middles,
-        np.flatnonzero(whole),
+    photons = parted[0][fits].reshape(*shape, -1)
+    arrivals, variance = (
+        photons * each[:, :, None] for each in (factors.arrivals, factors.variance)
     )
+    places = parts.middles, np.flatnonzero(whole), wired
+    return see_inputs(arrivals, parted[1][fits].reshape(shape), *places, variance)
 
 
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
@@ -222,14 +253,18 @@ def _assemble(
     found: np.ndarray,
     rates: np.ndarray,
     light: Light,
-    exposure_s: float,
+    factors: Correction,
 ) -> Counts:
-    """Counts of windows (whole scenes, g, inputs) and rates of frames (whole scenes, F, inputs)."""
+    """Counts of windows (whole scenes, g, inputs), and rates and factors of frames."""
     scenes, detectors = len(whole), manifest.detector_count
     gated = found[:, windows.gates].swapaxes(1, 2)
-    readouts = by_readout(manifest, gated)
-    counts = np.zeros((scenes, *readouts.shape[1:]), np.int64)
-    counts[whole] = readouts
+    held = []
+    for factor in (1, factors.arrivals[:, None, manifest.shown],
+                   factors.variance[:, None, manifest.shown]):  # fmt: skip
+        readouts = by_readout(manifest, gated * factor)
+        held.append(np.zeros((scenes, *readouts.shape[1:]), readouts.dtype))
+        held[-1][whole] = readouts
+    rates = rates * factors.arrivals
     on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
     on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
     on_rate[whole], off_rate[whole] = (each[:, :detectors].sum(axis=1) for each in (on, off))
@@ -239,16 +274,16 @@ def _assemble(
     dark_rate = np.zeros((scenes, *dark.shape[1:]))
     dark_rate[whole] = dark
     return Counts(
-        counts=counts,
-        arrivals=counts.astype(np.float64),
-        variance=counts.astype(np.float64),
+        counts=held[0],
+        arrivals=held[1],
+        variance=held[2],
         valid=np.repeat(whole[:, None], gates.repeats, axis=1),
         gate_s=gates.length_s,
         on_rate=on_rate,
         off_rate=off_rate,
         flux=flux,
         dark_rate=dark_rate,
-        exposure_s=exposure_s,
+        exposure_s=0.0,
         settle_s=gates.settle_s,
         lengths_s=lengths_by_readout(manifest, gates.length_s),
         drift=0.0,

@@ -29,6 +29,7 @@ from deepfsi.hardware.recording.acquisition import (
     read_acquisition,
     read_limited,
 )
+from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.faults import SPOILING, Fault
 
 LARGEST_COUNTS = 2**27
@@ -86,6 +87,8 @@ class Counts:
         Of the counter, 0 for input 1: those whose photons were counted.
     faults : tuple of Fault
         What was wrong with the recording.
+    dead_time : DeadTime
+        Of the counter, for which the arrivals and all rates are corrected; none is 0.
     """
 
     counts: np.ndarray
@@ -103,6 +106,7 @@ class Counts:
     drift: float
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
+    dead_time: DeadTime = NO_DEAD_TIME
 
     @property
     def background(self) -> np.ndarray:
@@ -155,6 +159,7 @@ class Counts:
             "drift": self.drift,
             "inputs": self.inputs,
             "faults": [fault.model_dump() for fault in self.faults],
+            "dead_time": self.dead_time.model_dump(),
         }
         text = np.frombuffer(json.dumps(about).encode(), np.uint8)
         arrays: dict[str, Any] = {
@@ -224,6 +229,7 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         drift=about.drift,
         inputs=about.inputs,
         faults=about.faults,
+        dead_time=about.dead_time,
     )
 
 
@@ -255,6 +261,7 @@ class _About(BaseModel):
     drift: float
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
+    dead_time: DeadTime
 
 
 def _member(

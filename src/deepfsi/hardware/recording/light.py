@@ -69,6 +69,7 @@ def see_inputs(
     middles: np.ndarray,
     scenes: np.ndarray,
     wired: list[tuple[int, ...]],
+    variance: np.ndarray | None = None,
 ) -> tuple[list[Seen], list[Seen]]:
     """Photons in the parts of frames, for `find_light`.
 
@@ -77,27 +78,41 @@ def see_inputs(
     Parameters
     ----------
     photons : array, shape (P, F, K, inputs)
+        Of each input.
     seconds, middles, scenes
         As of `Seen`.
     wired : list of tuple of int
         Inputs of the detectors of each arm.
+    variance : array, shape (P, F, K, inputs), optional
+        Of the photons, where it is not theirs. They are then told as Poisson counts with the same
+        rate and relative error, in as much shorter a time.
     """
     frames = len(middles)
     on, off = (0, frames - 2), (1, frames - 1)
     arms, detectors = [], []
+
+    def poisson(columns: slice) -> tuple[np.ndarray, np.ndarray]:
+        held = photons[..., columns].sum(axis=-1)
+        if variance is None:
+            return held, seconds
+        noise = variance[..., columns].sum(axis=(-2, -1))
+        share = np.where(noise > 0, held.sum(axis=-1) / np.where(noise > 0, noise, 1), 1)[..., None]
+        return held * share, seconds * share
+
     for arm, inputs in enumerate(wired):
+        first = arm * len(inputs)
         together = Seen(
-            photons[..., arm * len(inputs) : (arm + 1) * len(inputs)].sum(axis=-1),
-            seconds,
+            *poisson(slice(first, first + len(inputs))),
             middles,
             scenes,
             *((on, off) if arm == 0 else (off, on)),
             f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
         )
         arms.append(together)
-        for column, each in enumerate(inputs if len(inputs) > 1 else (), arm * len(inputs)):
-            own, name = photons[..., column], f" on input {each + 1}"
-            detectors.append(replace(together, photons=own, name=name, part=True))
+        for column, each in enumerate(inputs if len(inputs) > 1 else (), first):
+            own, open_s = poisson(slice(column, column + 1))
+            name = f" on input {each + 1}"
+            detectors.append(replace(together, photons=own, seconds=open_s, name=name, part=True))
     return arms, detectors
 
 

@@ -351,17 +351,17 @@ def _name_unsteady(
         off = seen.photons[place] - seen.photons[place].mean(axis=1, keepdims=True)
         strength = (off**2).sum(axis=1) / np.maximum(seen.photons[place].sum(axis=1), 1)
         frame = int(np.argmax(np.where(restless, strength, -1)))
-        parts = ", ".join(map(str, seen.photons[place, frame].tolist()))
+        parts = ", ".join(f"{many:.0f}" for many in seen.photons[place, frame].tolist())
         detail = (
             f"light{seen.name} changed within {manifest.frames[frame]}: {parts} photons in its "
             f"parts{_list_frames(restless)}"
         )
         return Fault(kind="unsteady", scene=scene, frame=frame, detail=detail)
     frames = seen.bright if drift[0] else seen.dark
-    one, other = (int(seen.photons[place, frame].sum()) for frame in frames)
+    one, other = (float(seen.photons[place, frame].sum()) for frame in frames)
     detail = (
-        f"light{seen.name} changed within the pass: {one} photons in {manifest.frames[frames[0]]} "
-        f"at its start, {other} at its end"
+        f"light{seen.name} changed within the pass: {one:.0f} photons in "
+        f"{manifest.frames[frames[0]]} at its start, {other:.0f} at its end"
     )
     return Fault(kind="unsteady", scene=scene, frame=None, detail=detail)
 

@@ -19,6 +19,7 @@ from deepfsi.errors import InputError, check_known, closest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.counts import Counts
+from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.light import find_light, see_inputs, wire
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
@@ -52,6 +53,8 @@ class TableSettings:
         Counts for a unit of the table, of an analogue detector.
     read_noise : float, optional
         Of each value of an analogue detector, counts rms.
+    dead_time : DeadTime
+        Of a photon counter, to be corrected for.
 
     Raises
     ------
@@ -66,6 +69,7 @@ class TableSettings:
     repeats: int = 1
     gain: float | None = None
     read_noise: float | None = None
+    dead_time: DeadTime = NO_DEAD_TIME
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
@@ -76,6 +80,11 @@ class TableSettings:
         for name, value in (("background", self.background), ("read_noise", self.read_noise)):
             if value is not None and not 0 <= value < np.inf:
                 raise InputError(f"`{name}` {value:g} is not allowed: give counts, 0 or more")
+        if self.analogue and self.dead_time.seconds:
+            raise InputError(
+                "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
+                "`read_noise`"
+            )
         if self.repeats < 1:
             raise InputError(f"`repeats` {self.repeats} is not allowed: give 1 or more")
 
@@ -147,18 +156,18 @@ def count_table(
     _check_values(values, settings, name)
     times = _find_times(manifest, settings.settle_s)
     exposure = float(times[manifest.shown].sum() / manifest.shares.sum())
-    gain, lengths = settings.gain or 1.0, manifest.shares * exposure
-    masks, ends = values.masks * gain, None if values.ends is None else values.ends * gain
-    light = _find_light(masks, ends, _Passes(place, times, exposure), manifest, settings)
+    lengths = manifest.shares * exposure
+    every = _correct(values, times, manifest, settings, name)
+    masks = _Arrivals(*(each[:, manifest.shown] for each in every))
+    light = _find_light(every, values, _Passes(place, times, exposure), manifest, settings)
     _check_budget(light.flux, settings, name)
     repeats = np.bincount(place)
     valid = np.arange(repeats.max()) < repeats[:, None]
     scale = (lengths / times[manifest.shown])[:, None]
-    noise = (settings.read_noise or 0.0) ** 2
     counts = Counts(
-        counts=_by_scene(by_readout(manifest, masks), valid),
-        arrivals=_by_scene(by_readout(manifest, masks * scale), valid),
-        variance=_by_scene(by_readout(manifest, (masks.clip(min=0) + noise) * scale**2), valid),
+        counts=_by_scene(by_readout(manifest, values.masks), valid),
+        arrivals=_by_scene(by_readout(manifest, masks.mean * scale), valid),
+        variance=_by_scene(by_readout(manifest, masks.variance * scale**2), valid),
         valid=valid,
         gate_s=lengths,
         on_rate=light.on_rate,
@@ -171,8 +180,31 @@ def count_table(
         drift=0.0,
         inputs=tuple(range(manifest.inputs)),
         faults=light.faults,
+        dead_time=settings.dead_time,
     )
     return counts, scenes
+
+
+class _Arrivals(NamedTuple):
+    """Counts of frames (E, f, inputs) as they arrived, and the variance of their noise."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+def _correct(
+    values: _Values, times: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
+) -> _Arrivals:
+    """Arrivals in all frames, (E, F, inputs); none in sentinels that the table has not."""
+    ends = np.zeros_like(values.masks[:, [0] * 4]) if values.ends is None else values.ends
+    read = np.concatenate([ends[:, :2], values.masks, ends[:, 2:]], axis=1)
+    if settings.analogue:
+        found = read * (settings.gain or 1.0)
+        return _Arrivals(found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2)
+    rates, dead = read / times[:, None], settings.dead_time
+    check_rates(dead, rates, manifest.frames, range(manifest.inputs), name)
+    factors = dead.correction(rates)
+    return _Arrivals(read * factors.arrivals, read * factors.variance)
 
 
 def _by_scene(readouts: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -315,23 +347,23 @@ class _Light(NamedTuple):
 
 
 def _find_light(
-    masks: np.ndarray,
-    ends: np.ndarray | None,
+    every: _Arrivals,
+    values: _Values,
     passes: _Passes,
     manifest: Manifest,
     settings: TableSettings,
 ) -> _Light:
-    """Light of each scene, all exposures of one together, from counts (E, f or 4, inputs)."""
+    """Light of each scene, all exposures of one together, from all frames (E, F, inputs)."""
     scenes, arm = int(passes.place[-1]) + 1, slice(0, manifest.detector_count)
     given = None if settings.background is None else settings.background / passes.exposure_s
     dark = np.full((scenes, manifest.inputs), given or 0.0)
-    if ends is None:
+    if values.ends is None:
         unknown = np.full(scenes, np.nan)
         flux = np.full(scenes, (settings.photons or np.nan) / passes.exposure_s)
         return _Light(unknown, unknown, flux, dark, ())
-    every = np.concatenate([ends[:, :2], masks, ends[:, 2:]], axis=1)
-    found = np.zeros((scenes, *every.shape[1:]))
-    np.add.at(found, passes.place, every)
+    found, noise = np.zeros((2, scenes, *every.mean.shape[1:]))
+    np.add.at(found, passes.place, every.mean)
+    np.add.at(noise, passes.place, every.variance)
     seconds = np.bincount(passes.place)[:, None] * passes.times
     on, off = (
         found[:, frames].sum(axis=1) / seconds[:, frames].sum(axis=1, keepdims=True)
@@ -346,7 +378,8 @@ def _find_light(
     else:
         middles = (np.cumsum(passes.times) - passes.times / 2)[:, None]
         wired = wire(tuple(range(manifest.inputs)), manifest)
-        seen = see_inputs(found[:, :, None], seconds[..., None], middles, np.arange(scenes), wired)
+        places = middles, np.arange(scenes), wired
+        seen = see_inputs(found[:, :, None], seconds[..., None], *places, noise[:, :, None])
         light = find_light(*seen, manifest, np.empty(0, np.int64))
         flux, measured, faults = light.flux, light.dark_rate, light.faults
     if given is None:

@@ -1,0 +1,122 @@
+"""Dead time of a counter: how much light arrived, from what was registered.
+
+After an arrival the counter is blind for the dead time τ. At a steady rate n of arrivals, and with
+y = n τ, it registers
+
+    r = n / (1 + y)   non-paralysable        r = n exp(-y)   paralysable: lost arrivals blind it too
+
+and m counts in a time far longer than τ, of variance m / (1 + y)² or m (1 - 2 y exp(-y)). Each
+rule is solved for n at the rate of a frame, in which the light is steady. Of the m counts of its
+gates come N = m n/r arrivals, of variance
+
+    N (1 + y)   non-paralysable        N exp(y) (1 - 2 y exp(-y)) / (1 - y)²   paralysable
+
+for all gates of the frame together; of one gate among several it is at most that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.special import lambertw
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.sequence import Frame
+
+LONGEST_S = 1e-5
+"""Longest dead time that is corrected for, seconds: a gate must hold many of them."""
+
+MOST_BLIND = {False: 1.0, True: 0.5}
+"""Arrivals in a dead time at most, of a counter that is not paralysable and of one that is.
+
+With more, a dead time that is wrong by a tenth makes the light wrong by more than a tenth.
+"""
+
+
+class DeadTime(BaseModel):
+    """Dead time of a counter with its detector.
+
+    Attributes
+    ----------
+    seconds : float
+    paralysable : bool
+        True if an arrival that is lost makes it blind again, as overlapping pulses of a
+        photomultiplier do.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    seconds: float = Field(ge=0, le=LONGEST_S)
+    paralysable: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.seconds * 1e9:g} ns, {'' if self.paralysable else 'non-'}paralysable"
+
+    @property
+    def most_registered(self) -> float:
+        """Highest rate of counts that is corrected, counts/s."""
+        most = MOST_BLIND[self.paralysable]
+        lost = np.exp(-most) if self.paralysable else 1 / (1 + most)
+        return float(most * lost / self.seconds) if self.seconds else np.inf
+
+    def correction(self, registered: np.ndarray) -> "Correction":
+        """Factors for counts at registered rates, counts/s, up to `most_registered`; NaN is 0."""
+        rate = np.nan_to_num(np.asarray(registered, np.float64)) * self.seconds
+        if not self.paralysable:
+            gain = 1 / (1 - rate)
+            return Correction(gain, gain**2)
+        blind = -lambertw(-rate).real
+        gain = np.exp(blind)
+        return Correction(gain, (1 - 2 * rate) * gain**2 / (1 - blind) ** 2)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Factors of registered counts.
+
+    Attributes
+    ----------
+    arrivals : array
+        Arrivals for each count.
+    variance : array
+        Variance of the arrivals for each count.
+    """
+
+    arrivals: np.ndarray
+    variance: np.ndarray
+
+
+NO_DEAD_TIME = DeadTime(seconds=0.0)
+"""Nothing is lost."""
+
+
+def check_rates(
+    dead: DeadTime,
+    registered: np.ndarray,
+    frames: Sequence[Frame],
+    inputs: Sequence[int],
+    name: str,
+) -> None:
+    """Raise `InputError` where a counter is too near its saturation to be corrected.
+
+    Parameters
+    ----------
+    dead : DeadTime
+    registered : array, shape (S, F, inputs)
+        Counts/s in each frame; NaN where it was not recorded.
+    frames : sequence of Frame
+    inputs : sequence of int
+        Of the counter, 0 for input 1.
+    name : str
+        What to call the file.
+    """
+    most = dead.most_registered
+    if not (registered > most).any():
+        return
+    worst = _, frame, column = np.unravel_index(np.nanargmax(registered), registered.shape)
+    raise InputError(
+        f"{name} has {registered[worst]:.3g} counts/s on input {inputs[int(column)] + 1} in "
+        f"{frames[int(frame)]}, and a dead time of {dead}, is corrected up to {most:.3g}: dim the "
+        "light, or give the counter's own dead time"
+    )

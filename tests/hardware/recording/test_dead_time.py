@@ -1,0 +1,151 @@
+"""Dead time corrected: arrivals and their variance, against the detector that loses them."""
+
+import numpy as np
+import pytest
+from recording_samples import SHAPE, patterns_of
+
+from deepfsi.datasets.table_files import Table
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.view import Calibration, save_calibration
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.dead_time import MOST_BLIND, DeadTime
+from deepfsi.hardware.recording.tables import TableSettings, count_table
+from deepfsi.hardware.virtual.camera import Camera, RecordingSettings, arrival_rates, record
+from deepfsi.hardware.virtual.detector import Detector, draw
+
+TAU = 20e-9
+both = pytest.mark.parametrize("paralysable", [False, True], ids=["spad", "pmt"])
+
+
+@both
+@pytest.mark.parametrize("blind", [0.02, 0.2, 0.5])
+def test_arrivals_have_the_mean_and_the_variance_that_are_said(paralysable, blind):
+    """Gates of 100 µs, each a frame. To second order N is too large by y, the counts in a τ."""
+    dead, gate, draws = DeadTime(seconds=TAU, paralysable=paralysable), 1e-4, 20_000
+    rate = blind / TAU
+    detector = Detector(dead_time_s=TAU, paralysable=paralysable)
+    seen = draw(detector, np.full(draws, rate), np.array(gate), np.random.default_rng(3))
+    factors = dead.correction(seen / gate)
+    found, variance = seen * factors.arrivals, seen * factors.variance
+    mean, spread = rate * gate, found.var()
+    curve = blind if not paralysable else 5 * blind  # y'' / 2 · variance of the counts, at y = 1/2
+    assert abs(found.mean() - mean) < 5 * np.sqrt(spread / draws) + curve
+    assert seen.mean() < mean / (1 + 0.9 * blind)  # what would be wrong without
+    # Variances of nearly normal numbers are known to √(2/n); edges of a gate add a few τ / gate.
+    assert spread == pytest.approx(variance.mean(), rel=5 * np.sqrt(2 / draws) + 20 * TAU / gate)
+    if not paralysable:
+        assert variance.mean() == pytest.approx(mean * (1 + blind), rel=0.01)
+
+
+def test_rates_go_there_and_back():
+    rates = np.linspace(0, 0.45, 50) / TAU
+    for paralysable in (False, True):
+        dead = DeadTime(seconds=TAU, paralysable=paralysable)
+        seen = Detector(dead_time_s=TAU, paralysable=paralysable).registered(rates)
+        np.testing.assert_allclose(seen * dead.correction(seen).arrivals, rates, rtol=1e-12)
+        most = MOST_BLIND[paralysable] / TAU
+        assert dead.most_registered == pytest.approx(
+            float(Detector(dead_time_s=TAU, paralysable=paralysable).registered(np.array(most)))
+        )
+
+
+FLUX, EXPOSURE, REPEATS = 1.5e7, 2.5e-3, 2
+
+
+def scenes(number: int) -> np.ndarray:
+    return np.random.default_rng(4).uniform(0.1, 0.6, (number, *SHAPE)).astype(np.float32)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["spad", "pmt"])
+def run(request, tmp_path_factory):
+    """A recording of seven scenes at some 10⁷ counts/s, and what would be counted without loss."""
+    folder = tmp_path_factory.mktemp("run")
+    shown = patterns_of(folder / "p", "free-dwell")
+    camera = Camera(dead_time_s=TAU, paralysable=request.param, dark=1e4, jitter_s=1e-10)
+    images = scenes(7)
+    settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=REPEATS)
+    record(folder / "p", images, list("abcdefg"), None, folder / "run", settings)
+    rates = arrival_rates(folder / "p", images, camera, FLUX)[..., 0]
+    return folder / "run", shown, rates, DeadTime(seconds=TAU, paralysable=request.param)
+
+
+def off_by(counts, shown, rates) -> np.ndarray:
+    """Signal less its mean, in standard errors of all gates of a readout together."""
+    dark = rates[:, 1:2]
+    wanted = (rates[:, shown.manifest.shown] - dark) * counts.lengths_s[0] * counts.counts.shape[1]
+    found = counts.signal().sum(axis=(1, 2))
+    return (found - wanted) / np.sqrt(counts.variance.sum(axis=(1, 2)))
+
+
+def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
+    folder, shown, rates, dead = run
+    bare, counts = count(folder), count(folder, dead_time=dead)
+    assert counts.faults == ()
+    assert np.array_equal(bare.counts, counts.counts)
+    assert np.array_equal(bare.arrivals, bare.counts)
+    assert abs(off_by(bare, shown, rates)).max() > 10
+    assert abs(off_by(counts, shown, rates)).max() < 5
+    flux = rates[:, 0] - rates[:, 1]
+    assert bare.on_rate.mean() < 0.9 * flux.mean()
+    seconds = 2 * shown.manifest.picture_s[0] * len(rates)
+    error = 5 * np.sqrt(2 / (flux.mean() * seconds))
+    assert counts.flux.mean() == pytest.approx(flux.mean(), rel=error)
+    assert counts.dark_rate.mean() == pytest.approx(1e4, abs=5 * np.sqrt(1e4 / seconds))
+    again = read_counts(folder)
+    for name in ("counts", "arrivals", "variance"):
+        assert np.array_equal(getattr(again, name), getattr(counts, name))
+    assert again.dead_time == dead
+    assert (counts.variance > counts.arrivals).all()
+
+
+def test_the_calibration_in_the_folder_knows_the_dead_time(run):
+    folder, _, _, dead = run
+    known = Calibration(
+        homography=((1, 0, 0), (0, 1, 0), (0, 0, 1)), residual=0, error=0, spots=25, shown=25,
+        dead_time=dead,
+    )  # fmt: skip
+    path = save_calibration(known, folder / "calibration")
+    wanted = count(folder, dead_time=dead)
+    assert np.array_equal(count(folder).arrivals, wanted.arrivals)
+    none = count(folder, dead_time=DeadTime(seconds=0))
+    assert np.array_equal(none.arrivals, none.counts)
+    path.unlink()
+
+
+def test_a_table_is_corrected_by_the_same_law(run):
+    _, shown, rates, dead = run
+    times = shown.manifest.picture_s
+    detector = Detector(dead_time_s=TAU, paralysable=dead.paralysable)
+    values = draw(detector, rates, times, np.random.default_rng(8)).astype(float)
+    counts, _ = count_table(Table(values), shown.manifest, TableSettings(dead_time=dead))
+    assert counts.faults == ()
+    assert abs(off_by(counts, shown, rates)).max() < 5
+    bare, _ = count_table(Table(values), shown.manifest, TableSettings())
+    assert abs(off_by(bare, shown, rates)).max() > 10
+
+
+@both
+def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
+    """All tests of a recording may raise one false alarm in a thousand: here of forty, none."""
+    shown = patterns_of(tmp_path / "p", "free-dwell").manifest
+    rates = arrival_rates(tmp_path / "p", scenes(20), Camera(), 1.4e7)[..., 0]
+    detector = Detector(dead_time_s=TAU, paralysable=paralysable)
+    settings = TableSettings(dead_time=DeadTime(seconds=TAU, paralysable=paralysable))
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        values = draw(detector, rates, shown.picture_s, rng).astype(float)
+        assert count_table(Table(values), shown, settings)[0].faults == ()
+
+
+def test_a_counter_near_saturation_is_named(run):
+    folder, shown, rates, dead = run
+    slow = dead.model_copy(update={"seconds": 200e-9})
+    with pytest.raises(
+        InputError, match=r"counts/s on input 1 in all ON, .* dim the light"
+    ) as said:
+        count(folder, dead_time=slow)
+    assert "\n" not in str(said.value)
+    values = np.rint(rates * shown.manifest.picture_s)
+    with pytest.raises(InputError, match="all ON"):
+        count_table(Table(values), shown.manifest, TableSettings(dead_time=slow))
