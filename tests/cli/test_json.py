@@ -37,6 +37,7 @@ STEPS = {
     "camera count": "run",
     "camera classify": "one.safetensors run",
     "camera image": "run",
+    "camera live": "looks --scene images --flux 1e7 --exposure 2ms --camera ideal -o live",
     "camera inspect": "run/photons.ptu",
 }
 """Words after each command, in an order in which each finds what it needs."""
@@ -74,6 +75,7 @@ def test_every_command_reports_with_its_schema(done, tmp_path, monkeypatch):
     one_dmd = "--light free-dwell --rails single --levels 2 --looks 2 --hold-out 300"
     looks = f"design --photons 1e4 --masks 6 {one_dmd} --epochs 1 -o looks.safetensors"
     done(*shlex.split(looks))
+    done(*shlex.split("dmd export looks.safetensors --device 64x64 -o looks"))
     for path, words in STEPS.items():
         told = json.loads(done(*path.split(), *shlex.split(words), "--json"))
         assert next(iter(told)) == "schema"

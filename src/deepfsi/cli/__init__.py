@@ -7,7 +7,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
-from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd
+from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd, live
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
 from deepfsi.cli.studies import compare, report, reproduce, sweep
@@ -39,6 +39,7 @@ def _start(
 
 for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
     app.command()(_command)
+camera.camera.command("live")(live.camera_live)
 camera.camera.command("prepare")(acquisitions.camera_prepare)
 camera.camera.command("classify")(classify.camera_classify)
 camera.camera.command("spots")(calibrations.camera_spots)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options, paths
+from deepfsi.cli import common, options, paths, replays
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def camera_simulate(
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
 
     recording = RecordingSettings(
-        _camera(settings),
+        find_camera(settings),
         flux,
         options.seconds("exposure", exposure),
         options.optional_seconds("settle", settle),
@@ -77,9 +77,9 @@ def camera_simulate(
         **options.wiring(inputs, None),
     )
     shown = read_patterns(patterns)
-    images = _shown(scene, patterns, shown.manifest.design_sha256 is not None)
+    images = read_scenes(scene, patterns, shown.manifest.design_sha256 is not None)
     if not yes:
-        _ask_for_room(expected_events(shown, images.x, recording.camera, flux))
+        ask_for_room(expected_events(shown, images.x, recording.camera, flux))
     with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
@@ -99,7 +99,7 @@ def camera_simulate(
     )
 
 
-def _shown(scene: Path, patterns: Path, has_design: bool) -> "Display":
+def read_scenes(scene: Path, patterns: Path, has_design: bool) -> "Display":
     """Pictures of scenes, with the white of the design where their type has none."""
     from deepfsi.datasets import read_display
 
@@ -140,6 +140,10 @@ def camera_count(
     """
     from deepfsi.hardware.recording.counting import count
 
+    if replays.is_live(folder):
+        replays.check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker))
+        replays.print_live_counts(folder, as_json)
+        return
     with common.progress("counting", quiet=as_json) as report:
         counts = count(
             folder,
@@ -277,7 +281,7 @@ def _print_contents(file: Path, contents: "Contents") -> None:
     common.print_table(str(file), ("what", "value"), rows)
 
 
-def _ask_for_room(events: float) -> None:
+def ask_for_room(events: float) -> None:
     """Ask before a photon file beyond `MOST_EVENTS`; `InputError` where there is no one to ask."""
     if events <= MOST_EVENTS:
         return
@@ -290,7 +294,8 @@ def _ask_for_room(events: float) -> None:
     )
 
 
-def _camera(text: str) -> "Camera":
+def find_camera(text: str) -> "Camera":
+    """Virtual camera of a name or a TOML file, or `InputError`."""
     from deepfsi.errors import closest
     from deepfsi.hardware.virtual.camera import CAMERAS, Camera
 

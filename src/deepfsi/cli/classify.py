@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from deepfsi.cli import common, dmd, options, paths
+from deepfsi.cli import common, dmd, options, paths, replays
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -98,6 +98,9 @@ def camera_classify(
         given = [name for name, value in options_of_tables.items() if value is not None]
         if given:
             raise InputError(f"--{given[0]} is for tables, and {counted} is a folder: leave it out")
+        if replays.is_live(counted):
+            replays.print_live_classes(_design_file(file), counted, photons, as_json)
+            return
         counts, listed, made = _of_run(file, counted, trust)
     else:
         from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME

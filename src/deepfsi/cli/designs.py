@@ -177,6 +177,10 @@ def stop(
     threshold: Annotated[
         float | None, typer.Option(help="confidence above which to stop; chosen unless given")
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="design file with this rule in it, for `camera live`"),
+    ] = None,
     draws: options.Draws = 3,
     seed: options.NoiseSeed = 0,
     trust: options.Trust = False,
@@ -190,24 +194,33 @@ def stop(
     Example: deepfsi stop nested.safetensors --photons 1e5
     """
     paths.check_design(file)
+    if out is not None:
+        paths.check_file(out, paths.DESIGNS)
     common.check_data(data)
     from deepfsi.design.artifact import Design
+    from deepfsi.design.live import looks_of, with_rule
     from deepfsi.design.memory import data_of
     from deepfsi.design.stopping import stop as run
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
     made = Design.load(file, find_device(device), trust=trust)
+    if out is not None:
+        looks_of(made)
     scenes, notes = data_of(made, data, options.size_of(size))
     with common.progress("stop", quiet=as_json):
         found = run(
             made, scenes, budget, held_out=hold_out, threshold=threshold, draws=draws, seed=seed
         )
+    if out is not None:
+        with_rule(made, found.rule).save(out)
     if as_json:
         common.print_json("stop", {"design": str(file), "notes": notes, **found.as_dict()})
         return
     common.print_data(scenes, notes)
     _print_stopped(found, common.size(made))
+    if out is not None:
+        print(f"saved with this rule: {out}")
 
 
 def _print_results(

@@ -1,17 +1,18 @@
 """Loop of a design of several looks, for a computer at a camera without torch."""
 
+from dataclasses import replace
+
 from deepfsi.design.adaptive import LARGEST_SCORE, AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.hardware.live.networks import About, Layer, Loop, StopRule
 
 
 def loop_of(design: Design) -> Loop:
     """Loop of a design, or `InputError` where it is of one look or its classifier is no `Mlp`."""
-    exposure, classifier = design.exposure, design.classifier
-    if not isinstance(exposure, AdaptiveDwells):
-        raise InputError("this design has one look: learn one of several with `looks`")
+    exposure, classifier = looks_of(design), design.classifier
     if not isinstance(classifier, Mlp):
         raise InputError(
             f"a loop with a {type(classifier).__name__} classifier is not possible: learn the "
@@ -26,10 +27,25 @@ def loop_of(design: Design) -> Loop:
         readout=design.detection.readout,
         classes=design.classes,
         largest_score=LARGEST_SCORE,
+        shortest=exposure.shortest,
         rule=_rule(design),
     )
     mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
     return Loop(about, mean, std, _layers(classifier), _layers(exposure.network))
+
+
+def looks_of(design: Design) -> AdaptiveDwells:
+    """Exposure of a design of several looks, or `InputError` where it is of one."""
+    if not isinstance(design.exposure, AdaptiveDwells):
+        raise InputError("this design has one look: learn one of several with `looks`")
+    return design.exposure
+
+
+def with_rule(design: Design, rule: StoppingRule) -> Design:
+    """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
+    looks_of(design)
+    held = StopRule(temperatures=rule.temperatures, threshold=rule.threshold)
+    return replace(design, info={**design.info, "stopping": held.model_dump(mode="json")})
 
 
 def _rule(design: Design) -> StopRule | None:

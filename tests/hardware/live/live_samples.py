@@ -42,7 +42,7 @@ def bench(
     laboratory = Laboratory(rates, camera, latencies, seed)
     return Bench(
         BenchProjector(laboratory),
-        BenchCounter(laboratory, rates.shape[2]),
+        BenchCounter(laboratory, tuple(range(rates.shape[2]))),
         laboratory.display,
         lambda: laboratory.now_s,
         latencies.model_dump(),

@@ -1,7 +1,9 @@
 """Laws of a live run on virtual devices, and of its replay."""
 
 import json
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -304,3 +306,42 @@ def test_counts_that_do_not_come_are_missed(digits, patterns, tmp_path, monkeypa
     acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
     with pytest.raises(InputError, match="did not come within"):
         list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+
+
+def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):
+    """Both programs of docs/live.md, word for word, on a laboratory of two scenes."""
+    page = (Path(__file__).parents[3] / "docs/live.md").read_text()
+    loop, groups = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    Path("looks").symlink_to(patterns)
+    x, _ = scenes_of(digits, 2)
+    devices = bench(patterns, x, 1e6)
+    names = {
+        "my_projector": devices.projector,
+        "my_counter": devices.counter,
+        "my_display": devices.display,
+    }
+    exec(loop, names)
+    decided = capsys.readouterr().out.splitlines()
+    assert len(decided) == 2
+
+    devices = bench(patterns, x, 1e6)
+    devices.projector.load(patterns)
+    shown = []
+
+    def my_recording(frames, gate_ns):
+        path = Path(f"{len(shown)}.ptu")
+        shown.append(path)
+        with devices.counter as counter:
+            counter.start(path)
+            settle = names["acquisition"].settle_s
+            pictures = np.maximum(np.ceil(gate_ns * 1e-3 + settle * 1e6 + 2), 44) * 1e-6
+            devices.projector.show(np.append(frames, 1), np.append(pictures, 44e-6))
+        return path
+
+    exec(groups, names | {"my_recording": my_recording, "my_display": devices.display, "np": np})
+    said = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [(int(line[0]), int(line[1])) for line in said] == [
+        (scene, look) for scene in range(2) for look in range(LOOKS)
+    ]
+    assert len(shown) == 2 * (1 + LOOKS)

@@ -18,6 +18,7 @@ OPTICS = {
     "two arms": {"light": "two-arm", "readout": "difference"},
     "two arms, both read": {"light": "two-arm", "readout": "both"},
     "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
+    "shortest dwell": {"light": "free-dwell", "rails": "single", "shortest_dwell": 0.08},
 }
 
 

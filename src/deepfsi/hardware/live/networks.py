@@ -17,6 +17,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.hardware.live.dwells import share_out
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Readout
 
@@ -60,6 +61,8 @@ class About(BaseModel):
     classes : tuple of str
     largest_score : float
         Bound of the scores whose softmax dwells are.
+    shortest : float
+        Shortest dwell that the design was learned for, a share of the exposure.
     rule : StopRule or None
         Of the design, where it has one.
     """
@@ -75,6 +78,7 @@ class About(BaseModel):
     readout: Readout
     classes: tuple[str, ...] = Field(min_length=1)
     largest_score: float = Field(gt=0)
+    shortest: float = Field(ge=0, lt=1)
     rule: StopRule | None = None
 
     @property
@@ -132,7 +136,7 @@ class Loop:
         left = np.float32(1 - look / about.looks)
         scores = _outputs(self.chooser, np.append(inputs, left)).astype(float)
         bounded = about.largest_score * np.tanh(scores / about.largest_score)
-        return _softmax(bounded) / about.looks
+        return share_out(_softmax(bounded) / about.looks, about.shortest)
 
     @property
     def first(self) -> np.ndarray:

@@ -57,11 +57,6 @@ class LiveCounts:
             yield scene, lists
 
 
-def is_live(folder: Path) -> bool:
-    """True for the folder of a live run; `InputError` as `read_acquisition`."""
-    return read_acquisition(folder)[0].live is not None
-
-
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     """Count the photons of a live run and write counts.npz.
 

@@ -6,10 +6,11 @@ marker ends the last gate, and the detector rests.
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -145,7 +146,7 @@ def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) 
 
 def run_live(
     folder: Path, patterns_folder: Path, acquisition: Acquisition, bench: Bench
-) -> Iterator[Decided]:
+) -> Generator[Decided]:
     """Show, count and decide; gives each decision as it falls.
 
     The folder is as that of any acquisition, with `shown.jsonl` in it. Scenes that are finished are
@@ -182,22 +183,39 @@ def run_live(
         record = stack.enter_context((folder / shown.NAME).open("x", encoding="utf-8", buffering=1))
         for scene in range(len(acquisition.scenes)):
             bench.display(scene)
-            start, show.lists, first = bench.clock(), [], show.markers
-            last: Decision | None = None
-            for last in observer.observe(scene, show):
-                yield Decided(last, scene, bench.clock() - start)
-            if last is None:
-                yield Decided(None, scene, bench.clock() - start)
-            finished = shown.ShownScene(
-                scene=scene,
-                first_marker=first,
-                lists=tuple(show.lists),
-                chances=() if last is None else tuple(last.chances.tolist()),
-                light_s=0.0 if last is None else last.light_s,
-                clock_s=bench.clock() - start,
-            )
-            record.write(finished.model_dump_json() + "\n")
+            yield from _look(scene, bench.clock, observer, show, record)
         bench.counter.stop()
+
+
+def _look(
+    scene: int,
+    clock: Callable[[], float],
+    observer: Observer,
+    show: "_Shower",
+    record: TextIO,
+) -> Iterator[Decided]:
+    """Decide on a scene; its line is in the record before the last decision is given."""
+    start, show.lists, first = clock(), [], show.markers
+
+    def finish(last: Decision | None) -> Decided:
+        decided = Decided(last, scene, clock() - start)
+        finished = shown.ShownScene(
+            scene=scene,
+            first_marker=first,
+            lists=tuple(show.lists),
+            chances=() if last is None else tuple(last.chances.tolist()),
+            light_s=0.0 if last is None else last.light_s,
+            clock_s=decided.clock_s,
+        )
+        record.write(finished.model_dump_json() + "\n")
+        return decided
+
+    known = False
+    for decision in observer.observe(scene, show):
+        known = True
+        yield finish(decision) if decision.final else Decided(decision, scene, clock() - start)
+    if not known:
+        yield finish(None)
 
 
 class _Shower:

@@ -20,8 +20,9 @@ class Looks(BaseModel):
     each_rail : bool
         Whether the two rails of a mask are frames with dwells of their own.
     first : tuple of float
-        Dwells of the first look, shares of the exposure. Those of later ones are chosen from the
-        counts so far: mask by mask, and those of a mask's two rails follow one another.
+        Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those
+        of later ones are chosen from the counts so far: mask by mask, and those of a mask's two
+        rails follow one another.
     loop_sha256 : str
         Of `loop.safetensors`, the networks that choose them.
     """
@@ -30,7 +31,7 @@ class Looks(BaseModel):
 
     count: int = Field(ge=2, le=64)
     each_rail: bool
-    first: tuple[Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)], ...]
+    first: tuple[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)], ...]
     loop_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns
+from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.virtual.camera import MARKER, Camera
@@ -71,6 +72,10 @@ class Laboratory:
     ----------
     now_s : float
         Time on the clock.
+    written : Writer or None
+        Of the counter that records.
+    wiring : tuple
+        Inputs of that counter, one for each detector, and the bits of its markers.
     """
 
     def __init__(
@@ -84,6 +89,7 @@ class Laboratory:
         self._end = 0  # ticks up to which the detectors' light is known
         self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self.written: Writer | None = None
+        self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), MARKER
 
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
@@ -98,7 +104,7 @@ class Laboratory:
         self._see(np.array([self._frame]), np.array([start]))
         ends = start + np.cumsum(np.rint(dwells_s / TICK_S).astype(np.int64))
         marks = np.append(start, ends[:-1]) + self._ticks(self.latencies.trigger)
-        self._add(marks, -MARKER)
+        self._add(marks, -self.wiring[1])
         self._see(frames, ends)
         self._frame = int(frames[-1])
         # All that came before the last frame's marker is handed over with it.
@@ -120,7 +126,7 @@ class Laboratory:
         for pieces, flow in divide(durations, self._rates[self._scene, frames]):
             stop = self._end + int(pieces.sum())
             for each, stream in enumerate(self._streams):
-                self._add(stream.events(self._end, pieces, flow[:, each]), each)
+                self._add(stream.events(self._end, pieces, flow[:, each]), self.wiring[0][each])
             self._end = stop
             self._write()
 
@@ -173,12 +179,16 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
     Parameters
     ----------
     laboratory : Laboratory
-    inputs : int
-        Number of detectors, on the counter's first inputs.
+    inputs : tuple of int
+        Of the counter, one for each detector; 0 is input 1.
+    marker_bit : {1, 2, 4, 8}
+        Of the markers.
     """
 
-    def __init__(self, laboratory: Laboratory, inputs: int) -> None:
-        self._laboratory, self._inputs = laboratory, inputs
+    def __init__(
+        self, laboratory: Laboratory, inputs: tuple[int, ...], marker_bit: int = MARKER
+    ) -> None:
+        self._laboratory, self._inputs, self._bit = laboratory, inputs, marker_bit
         self._file: FileIO | None = None
 
     def __enter__(self) -> Self:
@@ -190,9 +200,15 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
 
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
+        if max(self._inputs) >= GENERIC_T2.inputs:
+            raise InputError(
+                f"input {max(self._inputs) + 1} is none of a {GENERIC_T2.name} file, which has "
+                f"{GENERIC_T2.inputs}: use fewer `detectors`"
+            )
+        self._laboratory.wiring = self._inputs, self._bit
         self._laboratory.written = Writer(path, TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
-        self._counter = StreamCounter(range(self._inputs), MARKER, path)
+        self._counter = StreamCounter(self._inputs, self._bit, path)
 
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next."""

@@ -1,0 +1,223 @@
+"""Live runs: a projector and a counter that show, count and decide; and their replay."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepfsi.cli import camera, common, options, paths, replays
+from deepfsi.errors import as_input_error, check_known
+
+if TYPE_CHECKING:
+    from deepfsi.datasets.display import Display
+    from deepfsi.hardware.live.run import Bench, Decided
+    from deepfsi.hardware.recording.acquisition import Acquisition
+    from deepfsi.hardware.virtual.bench import Latencies
+    from deepfsi.hardware.virtual.camera import Camera
+
+PROJECTORS, COUNTERS = ("virtual",), ("virtual",)
+"""Devices by name."""
+
+
+def camera_live(
+    source: Annotated[
+        Path, typer.Argument(help="folder of patterns, or a design file, for a DLP7000")
+    ],
+    scene: Annotated[
+        Path, typer.Option(help="image, folder of images, or one with a folder for each class")
+    ],
+    exposure: Annotated[str, typer.Option(help="exposure of all looks, such as 0.01 or 10ms")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
+    flux: Annotated[
+        float, typer.Option(help="photons/s on the device, for the mean training scene")
+    ],
+    projector: Annotated[str, typer.Option(help="virtual")] = "virtual",
+    counter: Annotated[str, typer.Option(help="virtual")] = "virtual",
+    settings: Annotated[
+        str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
+    ] = "pmt",
+    latency: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="NAME=TIME of a virtual device: display, command, trigger, block, transfer or "
+            "decision, such as command=1ms"
+        ),
+    ] = None,
+    until: Annotated[
+        float | None,
+        typer.Option(help="confidence above which an exposure stops; as the design has it if none"),
+    ] = None,
+    shortest_dwell: Annotated[
+        str | None, typer.Option(help="frames below it are not shown; the device's if none")
+    ] = None,
+    photons: Annotated[
+        float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
+    ] = None,
+    inputs: options.Inputs = None,
+    marker: options.Marker = None,
+    seed: Annotated[int, typer.Option(min=0, help="repeats exactly")] = 0,
+    yes: Annotated[bool, typer.Option("--yes", help="write a large file without asking")] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Show, count and decide what to show next, scene after scene, with a design of several looks.
+
+    Prints each decision as it falls. Ctrl-C keeps the scenes that are finished.
+
+    Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
+    """
+    paths.check_new_folder(out)
+    check_known("projector", projector, PROJECTORS)
+    check_known("counter", counter, COUNTERS)
+    times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
+    shortest_s = options.optional_seconds("shortest-dwell", shortest_dwell)
+    from deepfsi.hardware.live.run import plan_live, run_live
+    from deepfsi.hardware.recording.acquisition import Scene
+
+    seen = camera.find_camera(settings)
+    told = {"seed": seed, "flux": flux or None, "camera": seen.model_dump(mode="json")}
+    with _patterns(source, as_json) as patterns:
+        images = camera.read_scenes(scene, patterns, True)
+        labels: Sequence[str | None] = images.labels or [None] * len(images.names)
+        scenes = tuple(
+            Scene(name=name, label=label) for name, label in zip(images.names, labels, strict=True)
+        )
+        acquisition = plan_live(
+            patterns, scenes, exposure_s, shortest_s, photons, until,
+            **told, **options.wiring(inputs, marker),
+        )  # fmt: skip
+        if not yes:
+            camera.ask_for_room(_events(patterns, images, seen, acquisition))
+        bench = _virtual(patterns, images, acquisition, times, as_json)
+        table = _Table(acquisition, patterns, as_json)
+        with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
+            for each in decided:
+                table.add(each)
+    table.finish(out, images.preprocessing)
+
+
+@contextlib.contextmanager
+def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
+    """Folder of patterns, or those of a design file for a DLP7000 in a folder for the moment."""
+    if source.is_dir():
+        yield source
+        return
+    from deepfsi.cli.dmd import design_rails
+    from deepfsi.hardware.patterns.devices import find_device
+    from deepfsi.hardware.patterns.folder import export_patterns
+    from deepfsi.hardware.patterns.sequence import FrameSettings
+
+    paths.check_design(source)
+    with tempfile.TemporaryDirectory() as folder, common.progress("patterns", as_json) as report:
+        patterns = Path(folder) / "patterns"
+        frames = FrameSettings(find_device("dlp7000"), 1e-3)
+        export_patterns(design_rails(source), frames, patterns, report)
+        yield patterns
+
+
+def _latencies(given: list[str]) -> "Latencies":
+    """Latencies of virtual devices, of NAME=TIME."""
+    from deepfsi.hardware.virtual.bench import Latencies
+
+    times = {}
+    for each in given:
+        name, _, time = each.partition("=")
+        check_known("latency", name, Latencies.model_fields)
+        times[name] = options.seconds(f"latency {name}", time)
+    with as_input_error():
+        return Latencies(**times)
+
+
+def _events(patterns: Path, images: "Display", seen: "Camera", planned: "Acquisition") -> float:
+    """Photons and dark counts that a live run is expected to record, at most."""
+    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.virtual.camera import expected_events
+
+    known = read_patterns(patterns)
+    passes = planned.exposure_s / known.manifest.pass_s + 1
+    return expected_events(known, images.x, seen, planned.flux or 0.0) * passes
+
+
+def _virtual(
+    patterns: Path,
+    images: "Display",
+    acquisition: "Acquisition",
+    times: "Latencies",
+    as_json: bool,
+) -> "Bench":
+    """Virtual devices that see the scenes as a camera does."""
+    from deepfsi.hardware.live.run import Bench
+    from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory
+    from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+
+    seen = Camera.model_validate(acquisition.camera)
+    with common.progress("light of the scenes", quiet=as_json) as report:
+        rates = arrival_rates(patterns, images.x, seen, acquisition.flux or 0.0, report)
+    laboratory = Laboratory(rates, seen, times, acquisition.seed or 0)
+    wiring = acquisition.inputs, acquisition.marker_bit
+    return Bench(
+        BenchProjector(laboratory),
+        BenchCounter(laboratory, *wiring),
+        laboratory.display,
+        lambda: laboratory.now_s,
+        times.model_dump(),
+    )
+
+
+class _Table:
+    """Decisions as they fall, one line for each scene, and their sum."""
+
+    def __init__(self, acquisition: "Acquisition", patterns: Path, as_json: bool) -> None:
+        from deepfsi.hardware.live.networks import read_loop
+        from deepfsi.hardware.patterns.folder import LOOP
+
+        self._about = read_loop(patterns / LOOP).about
+        self._acquisition, self._as_json = acquisition, as_json
+        self._rows: list[dict[str, Any]] = []
+
+    def add(self, each: "Decided") -> None:
+        """Print a scene's last decision."""
+        decision = each.decision
+        if decision is not None and not decision.final:
+            return
+        scene = self._acquisition.scenes[each.scene]
+        row = replays.describe(scene, decision, self._about.classes) | {"clock_s": each.clock_s}
+        self._rows.append(row)
+        if not self._as_json:
+            print(_line(row, self._acquisition.exposure_s), flush=True)
+
+    def finish(self, folder: Path, preprocessing: str) -> None:
+        """Print the sum of all, or all as JSON."""
+        if self._as_json:
+            common.print_json(
+                "camera.live",
+                {
+                    "folder": str(folder),
+                    "preprocessing": preprocessing,
+                    "exposure_s": self._acquisition.exposure_s,
+                    "scenes": self._rows,
+                },
+            )
+            return
+        print(f"scenes: {preprocessing}")
+        replays.print_right(self._rows)
+        used = sum(row["light_s"] for row in self._rows) / len(self._rows)
+        clock = sum(row["clock_s"] for row in self._rows) / len(self._rows)
+        print(
+            f"light used {used / self._acquisition.exposure_s:.1%} of the exposures, clock time "
+            f"{clock * 1e3:.4g} ms a scene\nrun: {folder}"
+        )
+
+
+def _line(row: dict[str, Any], exposure_s: float) -> str:
+    """Answer for a scene in one line."""
+    if row["class"] is None:
+        return f"{row['scene']}: no light"
+    looks = f"{row['looks']} look{'s' if row['looks'] > 1 else ''}"
+    return (
+        f"{row['scene']}: {row['class']}, confidence {row['probability']:.3f}, {looks}, light "
+        f"{row['light_s'] * 1e3:.4g} ms ({row['light_s'] / exposure_s:.0%}), clock "
+        f"{row['clock_s'] * 1e3:.4g} ms"
+    )

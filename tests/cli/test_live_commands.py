@@ -1,0 +1,157 @@
+"""Live runs at the command line: decisions as they fall, Ctrl-C, counts and classes of a run."""
+
+import fcntl
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conftest import quick
+from deepfsi.cli import app
+from deepfsi.datasets import write_pictures
+from deepfsi.design.artifact import Design
+from deepfsi.hardware.live.networks import StopRule
+from deepfsi.hardware.recording.acquisition import read_acquisition
+
+LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--camera", "ideal"]
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits):
+    """A design of three looks, its patterns on a small device, and scenes."""
+    folder = tmp_path_factory.mktemp("lab")
+    optics = {"light": "free-dwell", "rails": "single", "levels": 2}
+    kept = digits.hold_out(300)
+    quick(kept, masks=12, looks=3, photons=1e5, epochs=8, **optics).save(
+        folder / "looks.safetensors"
+    )
+    for count, name in ((3, "images"), (150, "many")):
+        pictures = {
+            f"{digits.y_test[k]}/{k}.png": digits.x_test[k].reshape(8, 8) for k in range(count)
+        }
+        write_pictures(pictures, folder / name)
+    words = ["dmd", "export", folder / "looks.safetensors", "--device", "64x48"]
+    told = CliRunner().invoke(app, [*map(str, words), "-o", str(folder / "patterns")])
+    assert told.exit_code == 0, told.output
+    return folder
+
+
+def test_each_decision_is_printed_and_a_replay_agrees(done, lab, tmp_path):
+    run = tmp_path / "run"
+    out = done("camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT, "-o", run)
+    lines = [line for line in out.splitlines() if ", clock " in line and "confidence" in line]
+    assert len(lines) == 3
+    for line in lines:
+        assert "confidence 0." in line or "confidence 1." in line
+        assert "3 looks, light 10 ms (100%)" in line
+    assert "right: " in out
+    assert "a live run: 3 scenes, 9 looks" in done("camera", "count", run)
+    out = done("camera", "classify", lab / "looks.safetensors", run)
+    assert "as decided in the run, bit for bit: 3 of 3 scenes" in out
+
+
+def test_in_json(done, lab, tmp_path):
+    words = ["--scene", lab / "images", *LIGHT, "--until", 0.2, "-o", tmp_path / "run", "--json"]
+    live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
+    counted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
+    assert [len(each) - 1 for each in counted["counts"]] == [each["looks"] for each in live]
+    words = ["camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json"]
+    for each, again in zip(live, json.loads(done(*words))["scenes"], strict=True):
+        assert again.pop("agrees")
+        assert again == each
+
+
+def test_a_design_file_is_exported_for_the_moment(done, lab, tmp_path):
+    words = ["--scene", lab / "images" / sorted(os.listdir(lab / "images"))[0], *LIGHT]
+    done("camera", "live", lab / "looks.safetensors", *words, "-o", tmp_path / "run")
+    _, patterns = read_acquisition(tmp_path / "run")
+    assert patterns.manifest.device.name == "dlp7000"
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_the_rule_of_the_design_stops_its_exposures(done, lab, tmp_path):
+    sure = tmp_path / "sure.safetensors"
+    done("stop", lab / "looks.safetensors", "--photons", "1e5", "--draws", 1, "--threshold", 0.5,
+         "-o", sure)  # fmt: skip
+    rule = StopRule.model_validate(Design.load(sure).info["stopping"])
+    assert rule.threshold == 0.5
+    assert len(rule.temperatures) == 3
+    done("dmd", "export", sure, "--device", "64x48", "-o", tmp_path / "p")
+    words = ["--scene", lab / "many", *LIGHT]
+    done("camera", "live", tmp_path / "p", *words, "-o", tmp_path / "run")
+    live = read_acquisition(tmp_path / "run")[0].live
+    assert live.rule == rule
+    done("camera", "count", tmp_path / "run")
+    told = json.loads(done("camera", "classify", sure, tmp_path / "run", "--json"))["scenes"]
+    assert all(each["agrees"] for each in told)
+    assert {each["looks"] for each in told} > {3}
+
+
+def test_the_accuracy_is_that_of_evaluate(done, lab, tmp_path, digits):
+    """150 scenes of `lab`, within five standard deviations of the test set's accuracy."""
+    words = ["--scene", lab / "many", *LIGHT, "-o", tmp_path / "run", "--json"]
+    live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
+    right = np.mean([each["class"] == each["label"] for each in live])
+    words = ["evaluate", lab / "patterns", "--photons", "1e5", "--json"]
+    accuracy = json.loads(done(*words))["results"][0]["accuracy"]
+    spread = np.sqrt(accuracy * (1 - accuracy) * (1 / 150 + 1 / len(digits.y_test)))
+    assert abs(right - accuracy) < 5 * spread
+
+
+def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
+    """The program waits for its full pipe when the signal comes, so it is never done before."""
+    words = ["camera", "live", lab / "patterns", "--scene", lab / "many", *LIGHT]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "deepfsi", *map(str, words), "-o", str(tmp_path / "run")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"finished scenes are kept" in errors
+    done("camera", "count", tmp_path / "run")
+    told = done("camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json")
+    scenes = json.loads(told)["scenes"]
+    assert 1 <= len(scenes) < 150
+    assert all(each["agrees"] for each in scenes)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--projector dlp", "unknown projector"),
+        ("--latency comand=1ms", "did you mean 'command'"),
+        ("--latency command=fast", "is not a time"),
+        ("--latency block=0", "block"),
+        ("--until 2", "--until between 0 and 1"),
+        ("--shortest-dwell 1s", "--shortest-dwell"),
+        ("--exposure 0", "seconds above 0"),
+        ("--flux 1e14", "flux"),
+        ("--flux 1e12", "--yes"),
+    ],
+)
+def test_bad_words_are_refused_in_one_line(refuse, lab, tmp_path, words, message):
+    run = ["camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT]
+    assert message in refuse(*run, "-o", tmp_path / "run", *words.split())
+
+
+def test_designs_and_runs_that_do_not_fit_are_refused(refuse, done, lab, made, tmp_path):
+    fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
+    words = ["--scene", lab / "images", *LIGHT, "-o", tmp_path / "other"]
+    assert "fixed dwells" in refuse("camera", "live", fixed, *words)
+    done("camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT,
+         "-o", tmp_path / "run")  # fmt: skip
+    assert "is missing" in refuse("camera", "classify", lab / "looks.safetensors", tmp_path / "run")
+    done("camera", "count", tmp_path / "run")
+    assert "as it was" in refuse("camera", "count", tmp_path / "run", "--exposure", "1ms")
+    assert "a live run" in refuse("camera", "image", tmp_path / "run")
+    assert "not the design" in refuse("camera", "classify", fixed, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "calibration")
