@@ -12,11 +12,8 @@ from scipy.io import savemat
 
 from conftest import quick
 from deepfsi.cli.dmd import design_rails
-<<<<<<< HEAD
-from deepfsi.hardware.patterns.devices import find_device
-=======
 from deepfsi.datasets import write_pictures
->>>>>>> 99144c0 (Counts are corrected for dead time, and tables of analogue detectors are read)
+from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names

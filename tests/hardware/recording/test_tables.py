@@ -12,12 +12,8 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
-<<<<<<< HEAD
 from deepfsi.hardware.patterns.sequence import FrameSettings
-=======
-from deepfsi.hardware.patterns.sequence import Device, FrameSettings
 from deepfsi.hardware.recording.dead_time import DeadTime
->>>>>>> 99144c0 (Counts are corrected for dead time, and tables of analogue detectors are read)
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
 from deepfsi.hardware.virtual.camera import Camera, arrival_rates
 from deepfsi.optics import constraints
