@@ -85,7 +85,7 @@ class Part:
         run = np.searchsorted(self.runs.high, edges)
         wanted = edges - self.runs.base[run]
         low, high = self.runs.begin[run], self.runs.end[run] - 1
-        while (low < high).any():
+        for _ in range(int((high - low).max(initial=0)).bit_length()):
             middle = (low + high) >> 1
             later = self.words[middle] & self.kind.time_mask < wanted
             low = np.where(later, middle + 1, low)
@@ -103,9 +103,7 @@ class Part:
             return places - np.searchsorted(self.places, places), total
         if not (total and len(places)):
             return np.zeros(len(places), np.int64), total
-        bounds = np.unique(np.append(0, places))
-        sums = np.append(0, np.cumsum(np.add.reduceat(found, bounds, dtype=np.int64)))
-        return sums[np.searchsorted(bounds, places)], total
+        return np.searchsorted(np.flatnonzero(found), places), total
 
 
 @dataclass(frozen=True)
