@@ -210,11 +210,11 @@ def dmd_devices(as_json: options.Json = False) -> None:
 def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from deepfsi.hardware.patterns.limits import count_different, departures
+    from deepfsi.hardware.patterns.limits import departures
     from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
 
     manifest, device = patterns.manifest, patterns.manifest.device
-    different, times = count_different(manifest), [frame.picture_us for frame in manifest.frames]
+    times = [frame.picture_us for frame in manifest.frames]
     sentinels = len(manifest.frames) - len(manifest.shown)
     longest = longest_exposure(manifest, device.settle_us * 1e-6)
     cost = find_cost(manifest, find_gates(manifest, longest))
@@ -232,8 +232,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "dimmed": manifest.dimmed,
                 "looks": manifest.looks.count if manifest.looks else 1,
                 "device": device.name,
-                "different_frames": different,
-                "most_different_frames": device.patterns,
+                "most_frames": device.patterns,
                 "picture_us": [min(times), max(times)],
                 "departures": departures(device),
             },
@@ -245,7 +244,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
         f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
         f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
         f"{cost.idle:.1%} since no picture is shorter than {device.shortest_us} µs\n"
-        f"limits of {device.name}: {different} different frames"
+        f"limits of {device.name}: {len(manifest.frames)} frames"
         f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
         f"{min(times)} to {max(times)} µs ({device.shortest_us} to {device.longest_us} allowed)"
     )

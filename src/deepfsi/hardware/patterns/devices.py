@@ -43,8 +43,8 @@ class Device(BaseModel):
     settle_us : float
         Time after the start of a frame in which mirrors still move, µs.
     patterns : int or None
-        Different frames that the controller holds for one sequence; None where frames fit as
-        memory allows.
+        Frames that the controller holds for one sequence; None where as many fit as its memory
+        allows.
     video_us : int or None
         Shortest video frame, µs, of a controller that takes frames as a video's bit-planes and
         shows all for one time; None of one that stores frames.

@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import version
@@ -23,7 +23,6 @@ from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import new_folder
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
@@ -112,11 +111,13 @@ def export_patterns(
     if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
     total = len(counted.shown) + SENTINELS
+    if total > sequence.MOST_FRAMES:
+        raise InputError(f"{total} frames are too many: give at most {sequence.MOST_FRAMES}")
+    check_stored(device, total)
     pictures, sentinel = settings.times_us(
         design.first_dwells(counted), "free-dwell" if design.looks else design.light, SENTINELS
     )
     ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
-    _check_count(device, total, chain(ends, counted.on))
     every = chain(ends, counted.on, ends)
     with new_folder(folder) as draft:
         frames = mirrors.make_frames(every, device, grid, settings.selection, settings.seed)
@@ -143,14 +144,6 @@ def export_patterns(
         )
         check_limits(manifest)
         return _write(draft, sequence.Patterns(manifest, counted.on), design)
-
-
-def _check_count(device: Device, total: int, counts: Iterable[np.ndarray]) -> None:
-    """Raise `InputError` if there are too many frames, of which these are the different ones."""
-    if total > sequence.MOST_FRAMES:
-        raise InputError(f"{total} frames are too many: give at most {sequence.MOST_FRAMES}")
-    if device.patterns is not None:
-        check_stored(device, len({hash_mirrors(each) for each in counts}))
 
 
 def _list_frames(

@@ -5,17 +5,17 @@ from deepfsi.hardware.patterns.devices import DEVICES, SOURCES, Device
 from deepfsi.hardware.patterns.sequence import Manifest
 
 
-def check_stored(device: Device, different: int) -> None:
-    """Raise `InputError` if a controller does not hold as many different frames."""
-    if device.patterns is None or different <= device.patterns:
+def check_stored(device: Device, frames: int) -> None:
+    """Raise `InputError` if a controller does not hold as many frames."""
+    if device.patterns is None or frames <= device.patterns:
         return
     larger = [
         f"{one.name} ({one.patterns or 'as many as fit its memory'})"
         for one in DEVICES.values()
-        if not one.video_us and (one.patterns is None or one.patterns >= different)
+        if not one.video_us and (one.patterns is None or one.patterns >= frames)
     ]
     raise InputError(
-        f"{different} different frames do not fit {device.name}, whose controller holds "
+        f"{frames} frames do not fit {device.name}, whose controller holds "
         f"{device.patterns}: use fewer masks (of a scan: a smaller --size), or a device that holds "
         f"them, such as {', '.join(larger[:3])}"
     )
@@ -24,7 +24,7 @@ def check_stored(device: Device, different: int) -> None:
 def check_limits(manifest: Manifest) -> None:
     """Raise `InputError` unless the device of a manifest can show all of its frames."""
     device = manifest.device
-    check_stored(device, count_different(manifest))
+    check_stored(device, len(manifest.frames))
     for place, frame in enumerate(manifest.frames):
         if not device.shortest_us <= frame.picture_us <= device.longest_us:
             raise InputError(
@@ -37,11 +37,6 @@ def check_limits(manifest: Manifest) -> None:
             f"frames last {min(times)} to {max(times)} µs, and {device.name} shows all for one "
             "time: export the patterns for it again"
         )
-
-
-def count_different(manifest: Manifest) -> int:
-    """Number of frames that differ, which a controller has to hold."""
-    return len({frame.sha256 for frame in manifest.frames})
 
 
 def departures(device: Device) -> list[str]:

@@ -4,9 +4,8 @@ images/0000.bmp ...   24 bits a pixel: each bit of a pixel is a mirror of anothe
 patterns.csv          the frames in the order in which they are shown, and where each is
 sequence.txt          of a DLPC900, the same as commands in a batch file of TI's program
 
-`Device.planes` says which colours hold bit positions 0 to 7, 8 to 15 and 16 to 23, each colour's
-lowest bit first. A controller that stores frames gets each different one once; of one that shows
-them as video every frame has a bit of its own, and all pictures hold as many.
+Frames fill the pictures in the order in which they are shown. `Device.planes` says which colours
+hold bit positions 0 to 7, 8 to 15 and 16 to 23, each colour's lowest bit first.
 """
 
 import csv
@@ -31,24 +30,10 @@ Place = tuple[int, int]
 """Picture that holds a frame, and the bit position in it."""
 
 
-class Places:
-    """Places of frames that are told one after another."""
-
-    def __init__(self, device: Device, total: int) -> None:
-        self._size, self._video = device.packed_frames(total), device.video_us is not None
-        self._known: dict[str | int, int] = {}
-
-    def find(self, digest: str) -> tuple[Place, bool]:
-        """Place of the next frame, and whether it is a new one."""
-        key = len(self._known) if self._video else digest
-        new = key not in self._known
-        return divmod(self._known.setdefault(key, len(self._known)), self._size), new
-
-
 def place_frames(manifest: Manifest) -> list[Place]:
     """Place of each frame of a manifest."""
-    places = Places(manifest.device, len(manifest.frames))
-    return [places.find(frame.sha256)[0] for frame in manifest.frames]
+    total = len(manifest.frames)
+    return [divmod(frame, manifest.device.packed_frames(total)) for frame in range(total)]
 
 
 def write_planes(
@@ -66,28 +51,26 @@ def write_planes(
         Packed.
     """
     (folder / "images").mkdir()
-    places, hashes = Places(device, total), []
-    picture, image = np.zeros((device.rows, device.columns, 3), np.uint8), 0
-    for shown, frame in enumerate(frames):
+    hashes, together = [], device.packed_frames(total)
+    picture = np.zeros((device.rows, device.columns, 3), np.uint8)
+    for place, frame in enumerate(frames):
         hashes.append(hashlib.sha256(frame.data).hexdigest())
-        (found, bit), new = places.find(hashes[-1])
-        if found > image:
+        image, bit = divmod(place, together)
+        lit = np.unpackbits(frame, axis=1, count=device.columns)
+        picture[..., _channel(device, bit)] |= lit << bit % 8
+        if bit == together - 1 or place == total - 1:
             Image.fromarray(picture).save(folder / _file(image))
-            picture[:], image = 0, found
-        if new:
-            lit = np.unpackbits(frame, axis=1, count=device.columns)
-            picture[..., _channel(device, bit)] |= lit << bit % 8
-        report((shown + 1) / total)
-    Image.fromarray(picture).save(folder / _file(image))
+            picture[:] = 0
+        report((place + 1) / total)
     return hashes
 
 
 def load_planes(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
     """Packed frames of a folder in their order, one at a time."""
-    device, read = manifest.device, -1
+    device = manifest.device
     for image, bit in place_frames(manifest):
-        if image != read:
-            picture, read = _read_picture(folder / _file(image), device), image
+        if bit == 0:
+            picture = _read_picture(folder / _file(image), device)
         yield np.packbits(picture[..., _channel(device, bit)] >> bit % 8 & 1, axis=1)
 
 
@@ -156,17 +139,14 @@ def _times(manifest: Manifest) -> list[tuple[int, int]]:
 
 def _table(manifest: Manifest) -> str:
     """Rows of patterns.csv, the frames in their order."""
-    out, before = io.StringIO(), -1
+    out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
     rows.writerow(
         ["pattern", "image", "bit", "exposure_us", "dark_us", "trigger_out", "new_image", "shows"]
     )
     every = zip(place_frames(manifest), _times(manifest), manifest.frames, strict=True)
     for pattern, ((image, bit), (exposure, dark), frame) in enumerate(every):
-        rows.writerow(
-            [pattern, _file(image), bit, exposure, dark, 1, int(image != before), str(frame)]
-        )
-        before = image
+        rows.writerow([pattern, _file(image), bit, exposure, dark, 1, int(bit == 0), str(frame)])
     return out.getvalue()
 
 
