@@ -1,0 +1,185 @@
+"""Accuracy against clock time, to see when looks pay in time and when only in light.
+
+    python benchmarks/clock.py -o runs/clock                           # hours on two cores
+    python benchmarks/clock.py -o runs/clock --flux 1e6 --looks 1 4    # part of it
+    python benchmarks/clock.py -o runs/clock --figure docs/figures/clock-time.png
+
+Each frame of one device takes its dwell and the time in which the mirrors settle, and no picture is
+shorter than the device's shortest one. Between two looks the loop takes a latency: the last frame's
+counts have to come, the next dwells are decided, the device is triggered. So an exposure of light
+time t with K looks and n frames takes
+
+    T = t + n · settling time + (K − 1) · latency
+
+of the clock. For each flux, light time and number of looks a design is trained that knows the
+shortest dwell (`shortest_dwell`), on exact photon counts; one seed, nothing chosen, the test images
+read once. One look is a fixed sequence. Raster scan shows one pixel after another and has a fixed
+time for each. Finished trainings stay in the folder, and are not repeated.
+"""
+
+import argparse
+import json
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from deepfsi import Dataset, Design, learn, load_dataset
+from deepfsi.design.exposure import Exposure
+from deepfsi.files import write_atomically
+from deepfsi.optics.constraints import frames
+from deepfsi.report.style import COLOURS, styled
+from deepfsi.statistics.intervals import wilson
+
+PICTURE_S, SETTLE_S = 44e-6, 10e-6
+"""Shortest picture time and settling time of a DLP7000, seconds."""
+
+SHORTEST_S = PICTURE_S - SETTLE_S
+"""Shortest dwell, seconds."""
+
+LATENCIES = {0.0: "no latency", 1e-3: "1 ms a look", 0.1: "100 ms a look"}
+"""Latencies of a look, seconds."""
+
+RASTER = 0
+"""In place of a number of looks: raster scan."""
+
+LINES = {
+    RASTER: ("raster scan", COLOURS["raster"], "s"),
+    1: ("fixed sequence", COLOURS["impulse"], "o"),
+    2: ("2 looks", COLOURS["pca"], "^"),
+    4: ("4 looks", COLOURS["truncated-hadamard"], "v"),
+    8: ("8 looks", COLOURS["deepfsi"], "D"),
+}
+
+
+def train(
+    data: Dataset, photons: float, light_s: float, looks: int, masks: int, epochs: int
+) -> Design:
+    how: dict[str, Any] = {"photons": photons, "noise": "poisson", "rails": "single", "batch": 500}
+    how |= {"epochs": epochs, "hidden": (256, 128), "device": "cpu"}
+    if looks == RASTER:
+        return learn(data, design="raster", light="equal-dwell", masks=data.pixels, **how)
+    return learn(
+        data, masks=masks, looks=looks, shortest_dwell=SHORTEST_S / light_s, levels=2,
+        start="class-pairs", lr=5e-3, light="free-dwell", **how,
+    )  # fmt: skip
+
+
+def test(design: Design, data: Dataset, photons: float) -> tuple[float, float]:
+    """Accuracy on all test scenes, and the mean number of frames that an exposure shows."""
+    scanner, generator = design.scanner(), torch.Generator().manual_seed(0)
+    right, shown = 0, 0.0
+    with torch.no_grad():
+        for x, y in zip(
+            torch.from_numpy(data.x_test).split(1000),
+            torch.from_numpy(data.y_test).split(1000),
+            strict=True,
+        ):
+            looks = list(design.expose(scanner, design.rates(scanner, x), generator, photons))
+            right += int((design.logits_of(looks[-1], photons).argmax(dim=-1) == y).sum())
+            shown += frames_shown(design, looks) * len(x)
+    return right / len(data.y_test), shown / len(data.y_test)
+
+
+def frames_shown(design: Design, looks: list[Exposure]) -> float:
+    """Frames of an exposure, in the mean over scenes."""
+    if looks[-1].dwell is None:
+        return float(len(frames(design.rails)))
+    totals = torch.stack([torch.zeros_like(looks[0].dwell), *(seen.dwell for seen in looks)])
+    return float((totals.diff(dim=0) > SHORTEST_S / 1e6).float().sum(dim=(0, 2)).mean())
+
+
+def measure(folder: Path, data: Dataset, point: dict[str, float], masks: int, epochs: int) -> dict:
+    """Accuracy and frames of one point, from the folder where they are already there."""
+    flux, light_s, looks = point["flux"], point["light_s"], int(point["looks"])
+    path = folder / f"{flux:g}-{light_s:g}-{looks}-{masks}-{epochs}.json"
+    if not path.exists():
+        photons = flux * light_s
+        design = train(data, photons, light_s, looks, masks, epochs)
+        accuracy, shown = test(design, data, photons)
+        found = {**point, "accuracy": accuracy, "frames": shown, "images": len(data.y_test)}
+        write_atomically(path, json.dumps(found).encode())
+    return json.loads(path.read_text())
+
+
+def clock_s(found: dict[str, float], latency_s: float) -> float:
+    """Clock time of an exposure, seconds."""
+    waits = max(int(found["looks"]) - 1, 0)
+    return found["light_s"] + found["frames"] * SETTLE_S + waits * latency_s
+
+
+def possible(light_s: float, looks: int, pixels: int) -> bool:
+    """Raster scan has a frame for each pixel; a look has room for four frames at least."""
+    least = pixels if looks == RASTER else 4 * looks
+    return light_s >= least * SHORTEST_S
+
+
+def table(results: list[dict[str, float]]) -> str:
+    rows = ["| photons/s | light, ms | looks | frames | clock, ms | accuracy |", "| --- " * 6 + "|"]
+    for found in results:
+        low, high = wilson(found["accuracy"], int(found["images"]))
+        name = LINES[int(found["looks"])][0]
+        rows.append(
+            f"| {found['flux']:g} | {found['light_s'] * 1e3:g} | {name} | {found['frames']:.0f} | "
+            f"{clock_s(found, 0) * 1e3:.3g} | {found['accuracy']:.3f} [{low:.3f}, {high:.3f}] |"
+        )
+    return "\n".join(rows)
+
+
+@styled
+def figure(results: list[dict[str, float]]) -> Figure:
+    fluxes = sorted({found["flux"] for found in results})
+    drawn = Figure(figsize=(3.1 * len(fluxes), 7.2), layout="constrained")
+    axes = drawn.subplots(len(LATENCIES), len(fluxes), sharex=True, sharey=True, squeeze=False)
+    for (row, (latency, words)), (column, flux) in product(
+        enumerate(LATENCIES.items()), enumerate(fluxes)
+    ):
+        panel = axes[row, column]
+        for looks, (name, colour, marker) in LINES.items():
+            own = [f for f in results if f["flux"] == flux and f["looks"] == looks]
+            times = [clock_s(found, latency) for found in own]
+            heights = [found["accuracy"] for found in own]
+            panel.plot(times, heights, color=colour, marker=marker, markersize=4, label=name)
+        panel.set_title(f"{words}, {flux:.0e} photons/s".replace("e+0", "e"))
+        panel.set_xscale("log")
+        panel.set_ylim(0, 1)
+        panel.grid(True)
+        panel.xaxis.set_major_formatter(FuncFormatter(lambda s, _: f"{s * 1e3:g}"))
+    for panel in axes[-1]:
+        panel.set_xlabel("clock time of an exposure, ms")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("accuracy")
+    drawn.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return drawn
+
+
+def main(words: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--data", default="mnist")
+    parser.add_argument("--flux", type=float, nargs="+", default=[1e5, 1e6, 1e7])
+    parser.add_argument("--light", type=float, nargs="+", default=[1e-3, 1e-2, 0.1, 1.0])
+    parser.add_argument("--looks", type=int, nargs="+", default=list(LINES), help="0: raster scan")
+    parser.add_argument("--masks", type=int, default=32)
+    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--figure", type=Path)
+    arguments = parser.parse_args(words)
+
+    data = load_dataset(arguments.data)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    results = []
+    for looks, light_s, flux in product(arguments.looks, arguments.light, arguments.flux):
+        if possible(light_s, looks, data.pixels):
+            point = {"flux": flux, "light_s": light_s, "looks": looks}
+            results.append(measure(arguments.out, data, point, arguments.masks, arguments.epochs))
+    results.sort(key=lambda found: (found["flux"], found["light_s"], found["looks"]))
+    print(table(results))
+    if arguments.figure:
+        figure(results).savefig(arguments.figure)
+
+
+if __name__ == "__main__":
+    main()
