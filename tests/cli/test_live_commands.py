@@ -128,6 +128,8 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
     ("words", "message"),
     [
         ("--projector dlp", "unknown projector"),
+        ("--projector vialux", "do not go together"),
+        ("--projector vialux --counter picoquant", "ALP4lib"),
         ("--latency comand=1ms", "did you mean 'command'"),
         ("--latency command=fast", "is not a time"),
         ("--latency block=0", "block"),
@@ -141,6 +143,11 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
 def test_bad_words_are_refused_in_one_line(refuse, lab, tmp_path, words, message):
     run = ["camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT]
     assert message in refuse(*run, "-o", tmp_path / "run", *words.split())
+
+
+def test_virtual_devices_need_a_flux(refuse, lab, tmp_path):
+    words = ["--scene", lab / "images", "--exposure", "10ms", "-o", tmp_path / "run"]
+    assert "--flux" in refuse("camera", "live", lab / "patterns", *words)
 
 
 def test_designs_and_runs_that_do_not_fit_are_refused(refuse, done, lab, made, tmp_path):

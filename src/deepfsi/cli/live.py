@@ -1,6 +1,7 @@
 """Live runs: a projector and a counter that show, count and decide; and their replay."""
 
 import contextlib
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,17 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepfsi.cli import camera, common, options, paths, replays
-from deepfsi.errors import as_input_error, check_known
+from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
     from deepfsi.hardware.live.run import Bench, Decided
     from deepfsi.hardware.recording.acquisition import Acquisition
     from deepfsi.hardware.virtual.bench import Latencies
-    from deepfsi.hardware.virtual.camera import Camera
 
-PROJECTORS, COUNTERS = ("virtual",), ("virtual",)
-"""Devices by name."""
+PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed")
+"""Devices by name; `followed` is any counter whose software writes the photon file."""
 
 
 def camera_live(
@@ -31,11 +31,15 @@ def camera_live(
     ],
     exposure: Annotated[str, typer.Option(help="exposure of all looks, such as 0.01 or 10ms")],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
+    projector: Annotated[str, typer.Option(help="virtual, or vialux")] = "virtual",
+    counter: Annotated[
+        str,
+        typer.Option(help="virtual, picoquant, or followed: its software writes OUT/photons.ptu"),
+    ] = "virtual",
     flux: Annotated[
-        float, typer.Option(help="photons/s on the device, for the mean training scene")
-    ],
-    projector: Annotated[str, typer.Option(help="virtual")] = "virtual",
-    counter: Annotated[str, typer.Option(help="virtual")] = "virtual",
+        float | None,
+        typer.Option(help="photons/s on the device, for the mean training scene; virtual"),
+    ] = None,
     settings: Annotated[
         str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
     ] = "pmt",
@@ -71,26 +75,32 @@ def camera_live(
     paths.check_new_folder(out)
     check_known("projector", projector, PROJECTORS)
     check_known("counter", counter, COUNTERS)
+    virtual = projector == "virtual"
+    if virtual != (counter == "virtual"):
+        raise InputError("virtual and real devices do not go together: give both, or neither")
+    if virtual and flux is None:
+        raise InputError("virtual devices need a flux: give --flux, such as --flux 1e6")
     times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
     shortest_s = options.optional_seconds("shortest-dwell", shortest_dwell)
     from deepfsi.hardware.live.run import plan_live, run_live
     from deepfsi.hardware.recording.acquisition import Scene
 
-    seen = camera.find_camera(settings)
-    told = {"seed": seed, "flux": flux or None, "camera": seen.model_dump(mode="json")}
+    told: dict[str, Any] = {"flux": flux or None, **options.wiring(inputs, marker)}
+    if virtual:
+        told |= {"seed": seed, "camera": camera.find_camera(settings).model_dump(mode="json")}
     with _patterns(source, as_json) as patterns:
         images = camera.read_scenes(scene, patterns, True)
         labels: Sequence[str | None] = images.labels or [None] * len(images.names)
         scenes = tuple(
             Scene(name=name, label=label) for name, label in zip(images.names, labels, strict=True)
         )
-        acquisition = plan_live(
-            patterns, scenes, exposure_s, shortest_s, photons, until,
-            **told, **options.wiring(inputs, marker),
-        )  # fmt: skip
-        if not yes:
-            camera.ask_for_room(_events(patterns, images, seen, acquisition))
-        bench = _virtual(patterns, images, acquisition, times, as_json)
+        acquisition = plan_live(patterns, scenes, exposure_s, shortest_s, photons, until, **told)
+        if virtual:
+            if not yes:
+                camera.ask_for_room(_events(patterns, images, acquisition))
+            bench = _virtual(patterns, images, acquisition, times, as_json)
+        else:
+            bench = _real(counter, acquisition, images.names, out)
         table = _Table(acquisition, patterns, as_json)
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
             for each in decided:
@@ -130,11 +140,12 @@ def _latencies(given: list[str]) -> "Latencies":
         return Latencies(**times)
 
 
-def _events(patterns: Path, images: "Display", seen: "Camera", planned: "Acquisition") -> float:
+def _events(patterns: Path, images: "Display", planned: "Acquisition") -> float:
     """Photons and dark counts that a live run is expected to record, at most."""
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.virtual.camera import expected_events
+    from deepfsi.hardware.virtual.camera import Camera, expected_events
 
+    seen = Camera.model_validate(planned.camera)
     known = read_patterns(patterns)
     passes = planned.exposure_s / known.manifest.pass_s + 1
     return expected_events(known, images.x, seen, planned.flux or 0.0) * passes
@@ -164,6 +175,25 @@ def _virtual(
         lambda: laboratory.now_s,
         times.model_dump(),
     )
+
+
+def _real(counter: str, acquisition: "Acquisition", names: Sequence[str], out: Path) -> "Bench":
+    """A Vialux device and a counter; someone shows the scenes, whose names are asked for."""
+    from deepfsi.hardware.drivers.followed import FollowedCounter
+    from deepfsi.hardware.drivers.picoquant import SnapiCounter
+    from deepfsi.hardware.drivers.vialux import VialuxLooks
+    from deepfsi.hardware.live.run import Bench
+
+    def display(scene: int) -> None:
+        print(f"show {names[scene]}, then press Enter", file=sys.stderr, flush=True)
+        if not sys.stdin.readline():
+            raise InputError("nobody is there to show the scenes: run this in a terminal")
+
+    if counter == "followed":
+        print(f"record into {out / 'photons.ptu'} in the counter's software", file=sys.stderr)
+    kinds = {"followed": FollowedCounter, "picoquant": SnapiCounter}
+    wired = kinds[counter](acquisition.inputs, acquisition.marker_bit)
+    return Bench(VialuxLooks(), wired, display)
 
 
 class _Table:

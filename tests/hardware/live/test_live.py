@@ -16,7 +16,7 @@ from deepfsi.hardware.live.shown import NAME, read_shown
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies
-from deepfsi.hardware.virtual.camera import CAMERAS
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 
 EXPOSURE_S = 10e-3
 
@@ -83,18 +83,20 @@ def test_frames_are_held_as_long_as_the_device_needs(run, patterns):
             assert (held >= gates).all()
 
 
-def test_counts_are_those_of_the_light(digits, patterns, run):
-    """Poisson, with the mean that the virtual camera's rates have in the gates."""
-    from deepfsi.hardware.virtual.camera import arrival_rates
-
-    x, _ = scenes_of(digits, 12)
+def counts_and_means(run, patterns, x):
+    """Counts of the gates of a run at 1e6 photons/s, and what is expected of them."""
     rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :, 0]
     counts, expected = [], []
     for scene, lists in read_live_counts(run).by_scene:
         for each, found in zip(scene.lists, lists, strict=True):
             counts.append(found[:, 0])
             expected.append(rates[scene.scene, list(each.frames)] * np.array(each.gate_ns) * 1e-9)
-    counts, expected = np.concatenate(counts), np.concatenate(expected)
+    return np.concatenate(counts), np.concatenate(expected)
+
+
+def test_counts_are_those_of_the_light(digits, patterns, run):
+    """Poisson, with the mean that the virtual camera's rates have in the gates."""
+    counts, expected = counts_and_means(run, patterns, scenes_of(digits, 12)[0])
     assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
     lit = expected > 20
     z = (counts[lit] - expected[lit]) / np.sqrt(expected[lit])
@@ -182,14 +184,35 @@ def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
 
 
 def test_the_budget_is_that_of_the_light_so_far(digits, patterns, run):
-    from deepfsi.hardware.virtual.camera import arrival_rates
-
     x, _ = scenes_of(digits, 12)
     rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :2, 0]
     for k, each in enumerate(replay_run(run), start=1):
         wanted = (rates[:k, 0] - rates[:k, 1]).mean() * EXPOSURE_S
         noise = 5 * np.sqrt(wanted / EXPOSURE_S / (k * 0.9e-3)) * EXPOSURE_S
         assert abs(each.decisions[-1].photons - wanted) < noise
+
+
+def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
+    """As a frame list of Vialux does: a dwell is a number of shortest pictures, each a marker."""
+    x, scenes = scenes_of(digits, 3)
+    devices = bench(patterns, x, 1e6)
+    whole = devices.projector.show
+
+    def repeats(dwells_s):
+        return np.ceil((dwells_s / 44e-6).round(6)).astype(int)
+
+    def show(frames, dwells_s):
+        places = np.repeat(frames, repeats(dwells_s))
+        whole(places, np.full(len(places), 44e-6))
+
+    devices.projector.show, devices.projector.markers = show, repeats
+    acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+    assert len(decided) == 3 * LOOKS
+    count_live(tmp_path / "run")
+    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    counts, expected = counts_and_means(tmp_path / "run", patterns, x)
+    assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])

@@ -237,16 +237,15 @@ class _Shower:
         counter.expect(FrameGates(np.full(len(frames), self._settle_s), gates_s, markers))
         projector.show(frames, pictures_s)
         counts = self._wait(len(asked.frames), float(pictures_s.sum()))
-        given = markers[:-1].tolist()
         self.lists.append(
             shown.ShownList(
                 look=asked.look,
                 frames=tuple(asked.frames.tolist()),
                 gate_ns=tuple(asked.gate_ns.tolist()),
-                markers=tuple(given),
+                markers=tuple(markers.tolist()),
             )
         )
-        self.markers += sum(given) + 1
+        self.markers += int(markers.sum())
         return counts
 
     def _pictures(self, asked: FrameList) -> np.ndarray:

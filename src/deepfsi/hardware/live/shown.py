@@ -28,7 +28,8 @@ class ShownList(BaseModel):
     gate_ns : tuple of int
         For how long each was counted.
     markers : tuple of int
-        Markers that each gave.
+        Markers that each gave, and at the end those of the all-OFF frame that was shown while the
+        next list was chosen.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -40,7 +41,7 @@ class ShownList(BaseModel):
 
     @model_validator(mode="after")
     def _whole(self) -> "ShownList":
-        if not len(self.frames) == len(self.gate_ns) == len(self.markers):
+        if not len(self.frames) == len(self.gate_ns) == len(self.markers) - 1:
             raise ValueError("frames, gates and markers differ in number")
         if min(self.gate_ns, default=1) < 0 or min(self.markers, default=1) < 1:
             raise ValueError("gates are 0 or more, and each frame gives a marker")
@@ -65,8 +66,7 @@ class ShownScene(BaseModel):
     first_marker : int
         Markers before those of this scene.
     lists : tuple of ShownList
-        In their order. A marker follows each: the all-OFF frame that is shown while the next list
-        is chosen.
+        In their order.
     chances : tuple of float
         Probabilities of the classes; none if there was no light.
     light_s, clock_s : float
@@ -93,8 +93,8 @@ class ShownScene(BaseModel):
         at, out = self.first_marker, []
         for each in self.lists:
             markers = np.array(each.markers, np.int64)
-            out.append(at + np.cumsum(markers) - markers)
-            at += int(markers.sum()) + 1
+            out.append((at + np.cumsum(markers) - markers)[:-1])
+            at += int(markers.sum())
         return out
 
 
