@@ -1,6 +1,7 @@
 """PicoQuant's driver against a fake of snAPI that keeps its rules."""
 
 import sys
+import threading
 import types
 from enum import Enum
 from pathlib import Path
@@ -62,7 +63,8 @@ class Raw:
 
     def getBlock(self):
         assert self.running
-        block = self.left.pop(0) if self.left else self.buffer[:0]
+        come = self.left and self.api.shown.is_set()
+        block = self.left.pop(0) if come else self.buffer[:0]
         self.buffer[:] = 0xFFFFFFFF
         self.buffer[: len(block)] = block
         return self.buffer[: len(block)]
@@ -83,6 +85,7 @@ class Api:
     words: np.ndarray
     cuts: np.ndarray
     content: bytes
+    shown: threading.Event  # records come once frames are shown
     made: list["Api"]
     dead = False
 
@@ -127,6 +130,7 @@ def api(monkeypatch, tmp_path):
     content = (tmp_path / "made.ptu").read_bytes()
     words = np.frombuffer(content, "<u4", offset=read_header(tmp_path / "made.ptu").offset)
     state = {"steps": [], "refused": set(), "words": words, "content": content, "made": []}
+    state["shown"] = threading.Event()
     fake = type("snAPI", (Api,), {**state, "cuts": rng.integers(0, len(words), 100)})
     module = types.ModuleType("snAPI.Main")
     module.snAPI, module.MeasMode = fake, MeasMode
@@ -148,6 +152,7 @@ def test_counts_are_those_of_the_file_that_is_left(api, tmp_path):
     with SnapiCounter((2, 0), marker_bit=2, serial="1045483", config=Path("a.ini")) as counter:
         counter.start(path)
         counter.expect(GATES)
+        api.shown.set()
         found = collect(counter, 12)
     (made,) = api.made
     times, bits = read_markers(path)
@@ -178,15 +183,30 @@ def test_a_refusal_is_one_line_and_lets_go_of_the_device(api, tmp_path, step):
 
 def test_a_device_that_stops_and_records_that_are_lost_are_named(api, tmp_path):
     api.dead = True
+    api.shown.set()
     with SnapiCounter(marker_bit=4) as counter:
         counter.start(tmp_path / "photons.ptu")
         counter.expect(GATES)
         with pytest.raises(InputError, match="stopped by itself"):
             counter.counts_since_marker(60)
+        with pytest.raises(InputError, match="stopped by itself"):
+            counter.counts_since_marker(0.0)
     with SnapiCounter(marker_bit=4, buffer=int(np.diff(np.sort(api.cuts)).max())) as counter:
         counter.start(tmp_path / "other.ptu")
         with pytest.raises(InputError, match="a larger `buffer`"):
             collect(counter, 1)
+
+
+def test_records_are_counted_while_nobody_asks(api, tmp_path):
+    with SnapiCounter(marker_bit=2) as counter:
+        counter.start(tmp_path / "photons.ptu")
+        counter.expect(GATES)
+        (made,) = api.made
+        api.shown.set()
+        while made.raw.left:
+            threading.Event().wait(0.001)
+        assert len(collect(counter, 12)) == 12
+        assert len(counter.counts_since_marker(0.0).counts) == 0
 
 
 def test_nothing_is_counted_before_it_is_recorded(api, tmp_path):

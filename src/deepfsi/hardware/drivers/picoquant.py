@@ -7,13 +7,17 @@ from there, the counts must be the same.
 snAPI serves the MultiHarp 150 and 160, HydraHarp 400 and 500, TimeHarp 260 and PicoHarp 330, not
 the PicoHarp 300. All give T2 records of one kind. They are handed over in blocks, of whatever came
 since the last; the device keeps up to 16 records to itself, and by default overflows for 2 ms,
-which is switched off here where the device can.
+which is switched off here where the device can. A thread takes and counts them all the while, also
+while nobody asks for counts: snAPI keeps no more than there is room for.
 """
 
 import importlib
-import time
+import queue
+import threading
 from pathlib import Path
 from typing import Any, Self
+
+import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu import records
@@ -43,7 +47,7 @@ class SnapiCounter:
     config : path, optional
         Ini file with the levels and offsets of the inputs, as snAPI's `loadIniConfig` takes it.
     buffer : int
-        Records that may wait to be counted; snAPI throws them away when there are more.
+        Records that may wait for the thread; snAPI throws them away when there are more.
 
     Raises
     ------
@@ -69,9 +73,11 @@ class SnapiCounter:
         self.inputs, self.marker_bit = inputs, marker_bit
         self.serial, self.config, self.buffer = serial, config, buffer
         self._api: Any = None
-        self._decoder: Decoder | None = None
         self._frames: FrameCounter | None = None
-        self._path = Path()
+        self._lock = threading.Lock()  # of the frames
+        self._found: queue.Queue[FrameCounts | Exception] = queue.Queue()
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Self:
         """Take hold of the device, in T2 mode, with one marker input."""
@@ -122,53 +128,72 @@ class SnapiCounter:
         self._accept(self._api.setPTUFilePath(str(path.absolute())), f"record into {path}")
         self._accept(self._api.raw.startBlock(LONGEST_MS, self.buffer, True), "start to record")
         tick_s = self._api.deviceConfig["BaseResolution"] * 1e-12
-        self._decoder, self._path = Decoder(GENERIC_T2, tick_s), path
         self._frames = FrameCounter(GENERIC_T2, tick_s, self.inputs, self.marker_bit, path)
+        self._found, self._ending = queue.Queue(), threading.Event()
+        given = self._frames, Decoder(GENERIC_T2, tick_s), path
+        self._thread = threading.Thread(target=self._read, args=given, daemon=True)
+        self._thread.start()
 
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next, before they are shown."""
-        self._recording()[1].expect(gates)
+        if self._frames is None:
+            raise InputError("nothing is recorded: start the counter first")
+        with self._lock:
+            self._frames.expect(gates)
 
     def counts_since_marker(self, timeout_s: float) -> FrameCounts:
         """Frames whose gates have ended since the last call, as `StreamingCounter` says.
 
         Raises `InputError` also if the device stopped by itself, or records were lost.
         """
-        decoder, frames = self._recording()
-        end = time.monotonic() + timeout_s
-        while True:
-            finished = self._api.raw.isFinished()
-            words = self._api.raw.getBlock()  # a view, until the next call
-            if len(words) >= self.buffer:
-                raise InputError(
-                    f"{self._path}: more records came than the {self.buffer} that may wait, and "
-                    "some were lost: give a larger `buffer`, or less light"
-                )
-            found = []
-            for first in range(0, len(words), records.RECORDS_IN_MEMORY):
-                block = words[first : first + records.RECORDS_IN_MEMORY]
-                found.append(frames.add(decoder.decode(block)))
-            counts = FrameCounts.join(found, len(self.inputs))
-            if len(counts.counts) or time.monotonic() > end:
-                return counts
-            if finished:
-                raise InputError(
-                    f"{self._path}: the PicoQuant device stopped by itself; look into snAPI's log, "
-                    "and for less light if its buffer ran over"
-                )
-            if not len(words):
-                time.sleep(POLL_S)
+        if self._frames is None:
+            raise InputError("nothing is recorded: start the counter first")
+        try:
+            found = self._found.get(timeout=timeout_s)
+        except queue.Empty:
+            return FrameCounts.join([], len(self.inputs))
+        if isinstance(found, Exception):
+            self._found.put(found)
+            raise found
+        return found
 
     def stop(self) -> None:
         """End the recording; its file is then whole. Without one, do nothing."""
-        if self._frames is not None:
-            self._decoder = self._frames = None
+        if self._thread is not None:
+            self._ending.set()
+            self._thread.join()
+            self._thread = self._frames = None
             self._api.raw.stopMeasure()
 
-    def _recording(self) -> tuple[Decoder, FrameCounter]:
-        if self._decoder is None or self._frames is None:
-            raise InputError("nothing is recorded: start the counter first")
-        return self._decoder, self._frames
+    def _read(self, frames: FrameCounter, decoder: Decoder, path: Path) -> None:
+        """Count all records until the end; what is found, or goes wrong, is for the other side."""
+        try:
+            while not self._ending.is_set():
+                finished = self._api.raw.isFinished()
+                words = self._api.raw.getBlock()  # a view, until the next call
+                if len(words) >= self.buffer:
+                    raise InputError(
+                        f"{path}: more records came than the {self.buffer} that may wait, and some "
+                        "were lost: give a larger `buffer`, or less light"
+                    )
+                self._count(words, frames, decoder)
+                if finished:
+                    raise InputError(
+                        f"{path}: the PicoQuant device stopped by itself; look into snAPI's log, "
+                        "and for less light if its buffer ran over"
+                    )
+                if not len(words):
+                    self._ending.wait(POLL_S)
+        except Exception as error:
+            self._found.put(error)
+
+    def _count(self, words: np.ndarray, frames: FrameCounter, decoder: Decoder) -> None:
+        for first in range(0, len(words), records.RECORDS_IN_MEMORY):
+            part = decoder.decode(words[first : first + records.RECORDS_IN_MEMORY])
+            with self._lock:
+                counts = frames.add(part)
+            if len(counts.counts):
+                self._found.put(counts)
 
     def _close(self) -> None:
         api, self._api = self._api, None
