@@ -170,9 +170,13 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
     [("equal-dwell", "single"), ("free-dwell", "single"), ("two-arm", "dual"), ("column", "dual")],
 )
 def test_learning_two_levels_beats_rounding_to_them(digits, light, rails):
-    """By more than five sigma of the noise draws, in which alone the two tests differ."""
+    """By more than five sigma of the noise draws, in which alone the two tests differ.
+
+    Where both arms are read, continuous masks have nearly two levels from their start on.
+    """
     draws = 20
     settings = {"light": light, "rails": rails, "hidden": (40, 128), "lr": 1e-2}
+    settings |= {"readout": "difference"}
     learned, continuous = (
         quick(digits, masks=10, epochs=30, mask_lr=1e-1, scale="common", levels=levels, **settings)
         for levels in (2, 0)
@@ -275,3 +279,21 @@ def test_learned_masks_beat_their_start_in_dim_light(digits):
 def test_statistics_of_a_two_level_design_are_of_its_own_masks(digits, noise, light, rails):
     one = quick(digits, noise=noise, sigma=4.0, light=light, rails=rails, levels=2)
     assert_standardised(one, digits, noise)
+
+
+def test_two_arms_that_are_both_read_start_where_one_arm_does(digits):
+    """Masks that hardly learn are the frames of one arm, within the range of a start."""
+    words = {**RECIPE, "photons": 1e3, "masks": 6, "epochs": 1, "mask_lr": 1e-9}
+    one = learn(digits, light="free-dwell", rails="single", **words).rails[0]
+    both, difference = (
+        learn(digits, light="two-arm", readout=readout, **words).rails
+        for readout in ("both", "difference")
+    )
+
+    def patterns(rail, dwell):
+        return (rail / dwell)[:, one.amax(dim=0) > 0]
+
+    start = patterns(one, one.amax(dim=-1, keepdim=True))
+    for rails, alike in ((both, True), (difference, False)):
+        shown = patterns(rails[0], rails.sum(dim=0).amax(dim=-1, keepdim=True))
+        assert bool((shown - start).abs().max() < 0.11) == alike

@@ -342,17 +342,24 @@ def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
 
 
 def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:
-    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design."""
+    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design.
+
+    Learned masks of two arms that are both read start from these frames, too, and the other arm
+    from what they leave: so they begin where one arm does (0.848 on MNIST's validation images at
+    1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half light on each arm).
+    """
     name, count = job.drawn_from, job.masks
     detection = job.detection(training_set.data.image_shape)
-    if job.optics[1] == "dual" or job.code.single_rail:
+    both_arms = job.code.learned and job.optics[0] == "two-arm" and detection.readout == "both"
+    if job.code.single_rail or (job.optics[1] == "dual" and not both_arms):
         return torch.from_numpy(training_set.matrix(name, count, seed, detection)).float()
     least, most = tiles.count_allowed(name, training_set.data, detection)
     for masks in range(min(max(-(-count // 2), least), most), most + 1):
         signed = torch.from_numpy(training_set.matrix(name, masks, seed, detection)).float()
         frames = constraints.frames(constraints.expand(signed, "column"))
         if len(frames) >= count:
-            return frames[:count]
+            first = frames[:count]
+            return 2 * first / constraints.peak(first) - 1 if both_arms else first
     raise InputError(f"{count} frames are not allowed for {name}: give at most {len(frames)}")
 
 
