@@ -398,3 +398,16 @@ def test_shares_of_a_step_are_of_its_operations(capfd):
     title, *rows = capfd.readouterr().out.splitlines()
     assert title.startswith("digits, 8 masks, float32")
     assert any(row.endswith("aten::mm") for row in rows)
+
+
+def test_the_correction_for_dead_time_brings_back_what_was_lost(made, digits):
+    """At 50 ns and some 10⁷ counts/s, as many scenes are unsure as without dead time."""
+    bench = benchmark("dead_time")
+    shown = bench.show(made("deepfsi", "free-dwell", "single"), digits, 100)
+    labels, none = digits.y_test[:100], bench.DeadTime(seconds=0)
+    slow = bench.Detector(dead_time_s=5e-8)
+    ideal = bench.classify(shown, bench.Detector(), none, labels)
+    before = bench.classify(shown, slow, none, labels)
+    after = bench.classify(shown, slow, bench.DeadTime(seconds=5e-8), labels)
+    assert before.unsure > 0.5 > 0.1 > max(after.unsure, ideal.unsure)
+    assert after.faults == 0
