@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.ptu.header import read_header
+from deepfsi.hardware.ptu.header import KINDS, read_header
 from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.ptu.records import marker_slack
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+from hardware.ptu.ptu_samples import recorded, save
 
 TICK_S, SETTLE = 1e-12, 10e-6
 
@@ -67,6 +69,41 @@ def test_frames_are_counted_as_when_the_recording_has_ended(tmp_path, rate, size
     assert np.array_equal(found, wanted)
     assert found_s == pytest.approx(starts * TICK_S, abs=1e-15)
     assert (wanted.sum() > 0) == (rate > 0)
+
+
+def frames_of(starts, slack, rng):
+    """Frames of one to three markers that a file's markers begin, and gates that fill them."""
+    first, offset, told = 0, slack + 1, []
+    while (last := first + int(rng.integers(1, 4))) < len(starts):
+        while last < len(starts) and starts[last] < starts[first]:  # a marker may be a little off
+            last += 1
+        room = int(starts[min(last, len(starts) - 1)] - starts[first])
+        told.append((first, offset, int(rng.integers(0, room + 1)), last - first))
+        first = last
+    told.append((first, offset, 1, len(starts) - first))
+    return np.array(told).T
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
+    rng = np.random.default_rng(seed)
+    path = save(tmp_path / "a.ptu", kind, recorded(kind.code, 600, seed))
+    times, bits = read_markers(path)
+    header, bit = read_header(path), int(rng.choice([1, 2, 4, 8]))
+    starts = times[bits & bit != 0]
+    first, offsets, lengths, markers = frames_of(starts, marker_slack(header.tick_s), rng)
+    opens = starts[first] + offsets
+    wanted = count_gates(path, opens, opens + lengths, (1, 0, 2))
+
+    counter, content = StreamCounter((1, 0, 2), bit), path.read_bytes()
+    counter.expect(FrameGates(offsets * header.tick_s, lengths * header.tick_s, markers))
+    cuts = rng.integers(0, 2 ** rng.integers(1, 14), len(content))
+    found, found_s, _ = feed(counter, content, [*cuts, len(content)])
+    assert len(found) >= len(wanted) - 3  # the last gates may not have ended
+    assert np.array_equal(found, wanted[: len(found)])
+    assert np.array_equal(found_s, (starts[first] * header.tick_s)[: len(found)])
+    assert found.sum() > 50
 
 
 def test_a_look_may_be_told_after_the_counts_of_the_last(tmp_path):
