@@ -225,7 +225,7 @@ def _print_claims(section: "Section") -> None:
     from rich.table import Table
 
     table = Table(title=section.title, title_justify="left", show_lines=True)
-    for head in ("claim of the paper", "holds", "measured", "why"):
+    for head in ("claim", "holds", "measured", "why"):
         table.add_column(head)
     answers = {True: "yes", False: "no", None: "open"}
     for claim in section.claims:
