@@ -29,6 +29,16 @@ def test_a_device_beyond_its_documents_is_told(done, tmp_path):
     assert warning in done("dmd", "check", tmp_path / "p")
 
 
+def test_times_of_a_video_are_told(done, tmp_path):
+    (tmp_path / "video.toml").write_text(
+        'columns = 40\nrows = 30\nvideo_us = 9597\nsettle_us = 202\ncontroller = "dlpc347x"\n'
+    )
+    words = ["dmd", "export", "raster", "--size", "4x5", "--device", tmp_path / "video.toml"]
+    out = done(*words, "--dwell", "300us", "-o", tmp_path / "p")
+    assert "since all pictures last as long as the longest" in out
+    assert "24 frames, pictures of 400 to 400 µs" in out  # 104.2 pictures of 24 in a second
+
+
 def test_too_many_frames_are_refused_before_any_is_written(refuse, tmp_path):
     words = ["dmd", "export", "hadamard", "--size", "16x16", "--device", "dlp6500"]
     said = refuse(*words, "-o", tmp_path / "p")

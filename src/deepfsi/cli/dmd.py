@@ -238,12 +238,15 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
             },
         )
         return
+    reason = f"no picture is shorter than {device.shortest_us} µs"
+    if device.video_us:
+        reason = "all pictures last as long as the longest"
     print(
         f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
         f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
         f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
         f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
-        f"{cost.idle:.1%} since no picture is shorter than {device.shortest_us} µs\n"
+        f"{cost.idle:.1%} since {reason}\n"
         f"limits of {device.name}: {len(manifest.frames)} frames"
         f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
         f"{min(times)} to {max(times)} µs ({device.shortest_us} to {device.longest_us} allowed)"
