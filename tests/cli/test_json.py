@@ -42,8 +42,8 @@ STEPS = {
 }
 """Words after each command, in an order in which each finds what it needs."""
 
-ELSEWHERE = {"camera spots", "camera calibrate"}
-"""Commands whose JSON is tested where a calibration is made."""
+ELSEWHERE = {"camera spots", "camera calibrate", "camera import"}
+"""Commands whose JSON is tested where a calibration is made, and with other counters' files."""
 
 
 def commands(group: typer.core.TyperGroup, before: str = "") -> dict[str, typer.core.TyperCommand]:

@@ -1,12 +1,15 @@
 """Tables of counts on the command line: classes of any counter's values."""
 
 import json
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
 import numpy as np
 import polars as pl
+import ptufile
 import pytest
 from scipy.io import savemat
 
@@ -121,6 +124,65 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, tmp_path):
         ([*words[:2], tmp_path / "run", table], "design.safetensors"),
     ):
         assert said in refuse(*given)
+
+
+def matlab_lines() -> dict[str, str]:
+    """Command and variables of the page's lines for MATLAB."""
+    page = (Path(__file__).parents[2] / "docs/counts.md").read_text()
+    block = re.search(r"```matlab\n(.*?)```", page, re.S)[1]
+    return {
+        "save": re.search(r"save\('(\S+)', '(\w+)'\)", block).groups(),
+        "command": re.search(r"system\('deepfsi (.*)'\)", block)[1],
+        "fields": re.findall(r"found\.scenes\.(\w+)", block),
+    }
+
+
+@pytest.mark.parametrize("version", ["7", "7.3"])
+def test_the_lines_for_matlab_read_classes(done, lab, tmp_path, monkeypatch, version):
+    lines = matlab_lines()
+    name, variable = lines["save"]
+    counts = lab.values.astype(float)
+    if version == "7":
+        savemat(tmp_path / name, {variable: counts})
+    else:
+        with h5py.File(tmp_path / name, "w", userblock_size=512) as file:
+            file[variable] = counts.T
+            file[variable].attrs["MATLAB_class"] = np.bytes_("double")
+        with (tmp_path / name).open("r+b") as file:
+            file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    shutil.copytree(lab.patterns, tmp_path / "patterns")
+    monkeypatch.chdir(tmp_path)
+    scenes = json.loads(done(*lines["command"].split()))["scenes"]
+    assert len({tuple(scene) for scene in scenes}) == 1  # so that jsondecode makes one array
+    assert lines["fields"] == ["class", "probability", "unsure"]
+    assert all(scene[field] is not None for scene in scenes for field in lines["fields"])
+    text = done("camera", "classify", lab.patterns, lab.folder / "counts.csv", "--json")
+    assert [scene["class"] for scene in scenes] == guesses(text)
+
+
+def test_events_of_another_counter_are_counted_as_a_photon_file(done, refuse, lab, tmp_path):
+    """Events of a recording, the trigger on channel 8 and the detector on 3, as text in ps."""
+    write_pictures({"a.png": np.full((8, 8), 0.5)}, tmp_path / "images")
+    words = ["--scene", tmp_path / "images", "--flux", FLUX, "--exposure", "5ms", "--camera"]
+    done("camera", "simulate", lab.patterns, *words, "ideal", "-o", tmp_path / "run")
+    wanted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
+    with ptufile.PtuFile(tmp_path / "run" / "photons.ptu") as file:
+        found = file.decode_records()
+    found = found[(found["marker"] == 1) | (found["channel"] >= 0)]
+    events = np.stack([found["time"], np.where(found["marker"] == 1, 8, 3)], axis=1)
+    np.savetxt(tmp_path / "tags.txt", events.astype(np.int64), "%d")
+    (tmp_path / "run" / "photons.ptu").unlink()
+    words = ["camera", "import", tmp_path / "tags.txt", "--unit", "1ps", "-o"]
+    photons = tmp_path / "run" / "photons.ptu"
+    assert "channel 9 has no events" in refuse(*words, photons, "--marker-channel", 9)
+    said = json.loads(done(*words, photons, "--marker-channel", 8, "--json"))
+    assert (said["channels"], said["left_out"]) == ([3], 0)
+    assert said["schema"] == "deepfsi.camera.import/1"
+    counted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
+    assert counted == wanted
+    assert "exists already" in refuse(*words, photons, "--marker-channel", 8)
+    said = done(*words, tmp_path / "more.ptu", "--marker-channel", 8, "--channel", 3)
+    assert "channel 3: " in said
 
 
 def test_read_noise_is_told_to_the_test_of_consistency(refuse, done, lab):

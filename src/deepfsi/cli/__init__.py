@@ -41,6 +41,7 @@ for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show
     app.command()(_command)
 camera.camera.command("live")(live.camera_live)
 camera.camera.command("prepare")(acquisitions.camera_prepare)
+camera.camera.command("import")(acquisitions.camera_import)
 camera.camera.command("classify")(classify.camera_classify)
 camera.camera.command("spots")(calibrations.camera_spots)
 camera.camera.command("calibrate")(calibrations.camera_calibrate)

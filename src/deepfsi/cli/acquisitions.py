@@ -70,6 +70,54 @@ def camera_prepare(
     )
 
 
+def camera_import(
+    events: Annotated[
+        Path,
+        typer.Argument(
+            help="time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a "
+            "Photon-HDF5 file"
+        ),
+    ],
+    marker: Annotated[
+        int, typer.Option("--marker-channel", help="channel of the device's trigger")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="photon file, .ptu, new")],
+    channels: Annotated[
+        list[int] | None,
+        typer.Option("--channel", help="channel of each detector, in order; all others if none"),
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="unit of the times, such as 1ps; the file's own if none")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Write the time stamps of another counter as a photon file: the trigger as marker 0.
+
+    Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
+    """
+    paths.check_file(out, (".ptu",))
+    paths.check_absent(out)
+    from deepfsi.hardware.ptu.reader import inspect
+    from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
+
+    stamps = read_stamps(events, options.optional_seconds("unit", unit))
+    chosen = write_stamps(stamps, out, marker, tuple(channels) if channels else None)
+    found = inspect(out)
+    photons = {column + 1: found.photons.get(column, 0) for column in range(len(chosen))}
+    triggers = found.markers.get(1, 0)
+    left = len(stamps.times) - sum(photons.values()) - triggers
+    if as_json:
+        about = {"channels": chosen, "photons": photons, "markers": triggers, "left_out": left}
+        common.print_json("camera.import", {"file": str(out), **about})
+        return
+    for each, (column, many) in zip(chosen, photons.items(), strict=True):
+        print(f"channel {each}: {many} photons on input {column}")
+    print(
+        f"channel {marker}: {triggers} markers on 0\n{left} events of other channels left out\n"
+        f"photons: {out}"
+    )
+
+
 def _scenes(source: Path) -> "tuple[Scene, ...]":
     """Scenes of a list, of one picture or of a folder of pictures."""
     from deepfsi.datasets import read_display

@@ -141,7 +141,7 @@ def camera_count(
     from deepfsi.hardware.recording.counting import count
 
     if replays.is_live(folder):
-        replays.check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker))
+        replays.check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker, dead_time))
         replays.print_live_counts(folder, as_json)
         return
     with common.progress("counting", quiet=as_json) as report:

@@ -257,7 +257,7 @@ def whole_number(option: str, text: str) -> int:
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
     value = text.strip().lower()
-    units = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "": 1.0}
+    units = {"ps": 1e-12, "ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "": 1.0}
     unit = next(each for each in units if value.endswith(each))
     try:
         time = float(value.removesuffix(unit)) * units[unit]

@@ -48,6 +48,12 @@ def check_file(path: Path, ends: tuple[str, ...], made: Path | None = None) -> N
     _check_writable(path, path.parent)
 
 
+def check_absent(path: Path) -> None:
+    """Raise `InputError` if there is something at the path."""
+    if path.exists():
+        raise InputError(f"{path} exists already: give a new file")
+
+
 def check_folder(path: Path) -> None:
     """Raise `InputError` unless a command can write into a folder, which it makes if need be."""
     _check_writable(path, path)
