@@ -1,4 +1,11 @@
-"""How fast photons are counted frame by frame while their bytes arrive, and in how much memory.
+"""How fast photons are counted while their bytes arrive, and how soon a look is decided upon.
+
+    python benchmarks/live.py decision                    # a minute, one core
+
+A decision is the class and the next look's dwells, from counts to gates, in NumPy on one core. From
+marker to decision is from the block of bytes that ends a look until the next list of frames has
+been told to the counter, in the process that reads all photons. Times of the processor are those
+that one core needs; on the clock other programs' work counts too.
 
     python benchmarks/live.py reader                      # 100 million records, 400 MB
     python benchmarks/live.py reader --records 5e7 --frame 1e-4 --inputs 2 --blocks 4096 65536
@@ -18,6 +25,7 @@ the process held (Linux's `VmHWM`), less what it held when everything was import
 """
 
 import argparse
+import itertools
 import json
 import re
 import statistics
@@ -30,10 +38,19 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.hardware.live.decisions import FrameList, Observer
+from deepfsi.hardware.live.networks import About, Loop, judge
+from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.patterns.devices import find_device
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
+from deepfsi.hardware.virtual.camera import Camera, arrival_rates
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8
@@ -154,6 +171,142 @@ def reader(arguments: argparse.Namespace) -> None:
         )
 
 
+LOOKS, MASKS, EXPOSURE_S = 4, 60, 10e-3
+"""Of the loop that is timed: those of the README's design."""
+
+
+def made_loop(masks: int, hidden: Sequence[int]) -> Loop:
+    """A loop of some size, whose weights are drawn."""
+    rng = np.random.default_rng(0)
+    about = About(
+        looks=LOOKS, masks=masks, rails=1, detectors=1, each_rail=False, readout="difference",
+        classes=tuple("0123456789"), largest_score=4.0, shortest=0.0,
+    )  # fmt: skip
+
+    def layers(*widths: int) -> tuple:
+        return tuple(
+            (
+                rng.normal(size=pair).astype(np.float32) / pair[0] ** 0.5,
+                np.zeros(pair[1], np.float32),
+            )
+            for pair in itertools.pairwise(widths)
+        )
+
+    mean = np.full(masks, 0.5 / masks, np.float32)
+    inputs = about.features + about.frames
+    return Loop(
+        about, mean, mean / 5, layers(inputs, *hidden, 10), layers(inputs + 1, *hidden, masks)
+    )
+
+
+def decide(loop: Loop, features: np.ndarray, dwell: np.ndarray) -> None:
+    """Probabilities of the classes, and the dwells of the next look."""
+    inputs = loop.inputs(features, dwell)
+    judge(loop.classify(inputs), 1, None)
+    loop.choose(inputs, 1, 0.003)
+
+
+def now() -> np.ndarray:
+    """Time of the processor, and on the clock, seconds."""
+    return np.array([time.process_time(), time.perf_counter()])
+
+
+def print_times(name: str, seconds: list[np.ndarray]) -> None:
+    middle, most = np.percentile(np.array(seconds) * 1e6, [50, 99], axis=0)
+    print(f"| {name} | {middle[0]:.0f} | {most[0]:.0f} | {middle[1]:.0f} | {most[1]:.0f} |")
+
+
+def decision(arguments: argparse.Namespace) -> None:
+    """Time a decision alone, and from the bytes of a look's last marker to the next list."""
+    print("processor and clock: µs, median and 99th percentile\n")
+    print("| what | processor | 99 % | clock | 99 % |\n| --- | --- | --- | --- | --- |")
+    rng = np.random.default_rng(1)
+    for masks, hidden in ((MASKS, (40, 128)), (96, (512, 256))):
+        loop, seconds = made_loop(masks, hidden), []
+        for _ in range(arguments.times):
+            features, dwell = rng.random(masks) / masks, rng.dirichlet(np.ones(masks)) / LOOKS
+            began = now()
+            decide(loop, features, dwell)
+            seconds.append(now() - began)
+        widths = " and ".join(map(str, hidden))
+        print_times(f"a decision, {masks} masks, hidden layers of {widths}", seconds)
+    for flux in arguments.flux:
+        for hidden in ((40, 128), (512, 256)):
+            widths = " and ".join(map(str, hidden))
+            name = f"marker to decision, {MASKS} masks, {widths}, {flux:.0e} photons/s"
+            with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
+                print_times(name, marker_to_decision(Path(folder), hidden, flux, arguments))
+
+
+def marker_to_decision(
+    folder: Path, hidden: Sequence[int], flux: float, arguments: argparse.Namespace
+) -> list[np.ndarray]:
+    """Times from the block of bytes that ends a look until the next list has been told, seconds.
+
+    A virtual run is recorded; its file is then read as it came, look by look, in blocks. Reading
+    the last block is part of the time, and so are counts, class, dwells and gates.
+    """
+    loop = made_loop(MASKS, hidden)
+    rails = np.random.default_rng(2).integers(0, 2, (1, MASKS, 64)) / MASKS
+    design = DesignRails(rails, "free-dwell", (8, 8), 32.0, looks=loop.looks, loop=loop.to_bytes())
+    export_patterns(design, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
+    x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
+    rates = arrival_rates(folder / "patterns", x, Camera(), flux)
+    laboratory = Laboratory(rates, Camera(), Latencies())
+    devices = Bench(BenchProjector(laboratory), BenchCounter(laboratory, (0,)), laboratory.display)
+    scenes = tuple(Scene(name=str(k)) for k in range(len(x)))
+    acquisition = plan_live(folder / "patterns", scenes, EXPOSURE_S)
+    wanted = [
+        each.decision.chances
+        for each in run_live(folder / "run", folder / "patterns", acquisition, devices)
+    ]
+    stream = _Replayed(folder / "run" / "photons.ptu", arguments.block)
+    observer = Observer(loop, read_patterns(folder / "patterns").manifest, acquisition)
+    found = []
+    for k in range(len(scenes)):
+        found += [each.chances for each in observer.observe(k, stream)]
+        stream.ended()
+    assert np.array_equal(found, wanted)
+    return stream.seconds
+
+
+class _Replayed:
+    """Recording fed look by look, and how long each took from its last block to the next list."""
+
+    def __init__(self, path: Path, block: int) -> None:
+        header, self.content = read_header(path), path.read_bytes()
+        words = np.frombuffer(self.content, "<u4", offset=header.offset)
+        markers = np.flatnonzero((words >> 31 != 0) & (words >> 25 & 63 != 63))
+        self.ends = header.offset + 4 * (markers + 1)  # bytes up to each marker's
+        self.counter, self.block = StreamCounter((0,), 1, path), block
+        self.seconds: list[np.ndarray] = []
+        self.began: np.ndarray | None = None
+        self.at = self.markers = self.rests = 0
+
+    def ended(self) -> None:
+        """The last look of a scene is decided."""
+        self.seconds.append(now() - self.began)
+        self.began = None
+
+    def __call__(self, asked: FrameList) -> np.ndarray:
+        gates = np.append(asked.gate_ns, 0) * 1e-9
+        self.counter.expect(FrameGates.of(SETTLE_S, gates))
+        if self.began is not None:
+            self.ended()
+        self.markers += len(gates)
+        end = int(self.ends[self.markers - 1])
+        parts = []
+        while self.at < end:
+            size = min(self.block, end - self.at)
+            if self.at + size == end and asked.look >= 0:
+                self.began = now()
+            parts.append(self.counter.feed(self.content[self.at : self.at + size]).counts)
+            self.at += size
+        found = np.concatenate(parts)[self.rests :]
+        self.rests = len(gates) - len(found)
+        return found[: len(asked.frames)]
+
+
 def main(given: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parts = parser.add_subparsers(required=True)
@@ -165,6 +318,13 @@ def main(given: Sequence[str] | None = None) -> None:
     part.add_argument("--rounds", type=int, default=3)
     part.add_argument("--folder", type=Path, help="for the file, which is removed at the end")
     part.set_defaults(run=reader)
+    part = parts.add_parser("decision", help=decision.__doc__)
+    part.add_argument("--times", type=int, default=5000)
+    part.add_argument("--scenes", type=int, default=250)
+    part.add_argument("--flux", type=float, nargs="+", default=[1e6, 1e7])
+    part.add_argument("--block", type=int, default=40_000, help="bytes that arrive at once")
+    part.add_argument("--folder", type=Path, help="for the files, which are removed at the end")
+    part.set_defaults(run=decision)
     part = parts.add_parser("work", help=work.__doc__)
     part.add_argument("way", choices=WAYS)
     part.add_argument("path", type=Path)

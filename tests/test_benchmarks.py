@@ -187,6 +187,14 @@ def test_the_comparison_of_photon_counting_runs(capsys):
     assert "peak memory, deepfsi" in printed
 
 
+def test_decisions_are_timed(capsys):
+    """From the bytes of a run, whose decisions come out again."""
+    few = ["--times", "20", "--scenes", "3", "--flux", "1e6", "--block", "1000"]
+    benchmark("live").main(["decision", *few])
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert len(rows) == 2 + 2 + 2
+
+
 def test_the_comparison_of_streaming_runs(capsys):
     """Counts of all ways are compared inside."""
     small = ["--records", "2e5", "--frame", "1e-4", "--blocks", "65536", "--rounds", "1"]

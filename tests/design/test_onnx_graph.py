@@ -108,6 +108,7 @@ def test_the_graph_says_what_it_is(made):
         "summed_reflectance": design.summed_reflectance,
         "image_shape": [8, 8],
         "classes": list(design.classes),
+        "looks": 1,
     }
     shapes = {node.name: node.shape for node in (*session.get_inputs(), *session.get_outputs())}
     assert shapes == {

@@ -42,13 +42,16 @@ def export(
             "masks": design.masks,
             "detectors": design.detection.count,
             "classes": design.classes,
+            "looks": design.exposure.looks,
         }
         common.print_json("export", {"graph": str(target), **sizes})
         return
     shape = ", ".join(map(str, ("batch", *design.counts_shape)))
+    looks = ", dwell, left, shortest" if design.exposure.looks > 1 else ""
     print(
-        f"in: counts ({shape}), photons (batch,)\n"
-        f"out: probabilities (batch, {len(design.classes)})\nsaved: {target}"
+        f"in: counts ({shape}), photons (batch,){looks}\n"
+        f"out: probabilities (batch, {len(design.classes)}){', next' if looks else ''}\n"
+        f"saved: {target}"
     )
 
 

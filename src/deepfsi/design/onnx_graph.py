@@ -3,7 +3,7 @@
 import io
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -11,10 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deepfsi.design.adaptive import LARGEST_SCORE, AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
+from deepfsi.hardware.live.dwells import ROUNDING
 
 SCHEMA = 1
 """Number of the schema of the graph's inputs, output and metadata."""
@@ -47,6 +49,12 @@ def to_onnx(design: Design) -> bytes:
         ``photons``, (batch,), each finite and the budgets above 0, which the graph does not check;
         its output ``probabilities``, (batch, C). Metadata: each value as JSON.
 
+        Of a design of several looks ``counts`` are those of all looks so far. Further inputs are
+        ``dwell``, the share of the exposure that each frame had, (batch, m) or (batch, 2, m) as for
+        `Design.classify`; ``left``, (batch,), the share of the exposure that is left; ``shortest``,
+        (batch,), the shortest dwell that the device shows. The second output ``next``, as
+        ``dwell``, is for how long the next look shows each frame.
+
     Raises
     ------
     InputError
@@ -59,23 +67,109 @@ def to_onnx(design: Design) -> bytes:
             "OwnClassifier can"
         )
     design.exposure.check_frames()
-    if design.exposure.looks > 1:
-        raise InputError(
-            "this design chooses dwells while the exposure runs, which one graph cannot: use "
-            "Design.classify_live, or `deepfsi dmd export`"
-        )
+    inputs: dict[str, Shape] = {"counts": design.counts_shape, "photons": ()}
+    outputs: dict[str, Shape] = {"probabilities": (len(design.classes),)}
+    if isinstance(design.exposure, AdaptiveDwells):
+        if isinstance(design.classifier, OwnClassifier):
+            raise InputError("a classifier of one's own cannot be exported with several looks")
+        _write_looks(design, design.exposure, design.classifier, graph)
+        dwells = design.exposure.dwells.shape
+        inputs |= {"dwell": dwells, "left": (), "shortest": ()}
+        return graph.finish(inputs, outputs | {"next": dwells}, _metadata(design))
     if isinstance(design.classifier, OwnClassifier):
         return _traced(design, graph.onnx)
     _write(design, design.classifier, graph)
-    return graph.finish(
-        {"counts": design.counts_shape, "photons": ()},
-        {"probabilities": (len(design.classes),)},
-        _metadata(design),
-    )
+    return graph.finish(inputs, outputs, _metadata(design))
 
 
 def _write(design: Design, classifier: Mlp, graph: "_Graph") -> None:
     """Write the nodes of a design from its inputs to its output."""
+    shares, budget = _write_features(design, graph)
+    centred = graph.add("Sub", shares, graph.constant("mean", design.mean.cpu()), to="centred")
+    hidden = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
+    layers = _layers(classifier)
+    *layers[0], level = design.exposure.fold(design.masks, *layers[0])
+    if level is not None:
+        ratio = graph.add("Div", budget, graph.constant("unit", level.unit), to="ratio")
+        log = graph.add("Log", ratio, to="log")
+        above = graph.add("Sub", log, graph.constant("middle", level.middle), to="above")
+        column = graph.add("Div", above, graph.constant("half", level.half), to="level")
+        hidden = graph.add("Concat", hidden, column, to="conditioned", axis=1)
+    graph.add("Softmax", graph.network("", layers, hidden), to="probabilities", axis=1)
+
+
+def _write_looks(
+    design: Design, exposure: AdaptiveDwells, classifier: Mlp, graph: "_Graph"
+) -> None:
+    """Write the nodes of a design of several looks: what `adaptive.expose` does in one look."""
+    shares, _ = _write_features(design, graph)
+    dwells, flat = exposure.dwells, "dwell"
+    if dwells.each_rail:
+        flat = graph.add("Transpose", "dwell", to="dwell_by_mask", perm=[0, 2, 1])
+    flat = graph.add("Flatten", flat, to="dwells", axis=1)
+    relative = graph.add("Mul", flat, graph.constant("frames", dwells.count), to="relative")
+    places = np.repeat(np.arange(dwells.count), design.features // dwells.count)
+    each = graph.add("Gather", relative, graph.index("frame_of", places), to="each", axis=1)
+    expected = graph.add("Mul", each, graph.constant("mean", design.mean.cpu()), to="expected")
+    centred = graph.add("Sub", shares, expected, to="centred")
+    scaled = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
+    third = graph.add("Div", relative, graph.constant("three", 3), to="third")
+    seen = graph.add("Concat", scaled, third, to="seen", axis=1)
+    logits = graph.network("", _layers(classifier), seen)
+    graph.add("Softmax", logits, to="probabilities", axis=1)
+    left = graph.add("Unsqueeze", "left", graph.index("column", [1]), to="left_column")
+    chosen = graph.add("Concat", seen, left, to="chooser_inputs", axis=1)
+    scores = graph.network("chooser_", _layers(exposure.network), chosen)
+    bound = graph.constant("largest_score", LARGEST_SCORE)
+    inner = graph.add("Tanh", graph.add("Div", scores, bound, to="bent"), to="tanh")
+    weights = graph.add("Softmax", graph.add("Mul", inner, bound, to="bounded"), to="w", axis=1)
+    asked = graph.add("Div", weights, graph.constant("looks", exposure.looks), to="asked")
+    shown = _share_out(graph, asked, dwells.count, exposure.shortest)
+    if dwells.each_rail:
+        shape = graph.index("pair_shape", [0, dwells.masks, 2])
+        graph.add("Transpose", graph.add("Reshape", shown, shape, to="pairs"), to="next",
+                  perm=[0, 2, 1])  # fmt: skip
+    else:
+        graph.add("Identity", shown, to="next")
+
+
+def _share_out(graph: "_Graph", asked: str, frames: int, shortest: float) -> str:
+    """Write the nodes of `live.dwells.share_out` for dwells (batch, q); the name of its result.
+
+    Frames are sorted, the longest first, which is shown in any case; those that are long enough are
+    the first ones.
+    """
+    axis = graph.index("axis", [1])
+    column = graph.add("Unsqueeze", "shortest", axis, to="shortest_column")
+    least = graph.add("Max", column, graph.constant("learned_for", [[shortest]]), to="least")
+    count = graph.index("frame_count", [frames])
+    sort = graph.onnx.helper.make_node("TopK", [asked, count], ["longest_first", "order"], axis=1)
+    graph.nodes.append(sort)
+    total = graph.add("ReduceSum", asked, axis, to="total", keepdims=1)
+    given = graph.add("Mul", "longest_first", total, to="given")
+    sums = graph.add("CumSum", "longest_first", graph.index("along", 1), to="sums")
+    bar = graph.add("Mul", least, graph.constant("slack", 1 - ROUNDING), to="bar")
+    short = graph.add("Less", given, graph.add("Mul", sums, bar, to="needed"), to="short")
+    others = graph.constant("others", [[place > 0 for place in range(frames)]], np.bool_)
+    dropped = graph.add("And", short, others, to="dropped")
+    zero = graph.constant("zero", 0)
+    kept = graph.add("Where", dropped, zero, "longest_first", to="kept")
+    nothing = graph.add("Mul", asked, zero, to="nothing")
+    shown = graph.add("ScatterElements", nothing, "order", kept, to="shown", axis=1)
+    lit = graph.add("ReduceSum", shown, axis, to="shown_total", keepdims=1)
+    return graph.add("Mul", shown, graph.add("Div", total, lit, to="more"), to="shared")
+
+
+def _layers(network: Mlp) -> list[list[np.ndarray]]:
+    """Weights (outputs, inputs) and biases of a network's layers."""
+    return [
+        [parameter.detach().cpu().numpy() for parameter in layer.parameters()]
+        for layer in network.layers
+    ]
+
+
+def _write_features(design: Design, graph: "_Graph") -> tuple[str, str]:
+    """Write the nodes from counts to features over the budget; their name, and the budget's."""
     features = "counts"
     if len(design.rails) == 2 and design.detection.readout == "both":
         order = [0, 2, 1, 3][: 1 + len(design.counts_shape)]
@@ -87,25 +181,7 @@ def _write(design: Design, classifier: Mlp, graph: "_Graph") -> None:
     features = graph.add("Flatten", features, to="features", axis=1)
     budget = graph.add("Unsqueeze", "photons", graph.index("columns", [1]), to="budget")
     shares = graph.add("Div", features, budget, to="shares")
-    centred = graph.add("Sub", shares, graph.constant("mean", design.mean.cpu()), to="centred")
-    hidden = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
-    layers = [
-        [parameter.detach().cpu().numpy() for parameter in layer.parameters()]
-        for layer in classifier.layers
-    ]
-    *layers[0], level = design.exposure.fold(design.masks, *layers[0])
-    if level is not None:
-        ratio = graph.add("Div", budget, graph.constant("unit", level.unit), to="ratio")
-        log = graph.add("Log", ratio, to="log")
-        above = graph.add("Sub", log, graph.constant("middle", level.middle), to="above")
-        column = graph.add("Div", above, graph.constant("half", level.half), to="level")
-        hidden = graph.add("Concat", hidden, column, to="conditioned", axis=1)
-    for place, (weight, bias) in enumerate(layers):
-        pair = graph.constant(f"weight_{place}", weight.T), graph.constant(f"bias_{place}", bias)
-        hidden = graph.add("Gemm", hidden, *pair, to=f"linear_{place}")
-        if place < len(layers) - 1:
-            hidden = graph.add("Relu", hidden, to=f"hidden_{place}")
-    graph.add("Softmax", hidden, to="probabilities", axis=1)
+    return shares, budget
 
 
 class _Graph:
@@ -136,6 +212,27 @@ class _Graph:
         """Add a node; returns the name of its output, `to`."""
         self.nodes.append(self.onnx.helper.make_node(operation, inputs, [to], **settings))
         return to
+
+    def network(self, name: str, layers: Sequence[Sequence[np.ndarray]], hidden: str) -> str:
+        """Add layers of weights (outputs, inputs) and biases, each with ReLU but the last.
+
+        Parameters
+        ----------
+        name : str
+            What their names begin with.
+        layers : sequence of (weights, biases)
+        hidden : str
+            Input of the first; the name of the output of the last is returned.
+        """
+        for place, (weight, bias) in enumerate(layers):
+            pair = (
+                self.constant(f"{name}weight_{place}", weight.T),
+                self.constant(f"{name}bias_{place}", bias),
+            )
+            hidden = self.add("Gemm", hidden, *pair, to=f"{name}linear_{place}")
+            if place < len(layers) - 1:
+                hidden = self.add("Relu", hidden, to=f"{name}hidden_{place}")
+        return hidden
 
     def finish(
         self, inputs: Mapping[str, Shape], outputs: Mapping[str, Shape], about: Mapping[str, Any]
@@ -244,4 +341,5 @@ def _metadata(design: Design) -> dict[str, Any]:
         "summed_reflectance": design.summed_reflectance,
         "image_shape": list(design.image_shape),
         "classes": list(design.classes),
+        "looks": design.exposure.looks,
     }

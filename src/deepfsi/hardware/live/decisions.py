@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.dwells import share_out
 from deepfsi.hardware.live.networks import Loop, judge
 from deepfsi.hardware.live.settings import MARGIN_NS
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -127,15 +126,16 @@ class Observer:
         if photons <= 0:
             return
         features, dwell, light_ns = np.zeros(about.features), np.zeros(about.frames), 0
+        shortest = self._settings.shortest_ns / self._exposure_ns
+        inputs = self.loop.inputs(features, dwell)
         for look in range(about.looks):
-            asked = self.loop.choose(self.loop.inputs(features, dwell), look)
-            shown, gates = self._frames_of(asked, look)
+            shown, gates = self._frames_of(self.loop.choose(inputs, look, shortest), look)
             counts = self._by_rail(count(shown), shown)
             features += self.loop.features(counts) / photons
             dwell += gates / self._exposure_ns
             light_ns += int(shown.gate_ns.sum())
-            chances = self.loop.classify(self.loop.inputs(features, dwell))
-            chances, enough = judge(chances, look, self._settings.rule)
+            inputs = self.loop.inputs(features, dwell)
+            chances, enough = judge(self.loop.classify(inputs), look, self._settings.rule)
             final = enough or look == about.looks - 1
             yield Decision(scene, look, chances, float(photons), light_ns * 1e-9, final)
             if final:
@@ -143,8 +143,7 @@ class Observer:
 
     def _frames_of(self, asked: np.ndarray, look: int) -> tuple[FrameList, np.ndarray]:
         """Frames of a look, and the gates (q,) of all, for dwells that are asked for."""
-        shared = share_out(asked, self._settings.shortest_ns / self._exposure_ns)
-        gates = np.rint(shared * self._exposure_ns).astype(np.int64)
+        gates = np.rint(asked * self._exposure_ns).astype(np.int64)
         own = gates[self._places]
         kept = own > 0
         return FrameList(look, self._manifest.shown[kept], own[kept]), gates

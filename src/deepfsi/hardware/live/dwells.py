@@ -48,6 +48,6 @@ def _longest_first(dwell: Any) -> tuple[Any, Any]:
     """Indices of dwells from the longest to the shortest, and the dwells in this order."""
     if isinstance(dwell, np.ndarray):
         order = np.argsort(-dwell, axis=-1, kind="stable")
-        return order, np.take_along_axis(dwell, order, -1)
+        return order, dwell[order] if dwell.ndim == 1 else np.take_along_axis(dwell, order, -1)
     order = dwell.argsort(dim=-1, descending=True, stable=True)
     return order, dwell.gather(-1, order)

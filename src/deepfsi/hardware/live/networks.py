@@ -130,13 +130,24 @@ class Loop:
         """Probabilities (C,) of the classes, float64."""
         return _softmax(_outputs(self.classifier, inputs).astype(float))
 
-    def choose(self, inputs: np.ndarray, look: int) -> np.ndarray:
-        """Dwells (q,) of a look, from 0: shares of the exposure, float64, of 1 / K together."""
-        about = self.about
-        left = np.float32(1 - look / about.looks)
-        scores = _outputs(self.chooser, np.append(inputs, left)).astype(float)
+    def choose(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
+        """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together.
+
+        Parameters
+        ----------
+        inputs : array, shape (k + q,)
+            Of the classifier.
+        look : int
+            From 0.
+        shortest : float
+            Shortest dwell that the device shows, a share of the exposure.
+        """
+        about, (weight, bias) = self.about, self.chooser[0]
+        left = np.float32(1 - look / about.looks)  # the last input
+        first = weight[:-1], bias + left * weight[-1]
+        scores = _outputs((first, *self.chooser[1:]), inputs).astype(float)
         bounded = about.largest_score * np.tanh(scores / about.largest_score)
-        return share_out(_softmax(bounded) / about.looks, about.shortest)
+        return share_out(_softmax(bounded) / about.looks, max(shortest, about.shortest))
 
     @property
     def first(self) -> np.ndarray:

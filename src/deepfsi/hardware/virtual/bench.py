@@ -53,7 +53,7 @@ class Latencies(BaseModel):
     trigger: float = Field(0.0, ge=0, le=1e-6)
     block: float = Field(1e-3, gt=0, le=1e3)
     transfer: float = Field(0.25e-3, ge=0, le=1e3)
-    decision: float = Field(0.1e-3, ge=0, le=1e3)
+    decision: float = Field(0.4e-3, ge=0, le=1e3)
 
 
 class Laboratory:
