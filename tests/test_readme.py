@@ -39,7 +39,7 @@ def test_python(block, tmp_path, monkeypatch):
 
 def test_no_line_is_left_out():
     words = {line.split()[1] for line in COMMANDS}
-    assert len(COMMANDS) == 13 + 9 + 3 + 3
+    assert len(COMMANDS) == 13 + 9 + 5 + 3 + 3
     assert words == {
         *("compare", "design", "evaluate", "show", "stop", "plan", "export", "sweep"),
         *("reproduce", "report", "dmd", "camera", "data"),
@@ -77,9 +77,13 @@ def test_all_lines_in_order_in_one_folder(tmp_path, monkeypatch, done, digits):
         words = shlex.split(line)[1:]
         brief = BRIEFLY.get(words[0], "") if "mnist" in words else ""
         small = [word.replace("10000", "300") for word in words]
-        printed[" ".join(words[:2])] = done(*small, *brief.split())
+        name = " ".join(words[:2]) + " of a live run" * (words[-1] == "run_0002/")
+        printed[name] = done(*small, *brief.split())
     right = re.search(r"right: (\d+) of 10 exposures", printed["camera classify"])
     assert int(right.group(1)) >= 8
+    live = printed["camera live of a live run"].splitlines()
+    assert len([line for line in live if "confidence" in line]) == 200
+    assert "bit for bit: 200 of 200 scenes" in printed["camera classify of a live run"]
     assert "Generic T2" in printed["camera inspect"]
     assert "cost in light" not in printed["dmd export"]
     for made in ("mnist/report.html", "quick.csv", "paper/report.html", "plan/plan.json"):

@@ -83,6 +83,8 @@ def print_live_counts(folder: Path, as_json: bool) -> None:
 def print_live_classes(file: Path, folder: Path, photons: float | None, as_json: bool) -> None:
     """Replay the decisions of a live run from its counts, and compare them with the run's.
 
+    Photons are counted first where that was not done.
+
     Parameters
     ----------
     file : path
@@ -96,7 +98,7 @@ def print_live_classes(file: Path, folder: Path, photons: float | None, as_json:
     from hashlib import sha256
 
     from deepfsi.hardware.live.networks import read_loop
-    from deepfsi.hardware.live.replay import replay_run
+    from deepfsi.hardware.live.replay import COUNTS, count_live, replay_run
     from deepfsi.hardware.patterns.folder import LOOP
     from deepfsi.hardware.recording.acquisition import read_acquisition
 
@@ -104,6 +106,9 @@ def print_live_classes(file: Path, folder: Path, photons: float | None, as_json:
     check_as_it_was((photons,))
     if sha256(file.read_bytes()).hexdigest() != patterns.manifest.design_sha256:
         raise InputError(f"{file} is not the design whose patterns were shown: give that one")
+    if not (folder / COUNTS).exists():
+        with common.progress("counting", quiet=as_json) as report:
+            count_live(folder, report)
     classes = read_loop(folder / "patterns" / LOOP).about.classes
     rows = []
     for each, scene in zip(replay_run(folder), acquisition.scenes, strict=False):
