@@ -16,7 +16,7 @@ from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, Stream
 BYTES_AT_ONCE = 2**21
 """Bytes read at once."""
 
-POLL_S = 0.0002
+POLL_S = 0.0001
 """Time between two looks at the file, seconds."""
 
 
@@ -44,6 +44,7 @@ class FollowedCounter:
         self, inputs: tuple[int, ...] = (0,), marker_bit: int = 1, appears_s: float = 60.0
     ) -> None:
         self._inputs, self._bit, self._appears_s = inputs, marker_bit, appears_s
+        self._buffer = memoryview(bytearray(BYTES_AT_ONCE))
         self._file: FileIO | None = None
         self._frames: StreamCounter | None = None
 
@@ -82,11 +83,12 @@ class FollowedCounter:
         file, frames = self._counting()
         end = time.monotonic() + timeout_s
         while True:
-            data = file.read(BYTES_AT_ONCE)
-            found = frames.feed(data or b"")
-            if len(found.counts) or time.monotonic() > end:
+            size = file.readinto(self._buffer)
+            if size and len((found := frames.feed(self._buffer[:size])).counts):
                 return found
-            if not data:
+            if time.monotonic() > end:
+                return FrameCounts.join([], len(self._inputs))
+            if not size:
                 time.sleep(POLL_S)
 
     def stop(self) -> None:
