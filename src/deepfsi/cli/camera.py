@@ -127,7 +127,7 @@ def camera_count(
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     dead_time: options.DeadTime = None,
-    dead_time_model: options.DeadTimeModel = "non-paralysable",
+    dead_time_model: options.DeadTimeModel = None,
     as_json: options.Json = False,
 ) -> None:
     """Count the photons of each frame's gates; missing, doubled and late markers are named.
@@ -141,7 +141,9 @@ def camera_count(
     from deepfsi.hardware.recording.counting import count
 
     if replays.is_live(folder):
-        replays.check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker, dead_time))
+        replays.check_as_it_was(
+            (exposure, settle, repeats, tolerance, inputs, marker, dead_time, dead_time_model)
+        )
         replays.print_live_counts(folder, as_json)
         return
     with common.progress("counting", quiet=as_json) as report:

@@ -70,7 +70,7 @@ def camera_classify(
     dead_time: Annotated[
         str | None, typer.Option(help="table: dead time of the counter, to be corrected for")
     ] = None,
-    dead_time_model: options.DeadTimeModel = "non-paralysable",
+    dead_time_model: options.DeadTimeModel = None,
     trust: options.Trust = False,
     force: Annotated[
         bool, typer.Option("--force", help="classify counts that are not what it was trained for")
@@ -91,7 +91,7 @@ def camera_classify(
 
     options_of_tables = {
         "background": background, "settle": settle, "exposures": exposures, "gain": gain,
-        "read-noise": read_noise, "dead-time": dead_time,
+        "read-noise": read_noise, "dead-time": dead_time, "dead-time-model": dead_time_model,
         "repeats": None if repeats == 1 else repeats,
     }  # fmt: skip
     if _is_run(counted):

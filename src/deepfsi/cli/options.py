@@ -197,25 +197,29 @@ DeadTime = Annotated[
     ),
 ]
 DeadTimeModel = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="non-paralysable (a SPAD, a counter's electronics), or paralysable (a photomultiplier)"
+        help="non-paralysable (a SPAD, a counter's electronics; if none), or paralysable (a "
+        "photomultiplier)"
     ),
 ]
 
 
-def dead_time(text: str | None, model: str) -> "CounterDeadTime | None":
+def dead_time(text: str | None, model: str | None) -> "CounterDeadTime | None":
     """Dead time of --dead-time and --dead-time-model, or None where none is given."""
     from deepfsi.hardware.recording.dead_time import LONGEST_S, DeadTime
 
     models = {"non-paralysable": False, "paralysable": True}
-    check_known("--dead-time-model", model, models)
+    if model is not None:
+        check_known("--dead-time-model", model, models)
     if text is None:
+        if model is not None:
+            raise InputError("--dead-time-model is of a dead time: give --dead-time, such as 20ns")
         return None
     length = seconds("dead-time", text)
     if length > LONGEST_S:
         raise InputError(f"--dead-time {text} is not allowed: give up to {LONGEST_S * 1e6:g}us")
-    return DeadTime(seconds=length, paralysable=models[model])
+    return DeadTime(seconds=length, paralysable=models[model or "non-paralysable"])
 
 
 def words(text: str | None) -> list[str] | None:

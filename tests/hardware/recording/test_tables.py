@@ -50,6 +50,10 @@ def expected(rails: np.ndarray, cells) -> np.ndarray:
     return np.einsum("rmn,sn,nd->srmd", rails, flat, parts)
 
 
+def by_scene(values: np.ndarray, axes: int) -> np.ndarray:
+    return values.reshape(-1, *[1] * (axes - 1))
+
+
 def close(counts, wanted: np.ndarray, rtol: float = 1e-5) -> None:
     found = counts.signal()[:, 0] / counts.photons.reshape(-1, *[1] * (wanted.ndim - 1))
     np.testing.assert_allclose(found, wanted, rtol=rtol, atol=1e-6)
@@ -69,6 +73,14 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     assert counts.faults == ()
     assert counts.dark_rate == pytest.approx(DARK, rel=1e-3)
     close(counts, expected(patterns.rails, cells))
+    late = np.rint(rates * (manifest.picture_s - 3e-6)[:, None]).reshape(len(SCENES), -1)
+    settled, _ = count_table(Table(late), manifest, TableSettings(settle_s=3e-6))
+    assert settled.settle_s == 3e-6
+    close(settled, expected(patterns.rails, cells))
+    analogue, _ = count_table(Table(values / 8), manifest, TableSettings(gain=8.0))
+    assert analogue.dark_rate == pytest.approx(DARK, rel=1e-3)
+    scale = counts.photons / analogue.photons  # of each scene its own light, or of all the mean
+    close(analogue, expected(patterns.rails, cells) * by_scene(scale, counts.counts.ndim - 1))
     background = DARK * counts.exposure_s
     bare = values[:, 2 * manifest.inputs : -2 * manifest.inputs]
     photons = float(counts.photons[0])

@@ -57,8 +57,8 @@ class Counts:
     Attributes
     ----------
     counts : array, shape (S, R, rails, m[, D])
-        Registered counts, int64; D only of several detectors. 0 for a rail that is dark and for an
-        exposure that is not valid.
+        Registered counts, int64, or the values of a table; D only of several detectors. 0 for a
+        rail that is dark and for an exposure that is not valid.
     arrivals, variance : arrays, shape (S, R, rails, m[, D])
         Counts of the light and the dark in each gate by themselves, estimated from what was
         registered, and the variance of their noise; both are the counts where nothing was lost.
