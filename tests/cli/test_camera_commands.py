@@ -279,6 +279,7 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
     assert found["spots"] == 25
     assert found["error"] < 0.05
     assert found["warnings"] == []
+    assert found["dead_time"] is None
     truth = np.array([[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]])
     for corner in ((0.2, 0.2, 1), (0.8, 0.2, 1), (0.5, 0.5, 1), (0.8, 0.8, 1)):
         ours, theirs = (np.array(h) @ corner for h in (found["homography"], truth))
@@ -309,10 +310,11 @@ def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, tmp_p
         "ideal",
     ]
     done("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
-    done("camera", "count", tmp_path / "run")
+    done("camera", "count", tmp_path / "run", "--dead-time", "1ns")
     words = ["camera", "calibrate", tmp_path / "run", "--spots", tmp_path / "spots"]
     out = done(*words, "-o", tmp_path / "c", "--json")
     assert any("times the light" in doubt for doubt in json.loads(out)["warnings"])
+    assert json.loads(out)["dead_time"] == {"seconds": 1e-9, "paralysable": False}
     code, out, errors = call(*words, "-o", tmp_path / "c")
     assert code == 0
     assert "of 25 spots" in out

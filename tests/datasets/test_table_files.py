@@ -115,6 +115,22 @@ def test_files_that_are_no_table_are_one_line(tmp_path):
     assert np.array_equal(read_table(f"{tmp_path}/two.mat:b").values, VALUES)
 
 
+def test_damage_that_a_library_does_not_expect_is_one_line(tmp_path, monkeypatch):
+    """Found by random damage: numpy tokenises a header, polars panics outside of `Exception`."""
+    header = b"\x93NUMPY\x01\x00" + (118).to_bytes(2, "little") + b"{'descr'5[r".ljust(118)
+    (tmp_path / "a.npy").write_bytes(header)
+    with pytest.raises(InputError, match="cannot read an array"):
+        read_table(tmp_path / "a.npy")
+
+    def panic(path):
+        raise pl.exceptions.PanicException("assertion failed\n  left: 0")
+
+    source = write(tmp_path, "parquet")
+    monkeypatch.setattr(pl, "read_parquet", panic)
+    with pytest.raises(InputError, match=r"as a table \(assertion failed\)"):
+        read_table(source)
+
+
 def test_hdf5_without_its_package_says_what_to_install(tmp_path, monkeypatch):
     matlab_73(tmp_path / "new.mat", counts=VALUES)
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)

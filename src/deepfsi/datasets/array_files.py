@@ -31,7 +31,7 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
         values: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
         if values.dtype.kind not in "biuf":
             raise ValueError(f"it holds {values.dtype}")
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # numpy's parser raises almost anything on a damaged header
         raise InputError(
             f"cannot read an array of real numbers from {path} ({error}); write it with numpy.save"
         ) from error

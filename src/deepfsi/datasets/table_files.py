@@ -118,7 +118,7 @@ def _of_columns(path: Path, words: Sequence[str]) -> Table:
     try:
         text = path.suffix.lower() in TEXTS
         frame, named = _read_text(path) if text else (pl.read_parquet(path), True)
-    except Exception as error:  # polars raises its own errors on what it cannot parse
+    except (Exception, pl.exceptions.PanicException) as error:  # what polars cannot parse
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"cannot read {path} as a table ({said}): save it again") from error
     if not (frame.width and frame.height):
