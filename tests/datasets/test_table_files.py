@@ -74,6 +74,23 @@ def test_columns_of_words_stand_apart(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "   1.0000000e+00   2.0000000e+00\n   3.0000000e+00   4.0000000e+00\n",  # MATLAB -ascii
+        "1,2,\r\n3,4,\r\n",
+        "1\t2\n3\t4",
+        "\ufeffa;b\n1;2\n3;4\n",
+        "# by a counter\n1 2\n3  4\n",
+        '"a","b"\n"1","2"\n"3","4"\n\n',
+    ],
+)
+def test_text_is_read_as_other_programs_write_it(tmp_path, text):
+    path = tmp_path / "t.txt"
+    path.write_bytes(text.encode())
+    assert np.array_equal(read_table(path).values, [[1, 2], [3, 4]])
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("a,b\n1,2\n3,x\n", r"row 3 of column b holds 'x'"),

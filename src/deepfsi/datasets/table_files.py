@@ -139,17 +139,21 @@ def _read_text(path: Path) -> tuple["pl.DataFrame", bool]:
     """Columns of words from a text file, and whether its first line names them."""
     import polars as pl
 
-    with path.open(encoding="utf-8", errors="replace") as file:
-        lines = (line.strip() for line in file)
-        first = next((line for line in lines if line and not line.startswith("#")), "")
+    content = path.read_bytes().rstrip()
+    lines = (line.strip() for line in content.splitlines())
+    first = next((line for line in lines if line and not line.startswith(b"#")), b"").decode()
     separator = next((each for each in SEPARATORS if each in first), ",")
+    if separator == " ":  # as wide as MATLAB's -ascii and others make them
+        content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
     frame = pl.read_csv(
-        path,
+        content,
         has_header=False,
         infer_schema=False,
         comment_prefix="#",
         separator=separator,
     )
+    if frame.width > 1 and frame.to_series(-1).is_null().all():
+        frame = frame[:, :-1]  # a separator at the end of every line
     if not frame.height:
         return frame, False
     heads = [str(head or "").strip() for head in frame.row(0)]
