@@ -1,11 +1,10 @@
 """Vialux's driver against a fake of ALP4lib that keeps its rules."""
 
-import ctypes
 import sys
-import types
 
 import numpy as np
 import pytest
+from vialux_fake import DEVICE, install
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import vialux
@@ -19,171 +18,10 @@ from deepfsi.hardware.patterns.folder import (
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.progress import Report
 
-DEVICE = Device(name="small", columns=64, rows=24)
-BUSY = 3  # how often the fake says that it still shows something, for each sequence
-
-
-class ALPError(Exception):
-    pass
-
-
-class Library:
-    """The C library: sequences in memory, a queue, and what was shown, in order."""
-
-    def __init__(self):
-        self.calls, self.shown, self.sequences, self.lists = [], [], {}, []
-        self.queue, self.busy, self.queue_mode = [], 0, None
-        self.memory, self.places, self.stuck = 1000, 2, False
-        self.entries, self.table, self.mode = 4096, {}, vialux.MASTER
-        self.allocated = False
-        self.fail_at: dict[str, BaseException | int] = {}
-
-    def step(self, name):
-        """Note a call; the fake fails there if it was told to."""
-        self.calls.append(name)
-        failure = self.fail_at.pop(name, None)
-        if isinstance(failure, BaseException):
-            raise failure
-        if failure is not None:
-            raise KeyError(failure) if failure > 1020 else ALPError(f"Failure {failure}.")
-
-    def note(self, number):
-        """Note the list of frames that a sequence shows, and its picture time."""
-        controls = self.sequences[number]["controls"]
-        wide = controls.get(vialux.FLUT_MODE) == vialux.FLUT_18BIT
-        if vialux.FLUT_MODE in controls:
-            frames = self.table[vialux.FLUT_WRITE_18BIT if wide else vialux.FLUT_WRITE_9BIT]
-            shown = frames[: controls[vialux.FLUT_ENTRIES9] // (1 + wide)]
-            self.lists.append((shown, self.sequences[number]["us"]))
-
-    def AlpProjInquire(self, alp_id, which, value):
-        self.step("AlpProjInquire")
-        assert alp_id.value == 7, "the device's own id"
-        if self.busy:
-            self.busy -= not self.stuck
-        if not self.busy and self.queue:
-            self.shown.append(self.queue.pop(0))
-            self.busy = BUSY
-        answers = {
-            vialux.PROJ_STATE: vialux.PROJ_ACTIVE if self.busy else 1201,
-            vialux.QUEUE_AVAIL: self.places - len(self.queue),
-            vialux.FLUT_MAX_ENTRIES9: self.entries,
-        }
-        value._obj.value = answers[which.value]
-        return 0
-
-
-class ALP4:
-    """ALP4lib's class, as far as the driver may use it."""
-
-    library: Library
-
-    def __init__(self, version="4.3", libDir=None):
-        print("Loading library")
-        self._ALPLib, self.ALP_ID = self.library, ctypes.c_ulong(0)
-        self._ALPLib.step("__init__")
-
-    def _checkError(self, code, words):
-        if code:
-            raise ALPError(words)
-
-    def Initialize(self, DeviceNum=None):
-        self._ALPLib.step("AlpDevAlloc")
-        self._ALPLib.allocated = True
-        self.ALP_ID, self.nSizeX, self.nSizeY = ctypes.c_ulong(7), DEVICE.columns, DEVICE.rows
-        self._ALPLib.step("AlpDevInquire")
-
-    def ProjControl(self, kind, value):
-        self._ALPLib.step("ProjControl")
-        if kind == vialux.QUEUE_MODE:
-            self._ALPLib.queue_mode = value
-        elif kind == vialux.PROJ_MODE:
-            self._ALPLib.mode = value
-        else:
-            assert (kind, value) == (vialux.RESET_QUEUE, vialux.DEFAULT)
-            self._ALPLib.queue.clear()
-
-    def ProjControlEx(self, kind, pointer):
-        self._ALPLib.step("ProjControlEx")
-        assert not self._ALPLib.busy, "the table is written while nothing is shown"
-        table = pointer._obj
-        assert table.nOffset == 0
-        wide = kind == vialux.FLUT_WRITE_18BIT
-        assert wide or kind == vialux.FLUT_WRITE_9BIT
-        assert 0 < table.nSize <= self._ALPLib.entries // (1 + wide)
-        self._ALPLib.table = {kind: list(table.FrameNumbers[: table.nSize])}
-
-    def DevInquire(self, which):
-        assert which == vialux.AVAIL_MEMORY
-        return self._ALPLib.memory - sum(s["count"] for s in self._ALPLib.sequences.values())
-
-    def SeqAlloc(self, nbImg=1, bitDepth=1):
-        self._ALPLib.step("SeqAlloc")
-        assert bitDepth == 1
-        sequence = ctypes.c_long(len(self._ALPLib.calls))
-        self._ALPLib.sequences[sequence.value] = {"count": nbImg, "frames": {}, "controls": {}}
-        return sequence
-
-    def SeqControl(self, kind, value, SequenceId):
-        self._ALPLib.sequences[SequenceId.value]["controls"][kind] = value
-
-    def SeqInquire(self, which, SequenceId):
-        return {vialux.MIN_PICTURE_TIME: 44, vialux.MAX_PICTURE_TIME: 10**7}[which]
-
-    def SetTiming(self, SequenceId, pictureTime):
-        self._ALPLib.sequences[SequenceId.value]["us"] = pictureTime
-
-    def SeqPut(self, imgData, SequenceId, PicOffset, PicLoad):
-        self._ALPLib.step("SeqPut")
-        sequence = self._ALPLib.sequences[SequenceId.value]
-        assert sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN
-        assert (imgData.dtype, imgData.ndim) == (np.uint8, 1)
-        for place, frame in enumerate(imgData.reshape(PicLoad, -1)):
-            assert PicOffset + place < sequence["count"]
-            sequence["frames"][PicOffset + place] = frame.copy()
-
-    def Run(self, SequenceId, loop):
-        self._ALPLib.step("Run")
-        assert not loop
-        assert self._ALPLib.queue_mode == vialux.SEQUENCE_QUEUE
-        assert len(self._ALPLib.queue) < self._ALPLib.places, "the queue is full"
-        self._ALPLib.queue.append(SequenceId.value)
-        self._ALPLib.note(SequenceId.value)
-
-    def FreeSeq(self, SequenceId):
-        self._ALPLib.step("FreeSeq")
-        del self._ALPLib.sequences[SequenceId.value]
-
-    def Halt(self):
-        self._ALPLib.step("Halt")
-        self._ALPLib.busy = 0
-
-    def Free(self):
-        self._ALPLib.step("Free")
-        assert not self._ALPLib.busy, "the device is freed when it is idle"
-        self._ALPLib.allocated = False
-        self._ALPLib.sequences.clear()
-        del self._ALPLib
-
-
-class tFlutWrite(ctypes.Structure):
-    _fields_ = (
-        ("nOffset", ctypes.c_long),
-        ("nSize", ctypes.c_long),
-        ("FrameNumbers", ctypes.c_ulong * 4096),
-    )
-
 
 @pytest.fixture
 def library(monkeypatch):
-    fake = Library()
-    module = types.ModuleType("ALP4")
-    module.ALP4 = type("ALP4", (ALP4,), {"library": fake})
-    module.tFlutWrite = tFlutWrite
-    monkeypatch.setitem(sys.modules, "ALP4", module)
-    monkeypatch.setattr(vialux, "POLL_S", 0)
-    monkeypatch.setattr(vialux, "LIST_POLL_S", 0)
-    return fake
+    return install(monkeypatch)
 
 
 def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE, dwell=1e-3):

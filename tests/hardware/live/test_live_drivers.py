@@ -1,0 +1,71 @@
+"""The loop on the drivers of real devices: a fake of a Vialux device, and a file that grows."""
+
+import numpy as np
+from live_samples import LOOKS, make_patterns, scenes_of
+
+from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers.vialux import VialuxLooks
+from deepfsi.hardware.live.replay import count_live, replay_run
+from deepfsi.hardware.live.run import Bench, plan_live, run_live
+from deepfsi.hardware.live.shown import read_shown
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from hardware.drivers.vialux_fake import install
+
+SCENES, FLUX = 3, 1e7
+
+
+class Laboratory:
+    """What is recorded while a device shows lists of pictures: a marker and photons for each."""
+
+    def __init__(self, rates):
+        self.rates, self.scene, self.now = rates, 0, 10**9
+        self.rng = np.random.default_rng(0)
+        self.written = None
+
+    def show(self, frames, us):
+        for frame in frames:
+            length = us * 10**6
+            photons = self.rng.poisson(self.rates[self.scene, frame, 0] * us * 1e-6)
+            times = self.now + np.sort(self.rng.integers(0, length, photons))
+            self.written.write(np.append(self.now, times), np.append(-1, np.zeros(photons, int)))
+            self.now += length
+        self.now += 10**9
+
+    def display(self, scene):
+        self.scene = scene
+
+
+def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(digits, tmp_path, monkeypatch):
+    patterns = make_patterns(tmp_path, digits, epochs=1)
+    x, scenes = scenes_of(digits, SCENES)
+    laboratory = Laboratory(arrival_rates(patterns, x, CAMERAS["ideal"], FLUX))
+    library = install(monkeypatch)
+    library.size, library.on_list = (64, 48), laboratory.show
+
+    class Counter(FollowedCounter):
+        def start(self, path):
+            laboratory.written = Writer(path, growing=True).__enter__()
+            super().start(path)
+
+    bench = Bench(VialuxLooks(), Counter(), laboratory.display)
+    folder = tmp_path / "run"
+    acquisition = plan_live(patterns, scenes, 3e-3)
+    decided = list(run_live(folder, patterns, acquisition, bench))
+    laboratory.written.__exit__(None, None, None)
+    assert len(decided) == SCENES * LOOKS
+    assert library.calls.count("SeqAlloc") == 1
+
+    lists = [each for scene in read_shown(folder) for each in scene.lists]
+    assert len(library.lists) == len(lists) == SCENES * (LOOKS + 1)
+    for (pictures, us), each in zip(library.lists, lists, strict=True):
+        assert pictures == np.repeat([*each.frames, 1], each.markers).tolist()
+        held = np.array(each.markers[:-1]) * us
+        assert (held * 1000 >= np.array(each.gate_ns) + acquisition.settle_s * 1e9).all()
+    assert max(max(each.markers) for each in lists) > 3
+
+    count_live(folder)
+    replayed = replay_run(folder)
+    assert [each.agrees for each in replayed] == [True] * SCENES
+    again = [one.chances for each in replayed for one in each.decisions]
+    assert np.array_equal([each.decision.chances for each in decided], again)
