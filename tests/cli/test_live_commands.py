@@ -162,3 +162,22 @@ def test_designs_and_runs_that_do_not_fit_are_refused(refuse, done, lab, made, t
     assert "a live run" in refuse("camera", "image", tmp_path / "run")
     assert "not the design" in refuse("camera", "classify", fixed, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "calibration")
+
+
+def test_a_run_and_its_replay_need_no_torch(lab, tmp_path):
+    words = ["--scene", str(lab / "images"), *LIGHT, "-o", str(tmp_path / "run")]
+    commands = [
+        ["deepfsi", "camera", "live", str(lab / "patterns"), *words],
+        ["deepfsi", "camera", "classify", str(lab / "looks.safetensors"), str(tmp_path / "run")],
+    ]
+    code = (
+        "import contextlib, sys\n"
+        "from deepfsi.cli import main\n"
+        f"for sys.argv in {commands!r}:\n"
+        "    with contextlib.suppress(SystemExit):\n"
+        "        main()\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    assert "3 of 3 scenes" in told.stdout

@@ -1,0 +1,118 @@
+"""Laws of the decisions of a live run: what they owe to dark counts, the budget and the dwells."""
+
+import numpy as np
+import pytest
+from live_samples import LOOKS, OPTICS, make_patterns, scenes_of
+
+from deepfsi.design.artifact import Design
+from deepfsi.hardware.live.decisions import SENTINELS, Observer
+from deepfsi.hardware.live.networks import read_loop
+from deepfsi.hardware.live.run import plan_live
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.recording.acquisition import Scene
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+
+EXPOSURE_S, FLUX = 10e-3, 1e13
+"""So much light that rounding and noise of counts are nothing."""
+
+
+@pytest.fixture(scope="module", params=OPTICS)
+def patterns(request, digits, tmp_path_factory):
+    return make_patterns(tmp_path_factory.mktemp("decisions"), digits, request.param)
+
+
+def observe(patterns, rates, scenes=1, **settings):
+    """Decisions on scenes whose counts are their means, and the lists that were asked for."""
+    acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
+    loop, manifest = read_loop(patterns / "loop.safetensors"), read_patterns(patterns).manifest
+    observer, asked = Observer(loop, manifest, acquisition), []
+
+    def count(scene):
+        def counts(lists):
+            asked.append(lists)
+            return np.rint(rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9).astype(int)
+
+        return counts
+
+    decided = [list(observer.observe(scene, count(scene))) for scene in range(scenes)]
+    return decided, asked
+
+
+def rates_of(patterns, digits, count=1, share=1.0):
+    x, _ = scenes_of(digits, count)
+    return share * arrival_rates(patterns, x, CAMERAS["ideal"], FLUX / 10) * 10
+
+
+def test_dark_counts_change_no_decision(digits, patterns):
+    """Those of each input, which the all-OFF frames tell, or the all-ON ones of the second arm."""
+    rates = rates_of(patterns, digits)
+    dark = FLUX * np.linspace(0.2, 0.4, rates.shape[2])
+    (clean,), asked = observe(patterns, rates)
+    (noisy,), again = observe(patterns, rates + dark)
+    assert len(clean) == len(noisy) == LOOKS
+    for one, other in zip(clean, noisy, strict=True):
+        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
+        assert other.photons == pytest.approx(one.photons, rel=1e-6)
+    for one, other in zip(asked, again, strict=True):
+        assert np.array_equal(one.frames, other.frames)
+        np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+
+
+def test_light_changes_no_decision(digits, patterns):
+    """Features are counts over the budget, which is a flux in counts: of half the light, half."""
+    (bright,), _ = observe(patterns, rates_of(patterns, digits))
+    (dim,), _ = observe(patterns, rates_of(patterns, digits, share=0.5))
+    for one, other in zip(bright, dim, strict=True):
+        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
+        assert other.photons == pytest.approx(one.photons / 2, rel=1e-6)
+
+
+def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):
+    rates = rates_of(patterns, digits, 3)
+    (first, second, third), asked = observe(patterns, rates, 3)
+    arm = read_patterns(patterns).manifest.detector_count
+    flux = (rates[:, 0, :arm] - rates[:, 1, :arm]).sum(axis=1)
+    for k, each in enumerate((first, second, third), start=1):
+        assert each[-1].photons == pytest.approx(flux[:k].mean() * EXPOSURE_S, rel=1e-6)
+    assert [each.look for each in asked] == 3 * [SENTINELS, *range(LOOKS)]
+
+
+def test_a_known_budget_is_taken(digits, patterns):
+    rates = rates_of(patterns, digits)
+    (own,), _ = observe(patterns, rates)
+    (known,), _ = observe(patterns, rates, photons=own[-1].photons)
+    (other,), _ = observe(patterns, rates, photons=2 * own[-1].photons)
+    assert np.array_equal(known[-1].chances, own[-1].chances)
+    assert other[-1].photons == 2 * own[-1].photons
+    assert not np.allclose(other[-1].chances, own[-1].chances, atol=1e-4)
+
+
+def test_a_design_s_own_shortest_dwell_is_kept(digits, tmp_path):
+    patterns = make_patterns(tmp_path, digits, shortest_dwell=0.1, epochs=1)
+    _, asked = observe(patterns, rates_of(patterns, digits))
+    gates = np.concatenate([each.gate_ns for each in asked if each.look >= 0])
+    assert gates.min() >= 0.1 * EXPOSURE_S * 1e9 * (1 - 1e-5)
+
+
+def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
+    """`Design.classify_live`, given the counts that each rail of each mask should have."""
+    design = Design.load(patterns.parent / "looks.safetensors")
+    manifest = read_patterns(patterns).manifest
+    rates = rates_of(patterns, digits)
+    (decided,), (_, *asked) = observe(patterns, rates)
+    looks = iter(asked)
+
+    def read(dwell):
+        each, share = next(looks), np.zeros_like(dwell)
+        rails = np.zeros((2, design.masks, design.detection.count))
+        for place, gate_ns in zip(each.frames, each.gate_ns, strict=True):
+            frame = manifest.frames[place]
+            arms = np.split(rates[0, place] * gate_ns * 1e-9, 2 if frame.rail == "both" else 1)
+            for arm, counts in enumerate(arms, int(frame.rail == "minus")):
+                rails[arm, frame.mask] = counts
+            share[(int(frame.rail == "minus"), frame.mask)[2 - dwell.ndim :]] = gate_ns * 1e-9
+        counts = rails if len(design.rails) == 2 else rails[0]
+        return counts.reshape(design.counts_shape), share / EXPOSURE_S
+
+    chances = design.classify_live(read, decided[-1].photons)
+    np.testing.assert_allclose(chances, decided[-1].chances, atol=1e-4)
