@@ -11,7 +11,8 @@ from deepfsi.errors import InputError, as_input_error
 if TYPE_CHECKING:
     from deepfsi.hardware.patterns.devices import Device
     from deepfsi.hardware.patterns.folder import DesignRails
-    from deepfsi.hardware.patterns.sequence import Patterns
+    from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+    from deepfsi.hardware.patterns.timing import Cost
 
 dmd = typer.Typer(
     invoke_without_command=True,
@@ -215,9 +216,10 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
 
     manifest, device = patterns.manifest, patterns.manifest.device
     times = [frame.picture_us for frame in manifest.frames]
-    sentinels = len(manifest.frames) - len(manifest.shown)
-    longest = longest_exposure(manifest, device.settle_us * 1e-6)
-    cost = find_cost(manifest, find_gates(manifest, longest))
+    longest = cost = None
+    if manifest.looks is None:
+        longest = longest_exposure(manifest, device.settle_us * 1e-6)
+        cost = find_cost(manifest, find_gates(manifest, longest))
     if as_json:
         common.print_json(
             command,
@@ -228,7 +230,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
                 "pass_s": manifest.pass_s,
                 "longest_exposure_s": longest,
-                "uncounted": asdict(cost),
+                "uncounted": None if cost is None else asdict(cost),
                 "dimmed": manifest.dimmed,
                 "looks": manifest.looks.count if manifest.looks else 1,
                 "device": device.name,
@@ -238,15 +240,8 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
             },
         )
         return
-    reason = f"no picture is shorter than {device.shortest_us} µs"
-    if device.video_us:
-        reason = "all pictures last as long as the longest"
     print(
-        f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones, "
-        f"{manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
-        f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
-        f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
-        f"{cost.idle:.1%} since {reason}\n"
+        f"{_counted(manifest, longest, cost)}\n"
         f"limits of {device.name}: {len(manifest.frames)} frames"
         f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
         f"{min(times)} to {max(times)} µs ({device.shortest_us} to {device.longest_us} allowed)"
@@ -259,9 +254,25 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
             f"{manifest.dimmed:.3g} of its light; learn it with --light free-dwell or "
             "equal-dwell instead"
         )
-    if manifest.looks:
-        print(
-            f"{manifest.looks.count} looks: these times are of the first one, those of the others "
+    print(f"patterns: {folder}")
+
+
+def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -> str:
+    """Frames of a pass, its longest exposure and what it costs, in words."""
+    sentinels = len(manifest.frames) - len(manifest.shown)
+    frames = f"{len(manifest.shown)} frames of masks and {sentinels} all-ON and all-OFF ones"
+    if manifest.looks or cost is None:
+        looks = manifest.looks.count if manifest.looks else 1
+        return (
+            f"{frames}, {looks} looks: the times written are of the first, those of the others "
             "follow from counts; show them with `deepfsi camera live`"
         )
-    print(f"patterns: {folder}")
+    reason = f"no picture is shorter than {manifest.device.shortest_us} µs"
+    if manifest.device.video_us:
+        reason = "all pictures last as long as the longest"
+    return (
+        f"{frames}, {manifest.pass_s:.4g} s a pass, exposures up to {longest:.4g} s\n"
+        f"cost in time: at that exposure {cost.total:.1%} of a pass is not counted: "
+        f"{cost.sentinels:.1%} for those frames, {cost.settling:.1%} for mirrors to settle, "
+        f"{cost.idle:.1%} since {reason}"
+    )
