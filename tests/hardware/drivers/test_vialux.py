@@ -209,7 +209,8 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, tmp_path):
         for frames, dwells in looks:
             projector.show(np.array(frames), np.array(dwells))
             shown, us = library.lists[-1]
-            repeats = projector.markers(np.array(dwells))
+            repeats, each_s = projector.pictures(np.array(dwells))
+            assert (each_s == 44e-6).all()
             assert us == 44
             assert shown == np.repeat(frames, repeats).tolist()
             assert (repeats * 44e-6 >= np.array(dwells) * (1 - 1e-9)).all()
@@ -226,10 +227,11 @@ def test_a_list_longer_than_the_table_has_longer_pictures(library, tmp_path):
     with vialux.VialuxLooks() as projector:
         projector.load(patterns(tmp_path / "patterns", masks=2))
         projector.show(np.arange(4), dwells)
-        repeats = projector.markers(dwells)
+        repeats, each_s = projector.pictures(dwells)
     shown, us = library.lists[-1]
     assert len(shown) == repeats.sum() <= 512
     assert (repeats * us * 1e-6 >= dwells).all()
+    assert each_s == pytest.approx(us * 1e-6)
     assert us < 1.02 * dwells.sum() * 1e6 / (512 - 4)
 
 
@@ -246,7 +248,8 @@ def test_a_trigger_gives_the_pictures_their_time(library, tmp_path):
     with vialux.VialuxLooks(trigger_s=50e-6) as projector:
         projector.load(patterns(tmp_path / "patterns", masks=2))
         assert library.mode == vialux.SLAVE
-        assert projector.markers(np.array([50e-6, 51e-6, 1e-3])).tolist() == [1, 2, 20]
+        repeats, each_s = projector.pictures(np.array([50e-6, 51e-6, 1e-3]))
+        assert (repeats.tolist(), each_s.tolist()) == ([1, 2, 20], [50e-6] * 3)
         with pytest.raises(InputError, match="a list of 20000 pictures"):
             projector.show(np.array([1]), np.array([1.0]))
     with vialux.VialuxLooks(trigger_s=44e-6) as projector:

@@ -205,7 +205,10 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
         places = np.repeat(frames, repeats(dwells_s))
         whole(places, np.full(len(places), 44e-6))
 
-    devices.projector.show, devices.projector.markers = show, repeats
+    def pictures(dwells_s):
+        return repeats(dwells_s), np.full(len(dwells_s), 44e-6)
+
+    devices.projector.show, devices.projector.pictures = show, pictures
     acquisition = runs.plan_live(patterns, scenes, EXPOSURE_S)
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 3 * LOOKS

@@ -1,6 +1,7 @@
 """The loop on the drivers of real devices: a fake of a Vialux device, and a file that grows."""
 
 import numpy as np
+import pytest
 from live_samples import LOOKS, make_patterns, scenes_of
 
 from deepfsi.hardware.drivers.followed import FollowedCounter
@@ -36,12 +37,16 @@ class Laboratory:
         self.scene = scene
 
 
-def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(digits, tmp_path, monkeypatch):
+@pytest.mark.parametrize("entries", [4096, 100])
+def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
+    digits, tmp_path, monkeypatch, entries
+):
+    """Also where lists are so long that pictures must last longer than the shortest."""
     patterns = make_patterns(tmp_path, digits, epochs=1)
     x, scenes = scenes_of(digits, SCENES)
     laboratory = Laboratory(arrival_rates(patterns, x, CAMERAS["ideal"], FLUX))
     library = install(monkeypatch)
-    library.size, library.on_list = (64, 48), laboratory.show
+    library.size, library.on_list, library.entries = (64, 48), laboratory.show, entries
 
     class Counter(FollowedCounter):
         def start(self, path):
@@ -50,18 +55,21 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(digits, tmp_path
 
     bench = Bench(VialuxLooks(), Counter(), laboratory.display)
     folder = tmp_path / "run"
-    acquisition = plan_live(patterns, scenes, 3e-3)
+    acquisition = plan_live(patterns, scenes, 20e-3)
     decided = list(run_live(folder, patterns, acquisition, bench))
     laboratory.written.__exit__(None, None, None)
     assert len(decided) == SCENES * LOOKS
     assert library.calls.count("SeqAlloc") == 1
+    assert not library.allocated
 
     lists = [each for scene in read_shown(folder) for each in scene.lists]
     assert len(library.lists) == len(lists) == SCENES * (LOOKS + 1)
     for (pictures, us), each in zip(library.lists, lists, strict=True):
+        assert len(pictures) <= entries
         assert pictures == np.repeat([*each.frames, 1], each.markers).tolist()
         held = np.array(each.markers[:-1]) * us
         assert (held * 1000 >= np.array(each.gate_ns) + acquisition.settle_s * 1e9).all()
+    assert (max(us for _, us in library.lists) > 44) == (entries == 100)
     assert max(max(each.markers) for each in lists) > 3
 
     count_live(folder)

@@ -12,7 +12,7 @@ from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.ptu.records import marker_slack
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
-from hardware.ptu.ptu_samples import recorded, save
+from hardware.ptu.ptu_samples import END, T2, photon, recorded, save, special, tags_of
 
 TICK_S, SETTLE = 1e-12, 10e-6
 
@@ -151,6 +151,72 @@ def test_a_frame_of_several_pictures_begins_with_its_first_marker(tmp_path):
     opens = starts + round(SETTLE / TICK_S)
     closes = opens + np.rint(gates.lengths_s / TICK_S).astype(int)
     assert np.array_equal(counter.feed(path.read_bytes()).counts, count_gates(path, opens, closes))
+
+
+EVEN = np.full(8, 44e-6)
+UNEVEN = np.array([60e-6, 44e-6, 300e-6, 44e-6, 44e-6, 500e-6, 44e-6, 44e-6])
+
+
+def looks(pictures_s, lost=None, doubled=None, off_s=0.0):
+    """Bytes of two looks with a pause between, and a marker that is lost, doubled or off."""
+    starts = np.rint((1e-4 + np.cumsum([0, *pictures_s[:-1]])) / TICK_S).astype(np.int64)
+    starts = np.concatenate([starts, starts + 2 * 10**9])
+    if lost is not None:
+        starts = np.delete(starts, lost)
+    if doubled is not None:
+        starts = np.insert(starts, doubled, starts[doubled] + 15 * 10**6)
+    starts[3] += round(off_s / TICK_S)
+    photons = np.random.default_rng(0).integers(0, starts[-1] + 10**9, 20000)
+    times = np.sort(np.append(photons, starts))
+    words, wraps = [], 0
+    for time in times.tolist():
+        while time >> 25 > wraps:
+            words.append(special(63, 1))
+            wraps += 1
+        field = time & (1 << 25) - 1
+        words.append(special(1, field) if time in starts else photon(field))
+    return tags_of(T2, 0) + END + np.array(words, "<u4").tobytes()
+
+
+def see(content, shown_s, pictures_s):
+    counter = StreamCounter((0,), name="it")
+    gates = FrameGates(np.full(8, SETTLE), shown_s - 15e-6, np.ones(8, int), pictures_s)
+    counter.expect(gates)
+    counter.expect(gates)
+    return counter.feed(content).counts
+
+
+@pytest.mark.parametrize("shown_s", [EVEN, UNEVEN], ids=["even", "uneven"])
+@pytest.mark.parametrize("place", range(8))
+def test_a_marker_that_is_missing_or_doubled_shifts_no_frame(place, shown_s):
+    """Without the times of the pictures a missing one would be taken for the next."""
+    if shown_s is EVEN:
+        assert len(see(looks(shown_s, lost=place), shown_s, None)) == 14
+    for broken in ({"lost": place}, {"doubled": place}):
+        with pytest.raises(InputError, match="a marker is missing or one too many") as error:
+            see(looks(shown_s, **broken), shown_s, shown_s)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("place", range(8))
+def test_a_list_that_lacks_a_marker_is_never_counted_to_its_end(place):
+    """A loop that waits for the last mask's counts, before the all-OFF frame, waits in vain."""
+    content = looks(EVEN)
+    last = StreamCounter((0,))
+    last.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
+    assert len(last.feed(content[: len(content) // 2]).counts) == 8
+    counter = StreamCounter((0,))
+    counter.expect(FrameGates.of(SETTLE, EVEN - 15e-6))
+    lost = looks(EVEN, lost=place)
+    assert len(counter.feed(lost[: len(lost) // 2]).counts) == 6
+
+
+@pytest.mark.parametrize("shown_s", [EVEN, UNEVEN], ids=["even", "uneven"])
+def test_markers_that_are_a_little_off_and_clocks_that_differ_are_no_fault(shown_s):
+    for off_s in (-8e-6, 0.0, 8e-6):
+        assert len(see(looks(shown_s, off_s=off_s), shown_s, shown_s)) == 16
+    for planned_s in (shown_s * 1.015, shown_s * 0.985, shown_s + 5e-6):
+        assert len(see(looks(shown_s), shown_s, planned_s)) == 16
 
 
 @pytest.mark.parametrize(

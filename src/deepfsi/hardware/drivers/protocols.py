@@ -59,10 +59,11 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
 
-    def markers(self, dwells_s: np.ndarray) -> np.ndarray:
-        """Markers that frames give, (F,): more than 1 where they are repeated to be held so long.
+    def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pictures as which frames are shown that are held so long: how many, and each one's time.
 
-        Times (F,) are as for `show`.
+        Numbers (F,), more than 1 where a frame is repeated, and seconds (F,). Each picture gives a
+        marker. Times (F,) are as for `show`.
         """
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:

@@ -328,12 +328,13 @@ class VialuxLooks(_Board):
         self.trigger_s = trigger_s
         self._shortest_us = self._picture_us = self._frames = self._entries = 0
 
-    def markers(self, dwells_s: np.ndarray) -> np.ndarray:
-        """Markers that frames give, (F,): one each time that they are repeated.
+    def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Number of pictures as which each frame is shown, and each one's time, seconds.
 
         Raises `InputError` if nothing is loaded, or these times cannot be kept.
         """
-        return self._plan(dwells_s)[1]
+        picture_us, repeats = self._plan(dwells_s)
+        return repeats, np.full(len(repeats), self.trigger_s or picture_us * 1e-6)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show a list of frames when the last list has ended; may return before its end.
@@ -348,7 +349,7 @@ class VialuxLooks(_Board):
         Raises
         ------
         InputError
-            As `markers`; if there is no such frame, or the device refuses.
+            As `pictures`; if there is no such frame, or the device refuses.
         """
         picture_us, repeats = self._plan(dwells_s)
         if len(frames) != len(dwells_s) or not np.isin(frames, np.arange(self._frames)).all():

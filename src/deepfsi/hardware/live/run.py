@@ -233,8 +233,9 @@ class _Shower:
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         frames = np.append(asked.frames, OFF)
         pictures_s = self._pictures(asked)
-        markers = np.asarray(projector.markers(pictures_s), np.int64)
-        counter.expect(FrameGates(np.full(len(frames), self._settle_s), gates_s, markers))
+        markers, each_s = projector.pictures(pictures_s)
+        offsets_s = np.full(len(frames), self._settle_s)
+        counter.expect(FrameGates(offsets_s, gates_s, markers, each_s))
         projector.show(frames, pictures_s)
         counts = self._wait(len(asked.frames), float(pictures_s.sum()))
         self.lists.append(

@@ -1,8 +1,10 @@
 """Photons counted frame by frame while a recording runs, as soon as the gate of each has ended.
 
 A device gives a marker at the start of each frame, and the frames that it shows are told before
-they are: their gates, as times after their marker. Each marker starts the next of them. A gate has
-ended when a later record says that no earlier photon can follow: a photon, a marker or an overflow.
+they are: their gates, as times after their marker. Each marker starts the next of them, and must
+follow the one before as the times of the pictures say, so that one that is missing shifts no
+frames: it is noticed at the latest when the next list of frames begins. A gate has ended when a
+later record says that no earlier photon can follow: a photon, a marker or an overflow.
 """
 
 import os
@@ -17,6 +19,7 @@ from deepfsi.hardware.ptu.gate_counter import GateCounter
 from deepfsi.hardware.ptu.header import Kind
 from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part, marker_slack
 from deepfsi.hardware.ptu.stream import StreamReader
+from deepfsi.hardware.recording.clocks import MOST_EXTRA, MOST_RATE
 
 
 @dataclass(frozen=True)
@@ -30,14 +33,19 @@ class FrameGates:
     markers : array of int, shape (F,)
         Markers that a frame gives: more than one where it is shown as several pictures in a row.
         Its gate begins after the first.
+    pictures_s : array, shape (F,), or None
+        Time from each of its markers to the next one, seconds. The next list of frames may begin at
+        any time after the last. None where it is not known, and then not checked.
     """
 
     offsets_s: np.ndarray
     lengths_s: np.ndarray
     markers: np.ndarray
+    pictures_s: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        shapes = {each.shape for each in (self.offsets_s, self.lengths_s, self.markers)}
+        given = (self.offsets_s, self.lengths_s, self.markers, self.pictures_s)
+        shapes = {each.shape for each in given if each is not None}
         if len(shapes) > 1 or self.offsets_s.ndim != 1:
             raise InputError(f"gates of shapes {sorted(shapes)}: give one for each frame")
         if not (np.isfinite(self.lengths_s).all() and (self.lengths_s >= 0).all()):
@@ -78,6 +86,28 @@ class FrameCounts:
         return cls(np.concatenate(starts), np.concatenate(counts))
 
 
+@dataclass(frozen=True)
+class _Told:
+    """A frame that is still to come, in ticks.
+
+    Attributes
+    ----------
+    picture : int or None
+        Time from each of its markers to the next.
+    tolerance : int
+        By how much that may be off.
+    follows : bool
+        Whether it comes as soon as the frame before ends.
+    """
+
+    offset: int
+    length: int
+    markers: int
+    picture: int | None
+    tolerance: int
+    follows: bool
+
+
 class FrameCounter:
     """Counter of photons frame by frame.
 
@@ -106,15 +136,13 @@ class FrameCounter:
         self._tick_s, self._bit, self._name = tick_s, marker_bit, name
         self._slack = marker_slack(tick_s)
         self._gates = GateCounter(kind, inputs, name)
-        self._told: deque[tuple[int, int, int]] = deque()  # offset, length, markers
+        self._told: deque[_Told] = deque()
+        self._shown: _Told | None = None  # the frame whose marker came last
+        self._last = EARLIEST_TICK  # that marker
         self._skipped = 0  # markers to come of the frame that is shown
-        self._begun: deque[int] = deque()  # markers of frames whose gates have not ended
+        self._begun: deque[int] = deque()  # markers of frames whose counts were not given
+        self._counts = np.zeros((0, len(inputs)), np.int64)  # of those whose gates have ended
         self._stop = EARLIEST_TICK  # end of the last gate
-
-    @property
-    def waiting(self) -> int:
-        """Frames told whose gates have not ended."""
-        return len(self._told) + len(self._begun)
 
     def expect(self, gates: FrameGates) -> None:
         """Count frames that are shown after those before. To be told before they are shown.
@@ -129,14 +157,24 @@ class FrameCounter:
                 f"{self._slack * self._tick_s:g} s off: give frames a longer time to settle"
             )
         lengths = np.rint(gates.lengths_s / self._tick_s)
-        each = (offsets.astype(np.int64), lengths.astype(np.int64), gates.markers)
-        self._told.extend(zip(*(values.tolist() for values in each), strict=True))
+        times = [(each.astype(np.int64)).tolist() for each in (offsets, lengths)]
+        pictures: list[int | None] = [None] * len(gates)
+        tolerances = [0] * len(gates)
+        if gates.pictures_s is not None and len(gates):
+            ticks = gates.pictures_s / self._tick_s
+            pictures = np.rint(ticks).astype(np.int64).tolist()
+            off = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
+            tolerances = off.astype(np.int64).tolist()
+        follows = [False] + [True] * (len(gates) - 1)
+        each = (*times, gates.markers.tolist(), pictures, tolerances, follows)
+        self._told.extend(_Told(*frame) for frame in zip(*each, strict=False))
 
     def add(self, part: Part) -> FrameCounts:
-        """Count the next records; give the frames whose gates ended, in order.
+        """Count the next records; give the frames that have ended, in order.
 
-        Raises `InputError` if a record is damaged, a marker comes that starts no frame told, or
-        before the gate of the frame before has ended.
+        Those are the ones whose gates have ended, and after which the next of their list has begun.
+        Raises `InputError` if a record is damaged, or a marker comes that starts no frame told,
+        before the gate of the frame before has ended, or not when the picture before it ends.
         """
         part.check(self._name)
         times, bits = part.markers
@@ -144,29 +182,59 @@ class FrameCounter:
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
         self._gates.expect(gates[:, 0], gates[:, 1])
         self._gates.add(part)
-        counts = self._gates.take()
-        starts = [self._begun.popleft() for _ in counts]
-        return FrameCounts(np.array(starts, np.float64) * self._tick_s, counts)
+        counts = np.concatenate([self._counts, self._gates.take()])
+        held = 0 < len(counts) == len(self._begun) and self._followed
+        whole = len(counts) - held
+        self._counts = counts[whole:]
+        starts = [self._begun.popleft() for _ in range(whole)]
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, counts[:whole])
+
+    @property
+    def _followed(self) -> bool:
+        """True if the frame that is shown is not the last of its list."""
+        return bool(self._told) and self._told[0].follows
 
     def _begin(self, time: int) -> tuple[int, int] | None:
         """Gate of the frame that a marker starts, ticks; None if the marker starts none."""
+        if not (self._skipped or self._told):
+            raise InputError(
+                f"{self._describe(time)} that starts no frame: tell frames before they are shown, "
+                "and wire the trigger so that it comes once"
+            )
+        self._check_step(time, bool(self._skipped) or self._followed)
+        self._last = time
         if self._skipped:
             self._skipped -= 1
             return None
-        if not self._told:
+        self._shown = told = self._told.popleft()
+        start, self._skipped = time + told.offset, told.markers - 1
+        if start < self._stop:
             raise InputError(
-                f"{self._name} has a marker at {time * self._tick_s:.9g} s that starts no frame: "
-                "tell frames before they are shown, and wire the trigger so that it comes once"
+                f"{self._describe(time)}, before the gate of the frame before has ended: show "
+                "frames for longer, or count them for less"
             )
-        offset, length, markers = self._told.popleft()
-        if time + offset < self._stop:
-            raise InputError(
-                f"{self._name} has a marker at {time * self._tick_s:.9g} s, before the gate of the "
-                "frame before has ended: show frames for longer, or count them for less"
-            )
-        self._skipped, self._stop = markers - 1, time + offset + length
+        self._stop = start + told.length
         self._begun.append(time)
-        return time + offset, self._stop
+        return start, self._stop
+
+    def _check_step(self, time: int, follows: bool) -> None:
+        """Raise `InputError` if a marker does not come when the picture before it ends.
+
+        The first one of a list may come later.
+        """
+        shown, step = self._shown, time - self._last
+        if shown is None or shown.picture is None:
+            return
+        late = step - shown.picture
+        if abs(late) > shown.tolerance and (follows or late < 0):
+            raise InputError(
+                f"{self._describe(time)}, {step * self._tick_s:.4g} s after the one before, and "
+                f"that picture lasts {shown.picture * self._tick_s:.4g} s: a marker is missing or "
+                "one too many; look at the trigger"
+            )
+
+    def _describe(self, time: int) -> str:
+        return f"{self._name} has a marker at {time * self._tick_s:.9g} s"
 
 
 class StreamCounter:

@@ -159,9 +159,9 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
         check_patterns(folder, report)
         self._loaded = True
 
-    def markers(self, dwells_s: np.ndarray) -> np.ndarray:
-        """One marker for each frame."""
-        return np.ones(len(dwells_s), np.int64)
+    def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """One picture for each frame, of its time."""
+        return np.ones(len(dwells_s), np.int64), dwells_s
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show frames; the clock is then where their counts have come and are decided upon."""
