@@ -58,8 +58,10 @@ def test_each_decision_is_printed_and_a_replay_agrees(done, lab, tmp_path):
 
 
 def test_in_json(done, lab, tmp_path):
-    words = ["--scene", lab / "images", *LIGHT, "--until", 0.2, "-o", tmp_path / "run", "--json"]
+    words = ["--scene", lab / "images", *LIGHT, "--until", 0.2, "--dead-time", "20ns"]
+    words += ["-o", tmp_path / "run", "--json"]
     live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
+    assert read_acquisition(tmp_path / "run")[0].live.dead_time.seconds == 20e-9
     counted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
     assert [len(each) - 1 for each in counted["counts"]] == [each["looks"] for each in live]
     words = ["camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json"]

@@ -60,6 +60,8 @@ def camera_live(
     photons: Annotated[
         float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
     ] = None,
+    dead_time: options.DeadTime = None,
+    dead_time_model: options.DeadTimeModel = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     seed: Annotated[int, typer.Option(min=0, help="repeats exactly")] = 0,
@@ -86,6 +88,8 @@ def camera_live(
     from deepfsi.hardware.recording.acquisition import Scene
 
     told: dict[str, Any] = {"flux": flux or None, **options.wiring(inputs, marker)}
+    if dead := options.dead_time(dead_time, dead_time_model):
+        told["dead_time"] = dead
     if virtual:
         told |= {"seed": seed, "camera": camera.find_camera(settings).model_dump(mode="json")}
     with _patterns(source, as_json) as patterns:

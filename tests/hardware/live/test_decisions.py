@@ -10,10 +10,11 @@ from deepfsi.hardware.live.networks import read_loop
 from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
+from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual.detector import Detector
 
-EXPOSURE_S, FLUX = 10e-3, 1e13
-"""So much light that rounding and noise of counts are nothing."""
+EXPOSURE_S, FLUX = 10e-3, 1e7
 
 
 @pytest.fixture(scope="module", params=OPTICS)
@@ -30,7 +31,7 @@ def observe(patterns, rates, scenes=1, **settings):
     def count(scene):
         def counts(lists):
             asked.append(lists)
-            return np.rint(rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9).astype(int)
+            return rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9
 
         return counts
 
@@ -40,7 +41,7 @@ def observe(patterns, rates, scenes=1, **settings):
 
 def rates_of(patterns, digits, count=1, share=1.0):
     x, _ = scenes_of(digits, count)
-    return share * arrival_rates(patterns, x, CAMERAS["ideal"], FLUX / 10) * 10
+    return share * arrival_rates(patterns, x, CAMERAS["ideal"], FLUX)
 
 
 def test_dark_counts_change_no_decision(digits, patterns):
@@ -56,6 +57,20 @@ def test_dark_counts_change_no_decision(digits, patterns):
     for one, other in zip(asked, again, strict=True):
         assert np.array_equal(one.frames, other.frames)
         np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+
+
+@pytest.mark.parametrize("paralysable", [False, True])
+def test_dead_time_changes_no_decision_where_it_is_known(digits, patterns, paralysable):
+    """A counter that is blind for a fifth of the time at all ON, with the law that it keeps."""
+    rates, dead = rates_of(patterns, digits), DeadTime(seconds=25e-9, paralysable=paralysable)
+    detector = Detector(dead_time_s=dead.seconds, paralysable=paralysable)
+    (clean,), _ = observe(patterns, rates)
+    (corrected,), _ = observe(patterns, detector.registered(rates), dead_time=dead)
+    (blind,), _ = observe(patterns, detector.registered(rates))
+    for one, other in zip(clean, corrected, strict=True):
+        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
+        assert other.photons == pytest.approx(one.photons, rel=1e-6)
+    assert blind[-1].photons < 0.96 * clean[-1].photons
 
 
 def test_light_changes_no_decision(digits, patterns):

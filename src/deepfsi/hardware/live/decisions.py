@@ -6,7 +6,8 @@ decisions, bit by bit.
 
 Each scene begins with an all-ON and an all-OFF frame. The budget is the flux of the all-ON frames
 of all scenes so far, as scenes differ in brightness and a dim one is to stay dim; the dark counts
-are those of the all-OFF frames so far.
+are those of the all-OFF frames so far. Counts are corrected for dead time frame by frame, at the
+rate of each; beyond the rate up to which that is sure, as at that rate.
 """
 
 from collections.abc import Callable, Iterator
@@ -120,7 +121,7 @@ class Observer:
             Asked for the counts of a list of frames, one list after another.
         """
         about = self.loop.about
-        self._lit.add(count(self._sentinels), self._sentinels.gate_ns)
+        self._lit.add(self._arrivals(count, self._sentinels), self._sentinels.gate_ns)
         exposure_s = self._exposure_ns * 1e-9
         photons = self._settings.photons or self._lit.flux * exposure_s
         if photons <= 0:
@@ -130,7 +131,7 @@ class Observer:
         inputs = self.loop.inputs(features, dwell)
         for look in range(about.looks):
             shown, gates = self._frames_of(self.loop.choose(inputs, look, shortest), look)
-            counts = self._by_rail(count(shown), shown)
+            counts = self._by_rail(self._arrivals(count, shown), shown)
             features += self.loop.features(counts) / photons
             dwell += gates / self._exposure_ns
             light_ns += int(shown.gate_ns.sum())
@@ -140,6 +141,14 @@ class Observer:
             yield Decision(scene, look, chances, float(photons), light_ns * 1e-9, final)
             if final:
                 return
+
+    def _arrivals(self, count: Count, asked: FrameList) -> np.ndarray:
+        """Photons (F, inputs) that arrived in the gates of a list, of those that were counted."""
+        counts, dead = count(asked), self._settings.dead_time
+        if not dead.seconds:
+            return counts
+        rates = np.minimum(counts / (asked.gate_ns * 1e-9)[:, None], dead.most_registered)
+        return counts * dead.correction(rates).arrivals
 
     def _frames_of(self, asked: np.ndarray, look: int) -> tuple[FrameList, np.ndarray]:
         """Frames of a look, and the gates (q,) of all, for dwells that are asked for."""
@@ -166,7 +175,7 @@ class _Lit:
 
     def __init__(self, manifest: Manifest) -> None:
         self._arm, self._two = manifest.detector_count, manifest.two_arm
-        self._counts = np.zeros((2, manifest.inputs), np.int64)
+        self._counts = np.zeros((2, manifest.inputs))
         self._ns = np.zeros(2, np.int64)
 
     def add(self, counts: np.ndarray, gate_ns: np.ndarray) -> None:

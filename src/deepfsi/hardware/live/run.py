@@ -23,6 +23,7 @@ from deepfsi.hardware.live.settings import MARGIN_NS, Live
 from deepfsi.hardware.patterns.folder import LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
+from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.streaming import FrameGates
 
 PATIENCE_S = 5.0
@@ -77,6 +78,7 @@ def plan_live(
     shortest_s: float | None = None,
     photons: float | None = None,
     until: float | None = None,
+    dead_time: DeadTime = NO_DEAD_TIME,
     **others: object,
 ) -> Acquisition:
     """Settings of a live run of the patterns in a folder.
@@ -95,6 +97,8 @@ def plan_live(
         Budget of an exposure in counts, where it is known.
     until : float, optional
         Confidence above which an exposure stops; the design's own rule unless given, if it has one.
+    dead_time : DeadTime
+        Of the counter, to be corrected for.
     **others
         Further fields of `Acquisition`.
 
@@ -124,7 +128,7 @@ def plan_live(
         exposure_s=exposure_s,
         settle_s=manifest.device.settle_us * 1e-6,
         repeats=1,
-        live=Live(shortest_ns=shortest_ns, photons=photons, rule=rule),
+        live=Live(shortest_ns=shortest_ns, photons=photons, rule=rule, dead_time=dead_time),
         **{"inputs": tuple(range(manifest.inputs)), **others},
     )
 

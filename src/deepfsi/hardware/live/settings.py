@@ -3,6 +3,7 @@
 from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.hardware.live.networks import StopRule
+from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000
 """Time by which a picture outlasts its gate, so that clocks may differ and markers be off, ns."""
@@ -19,6 +20,8 @@ class Live(BaseModel):
         Budget of an exposure where it is known; that of the all-ON frames so far if None.
     rule : StopRule or None
         When an exposure stops; never before its last look if None.
+    dead_time : DeadTime
+        Of the counter, to be corrected for.
     latencies : dict or None
         Of virtual devices, seconds.
     """
@@ -28,4 +31,5 @@ class Live(BaseModel):
     shortest_ns: int = Field(ge=1)
     photons: float | None = Field(None, gt=0, allow_inf_nan=False)
     rule: StopRule | None = None
+    dead_time: DeadTime = NO_DEAD_TIME
     latencies: dict[str, float] | None = None
