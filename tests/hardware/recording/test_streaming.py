@@ -182,6 +182,7 @@ def see(content, shown_s, pictures_s):
     counter = StreamCounter((0,), name="it")
     gates = FrameGates(np.full(8, SETTLE), shown_s - 15e-6, np.ones(8, int), pictures_s)
     counter.expect(gates)
+    counter.expect(FrameGates.of(SETTLE, []))
     counter.expect(gates)
     return counter.feed(content).counts
 

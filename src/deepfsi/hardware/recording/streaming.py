@@ -11,6 +11,7 @@ import os
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,8 +87,7 @@ class FrameCounts:
         return cls(np.concatenate(starts), np.concatenate(counts))
 
 
-@dataclass(frozen=True)
-class _Told:
+class _Told(NamedTuple):
     """A frame that is still to come, in ticks.
 
     Attributes
@@ -157,7 +157,7 @@ class FrameCounter:
                 f"{self._slack * self._tick_s:g} s off: give frames a longer time to settle"
             )
         lengths = np.rint(gates.lengths_s / self._tick_s)
-        times = [(each.astype(np.int64)).tolist() for each in (offsets, lengths)]
+        times = [each.astype(np.int64).tolist() for each in (offsets, lengths)]
         pictures: list[int | None] = [None] * len(gates)
         tolerances = [0] * len(gates)
         if gates.pictures_s is not None and len(gates):
@@ -165,9 +165,9 @@ class FrameCounter:
             pictures = np.rint(ticks).astype(np.int64).tolist()
             off = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
             tolerances = off.astype(np.int64).tolist()
-        follows = [False] + [True] * (len(gates) - 1)
+        follows = [place > 0 for place in range(len(gates))]
         each = (*times, gates.markers.tolist(), pictures, tolerances, follows)
-        self._told.extend(_Told(*frame) for frame in zip(*each, strict=False))
+        self._told.extend(map(_Told._make, zip(*each, strict=True)))
 
     def add(self, part: Part) -> FrameCounts:
         """Count the next records; give the frames that have ended, in order.
