@@ -46,8 +46,8 @@ def camera_live(
     latency: Annotated[
         list[str] | None,
         typer.Option(
-            help="NAME=TIME of a virtual device: display, command, trigger, block, transfer or "
-            "decision, such as command=1ms"
+            help="NAME=TIME of a virtual device: load, display, command, trigger, block, transfer "
+            "or decision, such as command=1ms"
         ),
     ] = None,
     until: Annotated[

@@ -23,12 +23,12 @@ OPTICS = {
 }
 
 
-def make_patterns(folder: Path, digits, optics: str = "single", **settings) -> Path:
+def make_patterns(folder: Path, digits, optics: str = "single", device=None, **settings) -> Path:
     """Folder of patterns of a design of several looks, on a small device."""
     words = {"masks": 6, "looks": LOOKS, "photons": 1e4, "epochs": 4, **OPTICS[optics], **settings}
     design = quick(digits, **words)
     design.save(folder / "looks.safetensors")
-    frames = FrameSettings(find_device("64x48"), 1e-3)
+    frames = FrameSettings(device or find_device("64x48"), 1e-3)
     export_patterns(design_rails(folder / "looks.safetensors"), frames, folder / "patterns")
     return folder / "patterns"
 

@@ -13,6 +13,7 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.live.replay import count_live, read_live_counts, replay_run
 from deepfsi.hardware.live.shown import NAME, read_shown
+from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies
@@ -312,6 +313,17 @@ def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path, setting
     with pytest.raises(InputError, match=words):
         live(tmp_path / "run", patterns, digits, **settings)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [({"video_us": 8333}, "for one time"), ({"longest_us": 3000}, "for 3000 at most")],
+)
+def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, words):
+    device = find_device("64x48").model_copy(update=limits)
+    patterns = make_patterns(tmp_path, digits, epochs=1, device=device)
+    with pytest.raises(InputError, match=words):
+        live(tmp_path / "run", patterns, digits)
 
 
 def test_a_live_run_is_none_of_fixed_frames(run):

@@ -134,8 +134,22 @@ def plan_live(
 
 
 def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:
-    """Shortest gate of a run, ns, for looks of some length; `InputError` if they are shorter."""
+    """Shortest gate of a run, ns, for looks of some length.
+
+    Raises `InputError` if a look is shorter, or the device cannot show what one may ask for.
+    """
     device = manifest.device
+    if device.video_us is not None:
+        raise InputError(
+            f"{device.name} shows all frames for one time, and looks choose theirs: export for a "
+            "device that stores frames, such as dlp7000"
+        )
+    longest_us = look_s * 1e6 + device.settle_us + MARGIN_NS * 1e-3
+    if longest_us > device.longest_us:
+        raise InputError(
+            f"a look may show one mask for {longest_us:.4g} µs, and {device.name} holds a picture "
+            f"for {device.longest_us} at most: give a shorter `exposure`"
+        )
     least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
     if shortest_s is not None and not shortest_s >= 0:
         raise InputError(f"a shortest dwell of {shortest_s!r} is not allowed: give 0 or more")

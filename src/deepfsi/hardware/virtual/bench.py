@@ -32,6 +32,8 @@ class Latencies(BaseModel):
 
     Attributes
     ----------
+    load : float
+        Of each pattern into the device, once before the first scene.
     display : float
         Until the display shows another scene, and it has settled.
     command : float
@@ -48,6 +50,7 @@ class Latencies(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    load: float = Field(3.3e-3, ge=0, le=1e3)
     display: float = Field(20e-3, ge=0, le=1e3)
     command: float = Field(1e-3, ge=0, le=1e3)
     trigger: float = Field(0.0, ge=0, le=1e-6)
@@ -156,7 +159,8 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
-        check_patterns(folder, report)
+        frames = len(check_patterns(folder, report).manifest.frames)
+        self._laboratory.now_s += frames * self._laboratory.latencies.load
         self._loaded = True
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
