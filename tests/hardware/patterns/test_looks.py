@@ -48,6 +48,7 @@ def test_each_frame_is_there_once_with_the_first_look_s_time(patterns):
     assert len(set(rails)) == len(rails)
     assert (looks.count, looks.each_rail) == (LOOKS, design.exposure.dwells.each_rail)
     np.testing.assert_allclose(looks.first, loop.first)
+    assert looks.shortest == design.exposure.shortest
     places = looks.places(
         np.array([mask for mask, _ in rails]), np.array([rail == "minus" for _, rail in rails])
     )

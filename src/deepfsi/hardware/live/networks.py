@@ -162,6 +162,7 @@ class Loop:
             count=self.about.looks,
             each_rail=self.about.each_rail,
             first=tuple(self.first.tolist()),
+            shortest=self.about.shortest,
             loop_sha256=sha256(self.to_bytes()).hexdigest(),
         )
 

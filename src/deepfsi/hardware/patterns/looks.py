@@ -23,6 +23,8 @@ class Looks(BaseModel):
         Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those
         of later ones are chosen from the counts so far: mask by mask, and those of a mask's two
         rails follow one another.
+    shortest : float
+        Shortest dwell that the design was learned for, a share of the exposure.
     loop_sha256 : str
         Of `loop.safetensors`, the networks that choose them.
     """
@@ -32,6 +34,7 @@ class Looks(BaseModel):
     count: int = Field(ge=2, le=64)
     each_rail: bool
     first: tuple[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)], ...]
+    shortest: float = Field(ge=0, lt=1)
     loop_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")
