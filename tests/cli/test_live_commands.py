@@ -142,6 +142,11 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
         ("--exposure 0", "seconds above 0"),
         ("--flux 1e14", "flux"),
         ("--flux 1e12", "--yes"),
+        ("--flux -1", "flux"),
+        ("--input 1 --input 1", "an input of its own"),
+        ("--input 1 --input 2", "2 inputs"),
+        ("--input 40 --input 41", "inputs"),
+        ("--exposure 1e9s", "hold"),
     ],
 )
 def test_bad_words_are_refused_in_one_line(refuse, lab, tmp_path, words, message):

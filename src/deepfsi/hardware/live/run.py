@@ -14,7 +14,7 @@ from typing import TextIO
 
 import numpy as np
 
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.hardware.drivers.protocols import StreamingCounter, StreamingProjector
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import OFF, Decision, FrameList, Observer
@@ -117,20 +117,26 @@ def plan_live(
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    rule = read_loop(patterns_folder / LOOP).about.rule
-    if until is not None:
-        if not 0 < until < 1:
-            raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
-        rule = StopRule(temperatures=rule.temperatures if rule else (), threshold=until)
+    rule = _find_rule(read_loop(patterns_folder / LOOP).about.rule, until)
     shortest_ns = _shortest_gate(manifest, exposure_s / manifest.looks.count, shortest_s)
-    return Acquisition(
-        scenes=scenes,
-        exposure_s=exposure_s,
-        settle_s=manifest.device.settle_us * 1e-6,
-        repeats=1,
-        live=Live(shortest_ns=shortest_ns, photons=photons, rule=rule, dead_time=dead_time),
-        **{"inputs": tuple(range(manifest.inputs)), **others},
-    )
+    with as_input_error():
+        return Acquisition(
+            scenes=scenes,
+            exposure_s=exposure_s,
+            settle_s=manifest.device.settle_us * 1e-6,
+            repeats=1,
+            live=Live(shortest_ns=shortest_ns, photons=photons, rule=rule, dead_time=dead_time),
+            **{"inputs": tuple(range(manifest.inputs)), **others},
+        )
+
+
+def _find_rule(own: StopRule | None, until: float | None) -> StopRule | None:
+    """Rule of a run: the design's own, or one of a confidence, with its temperatures."""
+    if until is None:
+        return own
+    if not 0 < until < 1:
+        raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
+    return StopRule(temperatures=own.temperatures if own else (), threshold=until)
 
 
 def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:
