@@ -31,7 +31,7 @@ from deepfsi import Dataset, Design, learn, load_dataset
 from deepfsi.design.exposure import Exposure
 from deepfsi.files import write_atomically
 from deepfsi.optics.constraints import frames
-from deepfsi.report.style import COLOURS, styled
+from deepfsi.report.style import COLOURS, photons_text, styled
 from deepfsi.statistics.intervals import wilson
 
 PICTURE_S, SETTLE_S = 44e-6, 10e-6
@@ -143,7 +143,7 @@ def figure(results: list[dict[str, float]]) -> Figure:
             times = [clock_s(found, latency) for found in own]
             heights = [found["accuracy"] for found in own]
             panel.plot(times, heights, color=colour, marker=marker, markersize=4, label=name)
-        panel.set_title(f"{words}, {flux:.0e} photons/s".replace("e+0", "e"))
+        panel.set_title(f"{photons_text(flux)} photons/s, {words}")
         panel.set_xscale("log")
         panel.set_ylim(0, 1)
         panel.grid(True)
