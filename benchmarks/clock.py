@@ -2,7 +2,7 @@
 
     python benchmarks/clock.py -o runs/clock                           # hours on two cores
     python benchmarks/clock.py -o runs/clock --flux 1e6 --looks 1 4    # part of it
-    python benchmarks/clock.py -o runs/clock --figure docs/figures/clock-time.png
+    python benchmarks/clock.py -o runs/clock --there --figure docs/figures/clock-time.png
 
 Each frame of one device takes its dwell and the time in which the mirrors settle, and no picture is
 shorter than the device's shortest one. Between two looks the loop takes a latency: the last frame's
@@ -19,10 +19,12 @@ time for each. Finished trainings stay in the folder, and are not repeated.
 
 import argparse
 import json
+import math
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
@@ -36,6 +38,9 @@ from deepfsi.statistics.intervals import wilson
 
 PICTURE_S, SETTLE_S = 44e-6, 10e-6
 """Shortest picture time and settling time of a DLP7000, seconds."""
+
+LIGHT_S = [1e-3, 3e-3, 1e-2, 3e-2, 0.1, 1.0]
+"""Light times, seconds."""
 
 SHORTEST_S = PICTURE_S - SETTLE_S
 """Shortest dwell, seconds."""
@@ -92,10 +97,15 @@ def frames_shown(design: Design, looks: list[Exposure]) -> float:
     return float((totals.diff(dim=0) > SHORTEST_S / 1e6).float().sum(dim=(0, 2)).mean())
 
 
+def path_of(folder: Path, point: dict[str, float], masks: int, epochs: int) -> Path:
+    flux, light_s, looks = point["flux"], point["light_s"], int(point["looks"])
+    return folder / f"{flux:g}-{light_s:g}-{looks}-{masks}-{epochs}.json"
+
+
 def measure(folder: Path, data: Dataset, point: dict[str, float], masks: int, epochs: int) -> dict:
     """Accuracy and frames of one point, from the folder where they are already there."""
     flux, light_s, looks = point["flux"], point["light_s"], int(point["looks"])
-    path = folder / f"{flux:g}-{light_s:g}-{looks}-{masks}-{epochs}.json"
+    path = path_of(folder, point, masks, epochs)
     if not path.exists():
         photons = flux * light_s
         design = train(data, photons, light_s, looks, masks, epochs)
@@ -129,9 +139,36 @@ def table(results: list[dict[str, float]]) -> str:
     return "\n".join(rows)
 
 
+def reached(results: list[dict[str, float]], target: float) -> str:
+    """Table of the clock times in which an accuracy is reached, between two light times each."""
+    heads = [LINES[looks][0] for looks in LINES]
+    rows = [f"| photons/s | latency | {' | '.join(heads)} |", "| --- " * (len(heads) + 2) + "|"]
+    for flux, (latency, words) in product(fluxes_of(results), LATENCIES.items()):
+        times = [reach(results, flux, looks, latency, target) for looks in LINES]
+        cells = ["–" if math.isnan(time) else f"{time * 1e3:.3g}" for time in times]
+        rows.append(f"| {flux:g} | {words} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def reach(
+    results: list[dict[str, float]], flux: float, looks: int, latency: float, target: float
+) -> float:
+    """Clock time, seconds, at which an accuracy is reached; not a number if none of these is."""
+    own = [found for found in results if found["flux"] == flux and found["looks"] == looks]
+    if not own:
+        return math.nan
+    heights = np.maximum.accumulate([found["accuracy"] for found in own])
+    times = np.log([clock_s(found, latency) for found in own])
+    return float(np.exp(np.interp(target, heights, times, left=math.nan, right=math.nan)))
+
+
+def fluxes_of(results: list[dict[str, float]]) -> list[float]:
+    return sorted({found["flux"] for found in results})
+
+
 @styled
 def figure(results: list[dict[str, float]]) -> Figure:
-    fluxes = sorted({found["flux"] for found in results})
+    fluxes = fluxes_of(results)
     drawn = Figure(figsize=(3.1 * len(fluxes), 7.2), layout="constrained")
     axes = drawn.subplots(len(LATENCIES), len(fluxes), sharex=True, sharey=True, squeeze=False)
     for (row, (latency, words)), (column, flux) in product(
@@ -161,10 +198,12 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--data", default="mnist")
     parser.add_argument("--flux", type=float, nargs="+", default=[1e5, 1e6, 1e7])
-    parser.add_argument("--light", type=float, nargs="+", default=[1e-3, 1e-2, 0.1, 1.0])
+    parser.add_argument("--light", type=float, nargs="+", default=LIGHT_S)
     parser.add_argument("--looks", type=int, nargs="+", default=list(LINES), help="0: raster scan")
     parser.add_argument("--masks", type=int, default=32)
     parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--reach", type=float, default=0.85, help="accuracy of the second table")
+    parser.add_argument("--there", action="store_true", help="show what is measured, and no more")
     parser.add_argument("--figure", type=Path)
     arguments = parser.parse_args(words)
 
@@ -174,9 +213,11 @@ def main(words: list[str] | None = None) -> None:
     for looks, light_s, flux in product(arguments.looks, arguments.light, arguments.flux):
         if possible(light_s, looks, data.pixels):
             point = {"flux": flux, "light_s": light_s, "looks": looks}
-            results.append(measure(arguments.out, data, point, arguments.masks, arguments.epochs))
+            how = arguments.masks, arguments.epochs
+            if path_of(arguments.out, point, *how).exists() or not arguments.there:
+                results.append(measure(arguments.out, data, point, *how))
     results.sort(key=lambda found: (found["flux"], found["light_s"], found["looks"]))
-    print(table(results))
+    print(table(results), reached(results, arguments.reach), sep="\n\n")
     if arguments.figure:
         figure(results).savefig(arguments.figure)
 
