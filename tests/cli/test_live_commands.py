@@ -143,6 +143,7 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
         ("--flux 1e14", "flux"),
         ("--flux 1e12", "--yes"),
         ("--flux -1", "flux"),
+        ("--flux 0", "a flux above 0"),
         ("--input 1 --input 1", "an input of its own"),
         ("--input 1 --input 2", "2 inputs"),
         ("--input 40 --input 41", "inputs"),
@@ -157,6 +158,17 @@ def test_bad_words_are_refused_in_one_line(refuse, lab, tmp_path, words, message
 def test_virtual_devices_need_a_flux(refuse, lab, tmp_path):
     words = ["--scene", lab / "images", "--exposure", "10ms", "-o", tmp_path / "run"]
     assert "--flux" in refuse("camera", "live", lab / "patterns", *words)
+
+
+def test_a_run_in_which_no_scene_has_light_ends_with_an_error(call, lab, tmp_path):
+    """Its scenes are named, and its folder is kept."""
+    words = ["--scene", lab / "images", "--exposure", "10ms", "--flux", "1e-9", "--camera", "ideal"]
+    run = ["camera", "live", lab / "patterns", *words, "-o", tmp_path / "run"]
+    code, out, errors = call(*map(str, run))
+    assert code == 2
+    assert {line.rpartition(": ")[2] for line in out.splitlines()} == {"no light"}
+    assert "no scene of" in errors
+    assert (tmp_path / "run" / "photons.ptu").exists()
 
 
 def test_designs_and_runs_that_do_not_fit_are_refused(refuse, done, lab, made, tmp_path):

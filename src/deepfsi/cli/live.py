@@ -55,7 +55,10 @@ def camera_live(
         typer.Option(help="confidence above which an exposure stops; as the design has it if none"),
     ] = None,
     shortest_dwell: Annotated[
-        str | None, typer.Option(help="frames below it are not shown; the device's if none")
+        str | None,
+        typer.Option(
+            help="frames below it are not shown; at least the device's, and the design's share"
+        ),
     ] = None,
     photons: Annotated[
         float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
@@ -80,8 +83,8 @@ def camera_live(
     virtual = projector == "virtual"
     if virtual != (counter == "virtual"):
         raise InputError("virtual and real devices do not go together: give both, or neither")
-    if virtual and flux is None:
-        raise InputError("virtual devices need a flux: give --flux, such as --flux 1e6")
+    if virtual and not (flux or 0.0) > 0:
+        raise InputError("virtual devices need a flux above 0: give --flux, such as --flux 1e6")
     times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
     shortest_s = options.optional_seconds("shortest-dwell", shortest_dwell)
     from deepfsi.hardware.live.run import plan_live, run_live
@@ -223,7 +226,12 @@ class _Table:
             print(_line(row, self._acquisition.exposure_s), flush=True)
 
     def finish(self, folder: Path, preprocessing: str) -> None:
-        """Print the sum of all, or all as JSON."""
+        """Print the sum of all, or all as JSON; `InputError` if no scene has light."""
+        if all(row["class"] is None for row in self._rows):
+            raise InputError(
+                f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
+                "ones; check the lamp and the inputs, or export with a longer --dwell"
+            )
         if self._as_json:
             common.print_json(
                 "camera.live",

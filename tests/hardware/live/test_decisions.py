@@ -5,6 +5,7 @@ import pytest
 from live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
 from deepfsi.hardware.live.decisions import SENTINELS, Observer
 from deepfsi.hardware.live.networks import read_loop
 from deepfsi.hardware.live.run import plan_live
@@ -92,6 +93,25 @@ def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):
     assert [each.look for each in asked] == 3 * [SENTINELS, *range(LOOKS)]
 
 
+def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):
+    rates = rates_of(patterns, digits, 4) + 1e5
+    rates[:2] = 1e5
+    decided, _ = observe(patterns, rates, 4)
+    assert [len(each) for each in decided] == [0, 0, LOOKS, LOOKS]
+    (alone, *_), _ = observe(patterns, rates[2:], 2)
+    assert decided[2][-1].photons == pytest.approx(alone[-1].photons, rel=1e-6)
+
+
+@pytest.mark.parametrize("paralysable", [False, True])
+def test_an_all_on_frame_too_bright_for_its_dead_time_ends_the_run(digits, patterns, paralysable):
+    dead = DeadTime(seconds=1e-6, paralysable=paralysable)
+    rates = rates_of(patterns, digits)
+    rates *= 1.01 * dead.most_registered / rates.max()
+    with pytest.raises(InputError, match="corrected up to"):
+        observe(patterns, rates, dead_time=dead)
+    observe(patterns, 0.98 * rates, dead_time=dead)
+
+
 def test_a_known_budget_is_taken(digits, patterns):
     rates = rates_of(patterns, digits)
     (own,), _ = observe(patterns, rates)
@@ -106,6 +126,8 @@ def test_a_design_s_own_shortest_dwell_is_kept(digits, tmp_path):
     patterns = make_patterns(tmp_path, digits, shortest_dwell=0.1, epochs=1)
     _, asked = observe(patterns, rates_of(patterns, digits))
     gates = np.concatenate([each.gate_ns for each in asked if each.look >= 0])
+    acquisition = plan_live(patterns, scenes_of(digits, 1)[1], EXPOSURE_S)
+    assert acquisition.live.shortest_ns == round(0.1 * EXPOSURE_S * 1e9)
     assert gates.min() >= 0.1 * EXPOSURE_S * 1e9 * (1 - 1e-5)
 
 

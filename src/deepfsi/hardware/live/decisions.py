@@ -4,10 +4,13 @@ One code serves a run and its replay. It asks for the counts of a list of frames
 count them, or a recording is looked up. So a replay that is given the same counts comes to the same
 decisions, bit by bit.
 
-Each scene begins with an all-ON and an all-OFF frame. The budget is the flux of the all-ON frames
-of all scenes so far, as scenes differ in brightness and a dim one is to stay dim; the dark counts
-are those of the all-OFF frames so far. Counts are corrected for dead time frame by frame, at the
-rate of each; beyond the rate up to which that is sure, as at that rate.
+Each scene begins with an all-ON and an all-OFF frame. A scene whose all-ON frame is no brighter
+than the all-OFF ones has no light, and gets no class. The budget is the flux of the all-ON frames
+of all lit scenes so far, as scenes differ in brightness and a dim one is to stay dim; the dark
+counts are those of the all-OFF frames so far.
+
+Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
+rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,9 +24,13 @@ from deepfsi.hardware.live.settings import MARGIN_NS
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
+from deepfsi.hardware.recording.tails import excess_chance
 
 ON, OFF = 0, 1
 """Places of the all-ON and the all-OFF frame among the frames of a manifest."""
+
+NO_LIGHT = 0.01
+"""Chance at most by which a scene without light is taken for one with light."""
 
 SENTINELS = -1
 """Number of the list of frames that begins each scene."""
@@ -121,11 +128,10 @@ class Observer:
             Asked for the counts of a list of frames, one list after another.
         """
         about = self.loop.about
-        self._lit.add(self._arrivals(count, self._sentinels), self._sentinels.gate_ns)
-        exposure_s = self._exposure_ns * 1e-9
-        photons = self._settings.photons or self._lit.flux * exposure_s
-        if photons <= 0:
+        arrivals = self._arrivals(count, self._sentinels)
+        if not self._lit.add(arrivals, self._sentinels.gate_ns):
             return
+        photons = self._settings.photons or self._lit.flux * self._exposure_ns * 1e-9
         features, dwell, light_ns = np.zeros(about.features), np.zeros(about.frames), 0
         shortest = self._settings.shortest_ns / self._exposure_ns
         inputs = self.loop.inputs(features, dwell)
@@ -147,8 +153,13 @@ class Observer:
         counts, dead = count(asked), self._settings.dead_time
         if not dead.seconds:
             return counts
-        rates = np.minimum(counts / (asked.gate_ns * 1e-9)[:, None], dead.most_registered)
-        return counts * dead.correction(rates).arrivals
+        rates, most = counts / (asked.gate_ns * 1e-9)[:, None], dead.most_registered
+        if asked.look == SENTINELS and rates.max() > most:
+            raise InputError(
+                f"an all-ON frame has {rates.max():.3g} counts/s, and a dead time of {dead}, is "
+                f"corrected up to {most:.3g}: dim the light, or give the counter's own dead time"
+            )
+        return counts * dead.correction(np.minimum(rates, most)).arrivals
 
     def _frames_of(self, asked: np.ndarray, look: int) -> tuple[FrameList, np.ndarray]:
         """Frames of a look, and the gates (q,) of all, for dwells that are asked for."""
@@ -171,17 +182,23 @@ class Observer:
 
 
 class _Lit:
-    """Flux and dark counts of the all-ON and all-OFF frames so far."""
+    """Flux and dark counts of the all-ON frames of lit scenes and the all-OFF frames so far."""
 
     def __init__(self, manifest: Manifest) -> None:
         self._arm, self._two = manifest.detector_count, manifest.two_arm
         self._counts = np.zeros((2, manifest.inputs))
         self._ns = np.zeros(2, np.int64)
 
-    def add(self, counts: np.ndarray, gate_ns: np.ndarray) -> None:
-        """Count the all-ON and all-OFF frame of a scene, (2, inputs)."""
-        self._counts += counts
-        self._ns += gate_ns
+    def add(self, counts: np.ndarray, gate_ns: np.ndarray) -> bool:
+        """Count the all-ON and all-OFF frame of a scene, (2, inputs); true if it has light."""
+        self._counts[OFF] += counts[OFF]
+        self._ns[OFF] += gate_ns[OFF]
+        on, off = (each[: self._arm].sum() for each in (counts[ON], self._counts[OFF]))
+        if excess_chance(on, gate_ns[ON], off, self._ns[OFF]) > NO_LIGHT:
+            return False
+        self._counts[ON] += counts[ON]
+        self._ns[ON] += gate_ns[ON]
+        return True
 
     @property
     def _rates(self) -> np.ndarray:

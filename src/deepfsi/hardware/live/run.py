@@ -91,8 +91,8 @@ def plan_live(
     exposure_s : float
         Of all looks together, seconds.
     shortest_s : float, optional
-        Shortest dwell; what the device's shortest picture leaves after settling unless given, and
-        not less.
+        Shortest dwell; not less than what the device's shortest picture leaves after settling, or
+        than the share of the exposure that the design was learned for.
     photons : float, optional
         Budget of an exposure in counts, where it is known.
     until : float, optional
@@ -117,8 +117,10 @@ def plan_live(
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    rule = _find_rule(read_loop(patterns_folder / LOOP).about.rule, until)
+    about = read_loop(patterns_folder / LOOP).about
+    rule = _find_rule(about.rule, until)
     shortest_ns = _shortest_gate(manifest, exposure_s / manifest.looks.count, shortest_s)
+    shortest_ns = max(shortest_ns, round(about.shortest * exposure_s * 1e9))
     with as_input_error():
         return Acquisition(
             scenes=scenes,
