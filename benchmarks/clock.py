@@ -94,7 +94,7 @@ def frames_shown(design: Design, looks: list[Exposure]) -> float:
     if looks[-1].dwell is None:
         return float(len(frames(design.rails)))
     totals = torch.stack([torch.zeros_like(looks[0].dwell), *(seen.dwell for seen in looks)])
-    return float((totals.diff(dim=0) > SHORTEST_S / 1e6).float().sum(dim=(0, 2)).mean())
+    return float((totals.diff(dim=0) > 0).float().sum(dim=(0, 2)).mean())
 
 
 def path_of(folder: Path, point: dict[str, float], masks: int, epochs: int) -> Path:
@@ -104,11 +104,10 @@ def path_of(folder: Path, point: dict[str, float], masks: int, epochs: int) -> P
 
 def measure(folder: Path, data: Dataset, point: dict[str, float], masks: int, epochs: int) -> dict:
     """Accuracy and frames of one point, from the folder where they are already there."""
-    flux, light_s, looks = point["flux"], point["light_s"], int(point["looks"])
     path = path_of(folder, point, masks, epochs)
     if not path.exists():
-        photons = flux * light_s
-        design = train(data, photons, light_s, looks, masks, epochs)
+        light_s, photons = point["light_s"], point["flux"] * point["light_s"]
+        design = train(data, photons, light_s, int(point["looks"]), masks, epochs)
         accuracy, shown = test(design, data, photons)
         found = {**point, "accuracy": accuracy, "frames": shown, "images": len(data.y_test)}
         write_atomically(path, json.dumps(found).encode())

@@ -16,8 +16,8 @@ from conftest import quick
 from deepfsi.cli import app
 from deepfsi.datasets import write_pictures
 from deepfsi.design.artifact import Design
-from deepfsi.hardware.live.networks import StopRule
 from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.live_settings import StopRule
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--camera", "ideal"]
 

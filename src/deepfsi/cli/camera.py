@@ -41,22 +41,18 @@ EVENT_BYTES = 4
 @camera.command("simulate")
 def camera_simulate(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
-    scene: Annotated[
-        Path, typer.Option(help="image, folder of images, or one with a folder for each class")
-    ],
+    scene: options.Scenes,
     flux: Annotated[
         float, typer.Option(help="photons/s on the device, for the mean training scene")
     ],
     exposure: Annotated[str, typer.Option(help="total exposure, such as 0.01 or 10ms")],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
-    settings: Annotated[
-        str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
-    ] = "pmt",
+    settings: options.CameraSettings = "pmt",
     settle: options.Settle = None,
     repeats: options.Repeats = None,
     inputs: options.Inputs = None,
-    seed: Annotated[int, typer.Option(min=0, help="repeats exactly")] = 0,
-    yes: Annotated[bool, typer.Option("--yes", help="write a large file without asking")] = False,
+    seed: options.CameraSeed = 0,
+    yes: options.LargeFile = False,
     as_json: options.Json = False,
 ) -> None:
     """Record scenes with a virtual camera: a photon file as a real one would write it.

@@ -1,6 +1,5 @@
 """Classes of exposures from counts: of an acquisition's folder, or a table of any counter."""
 
-import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.design.artifact import Design
-    from deepfsi.hardware.patterns.sequence import Manifest
     from deepfsi.hardware.recording.acquisition import Scene
     from deepfsi.hardware.recording.counts import Counts
     from deepfsi.hardware.recording.tables import TableSettings
@@ -42,9 +40,7 @@ def camera_classify(
             ".npy .mat .h5 (FILE:VARIABLE), a row for each exposure",
         ),
     ],
-    photons: Annotated[
-        float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
-    ] = None,
+    photons: options.Budget = None,
     background: Annotated[
         float | None,
         typer.Option(
@@ -159,7 +155,7 @@ def _of_run(file: Path, folder: Path, trust: bool) -> _Exposures:
     acquisition, patterns = read_acquisition(folder)
     counts = load_counts(folder, acquisition, patterns.manifest)
     made = _open(file, trust)
-    _check_shown(file, patterns.manifest)
+    replays.check_shown(_design_file(file), patterns.manifest)
     return _Exposures(counts, acquisition.scenes, made.as_shown(*patterns.realised))
 
 
@@ -174,7 +170,7 @@ def _of_table(file: Path, table: Path, settings: "TableSettings", trust: bool) -
     if file.is_dir():
         patterns = read_patterns(file)
         manifest = patterns.manifest
-        _check_shown(file, manifest)
+        replays.check_shown(_design_file(file), manifest)
         made = made.as_shown(*patterns.realised)
     else:
         if settings.settle_s or settings.dead_time.seconds:
@@ -200,16 +196,6 @@ def _open(file: Path, trust: bool) -> "Design":
     if made.exposure.looks > 1:
         raise InputError(f"{file} chooses dwells while the exposure runs: give a live run of it")
     return made
-
-
-def _check_shown(file: Path, manifest: "Manifest") -> None:
-    """Raise `InputError` where the patterns are known to be of another design."""
-    known = manifest.design_sha256
-    if known and hashlib.sha256(_design_file(file).read_bytes()).hexdigest() != known:
-        raise InputError(
-            f"{file} is not the design whose patterns were shown: give the file that "
-            "`deepfsi dmd export` was given"
-        )
 
 
 def _guessed(chances: "np.ndarray", classes: tuple[str, ...]) -> dict[str, Any]:

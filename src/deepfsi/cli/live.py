@@ -26,9 +26,7 @@ def camera_live(
     source: Annotated[
         Path, typer.Argument(help="folder of patterns, or a design file, for a DLP7000")
     ],
-    scene: Annotated[
-        Path, typer.Option(help="image, folder of images, or one with a folder for each class")
-    ],
+    scene: options.Scenes,
     exposure: Annotated[str, typer.Option(help="exposure of all looks, such as 0.01 or 10ms")],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
     projector: Annotated[str, typer.Option(help="virtual, or vialux")] = "virtual",
@@ -40,9 +38,7 @@ def camera_live(
         float | None,
         typer.Option(help="photons/s on the device, for the mean training scene; virtual"),
     ] = None,
-    settings: Annotated[
-        str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
-    ] = "pmt",
+    settings: options.CameraSettings = "pmt",
     latency: Annotated[
         list[str] | None,
         typer.Option(
@@ -60,15 +56,13 @@ def camera_live(
             help="frames below it are not shown; at least the device's, and the design's share"
         ),
     ] = None,
-    photons: Annotated[
-        float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
-    ] = None,
+    photons: options.Budget = None,
     dead_time: options.DeadTime = None,
     dead_time_model: options.DeadTimeModel = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
-    seed: Annotated[int, typer.Option(min=0, help="repeats exactly")] = 0,
-    yes: Annotated[bool, typer.Option("--yes", help="write a large file without asking")] = False,
+    seed: options.CameraSeed = 0,
+    yes: options.LargeFile = False,
     as_json: options.Json = False,
 ) -> None:
     """Show, count and decide what to show next, scene after scene, with a design of several looks.

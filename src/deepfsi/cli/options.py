@@ -277,6 +277,19 @@ def optional_seconds(option: str, text: str | None) -> float | None:
     return None if text is None else seconds(option, text)
 
 
+Scenes = Annotated[
+    Path, typer.Option(help="image, folder of images, or one with a folder for each class")
+]
+CameraSettings = Annotated[
+    str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
+]
+CameraSeed = Annotated[int, typer.Option(min=0, help="repeats exactly")]
+LargeFile = Annotated[bool, typer.Option("--yes", help="write a large file without asking")]
+Budget = Annotated[
+    float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
+]
+
+
 def dwell_settings(shortest: str | None, exposure: str | None) -> dict[str, float]:
     """Settings of `learn` of the options --shortest-dwell and --exposure, or `InputError`."""
     if shortest is None and exposure is None:

@@ -9,6 +9,7 @@ from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     from deepfsi.hardware.live.decisions import Decision
+    from deepfsi.hardware.patterns.sequence import Manifest
     from deepfsi.hardware.recording.acquisition import Scene
 
 
@@ -50,6 +51,18 @@ def check_as_it_was(given: "Sequence[object]") -> None:
         raise InputError(
             "a live run is counted and classified as it was: its looks followed from these counts; "
             "leave the options out"
+        )
+
+
+def check_shown(file: Path, manifest: "Manifest") -> None:
+    """Raise `InputError` where the patterns are known to be of another design than a file's."""
+    from deepfsi.hardware.recording.counts import hash_file
+
+    known = manifest.design_sha256
+    if (known or manifest.looks) and hash_file(file) != known:
+        raise InputError(
+            f"{file} is not the design whose patterns were shown: give the file that "
+            "`deepfsi dmd export` was given"
         )
 
 
@@ -95,8 +108,6 @@ def print_live_classes(file: Path, folder: Path, photons: float | None, as_json:
         Budget that is asked for, which is refused.
     as_json : bool
     """
-    from hashlib import sha256
-
     from deepfsi.hardware.live.networks import read_loop
     from deepfsi.hardware.live.replay import COUNTS, count_live, replay_run
     from deepfsi.hardware.patterns.folder import LOOP
@@ -104,8 +115,7 @@ def print_live_classes(file: Path, folder: Path, photons: float | None, as_json:
 
     acquisition, patterns = read_acquisition(folder)
     check_as_it_was((photons,))
-    if sha256(file.read_bytes()).hexdigest() != patterns.manifest.design_sha256:
-        raise InputError(f"{file} is not the design whose patterns were shown: give that one")
+    check_shown(file, patterns.manifest)
     if not (folder / COUNTS).exists():
         with common.progress("counting", quiet=as_json) as report:
             count_live(folder, report)

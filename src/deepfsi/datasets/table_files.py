@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 TEXTS = (".csv", ".txt", ".tsv", ".dat")
 """Ends of the names of text files."""
 
-VARIABLES = (".mat", ".h5", ".hdf5")
+HDF5 = (".h5", ".hdf5")
+"""Ends of the names of HDF5 files."""
+
+VARIABLES = (".mat", *HDF5)
 """Ends of the names of files that may hold several tables, each with a name."""
 
 SUFFIXES = (*TEXTS, ".parquet", ".npy", *VARIABLES)

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -53,6 +54,15 @@ class Mlp(nn.Module):
                 bound = 1 / math.sqrt(fan_in)
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)
             self.layers.append(layer)
+
+    @property
+    def arrays(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Weights (outputs, inputs) and biases (outputs,) of the layers, in their order."""
+        layers = (
+            [parameter.detach().cpu().numpy() for parameter in each.parameters()]
+            for each in self.layers
+        )
+        return [(weight, bias) for weight, bias in layers]
 
     @property
     def header(self) -> dict[str, Any]:

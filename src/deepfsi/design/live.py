@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from deepfsi.design.adaptive import LARGEST_SCORE, AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.networks import About, Layer, Loop, StopRule
+from deepfsi.hardware.live.networks import About, Layer, Loop
+from deepfsi.hardware.recording.live_settings import StopRule
 
 
 def loop_of(design: Design) -> Loop:
@@ -56,8 +59,7 @@ def _rule(design: Design) -> StopRule | None:
 
 def _layers(network: Mlp) -> tuple[Layer, ...]:
     """Weights and biases of a network's layers."""
-    pairs = (
-        [part.detach().cpu().float().numpy() for part in each.parameters()]
-        for each in network.layers
+    return tuple(
+        (np.ascontiguousarray(weight.T, np.float32), bias.astype(np.float32))
+        for weight, bias in network.arrays
     )
-    return tuple((weight.T.copy(), bias) for weight, bias in pairs)

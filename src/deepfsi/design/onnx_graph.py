@@ -87,7 +87,7 @@ def _write(design: Design, classifier: Mlp, graph: "_Graph") -> None:
     shares, budget = _write_features(design, graph)
     centred = graph.add("Sub", shares, graph.constant("mean", design.mean.cpu()), to="centred")
     hidden = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
-    layers = _layers(classifier)
+    layers = [list(each) for each in classifier.arrays]
     *layers[0], level = design.exposure.fold(design.masks, *layers[0])
     if level is not None:
         ratio = graph.add("Div", budget, graph.constant("unit", level.unit), to="ratio")
@@ -115,11 +115,11 @@ def _write_looks(
     scaled = graph.add("Div", centred, graph.constant("std", design.std.cpu()), to="scaled")
     third = graph.add("Div", relative, graph.constant("three", 3), to="third")
     seen = graph.add("Concat", scaled, third, to="seen", axis=1)
-    logits = graph.network("", _layers(classifier), seen)
+    logits = graph.network("", classifier.arrays, seen)
     graph.add("Softmax", logits, to="probabilities", axis=1)
     left = graph.add("Unsqueeze", "left", graph.index("column", [1]), to="left_column")
     chosen = graph.add("Concat", seen, left, to="chooser_inputs", axis=1)
-    scores = graph.network("chooser_", _layers(exposure.network), chosen)
+    scores = graph.network("chooser_", exposure.network.arrays, chosen)
     bound = graph.constant("largest_score", LARGEST_SCORE)
     inner = graph.add("Tanh", graph.add("Div", scores, bound, to="bent"), to="tanh")
     weights = graph.add("Softmax", graph.add("Mul", inner, bound, to="bounded"), to="w", axis=1)
@@ -158,14 +158,6 @@ def _share_out(graph: "_Graph", asked: str, frames: int, shortest: float) -> str
     shown = graph.add("ScatterElements", nothing, "order", kept, to="shown", axis=1)
     lit = graph.add("ReduceSum", shown, axis, to="shown_total", keepdims=1)
     return graph.add("Mul", shown, graph.add("Div", total, lit, to="more"), to="shared")
-
-
-def _layers(network: Mlp) -> list[list[np.ndarray]]:
-    """Weights (outputs, inputs) and biases of a network's layers."""
-    return [
-        [parameter.detach().cpu().numpy() for parameter in layer.parameters()]
-        for layer in network.layers
-    ]
 
 
 def _write_features(design: Design, graph: "_Graph") -> tuple[str, str]:

@@ -119,7 +119,7 @@ class Learned(nn.Module):
         pattern = torch.tanh(self.weight)
         if self.light != "free-dwell":
             return pattern * self._dwell()[..., 0, :, None]
-        plus, minus = self._dwell(pattern, -pattern).unbind(dim=-2)
+        plus, minus = self._dwell(pattern).unbind(dim=-2)
         return pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
 
     def _shown(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
@@ -129,7 +129,7 @@ class Learned(nn.Module):
             shown = combine(quantise(separate(difference, total), self.light, self.levels))
         return through(difference, shown[0]), through(total, shown[1])
 
-    def _dwell(self, *frames: Tensor) -> Tensor:
+    def _dwell(self, pattern: Tensor | None = None) -> Tensor:
         """Dwells (..., 1 or 2, m); a frame is read for its peak's share of its dwell."""
         if self.light == "equal-dwell":
             masks = self.weight.shape[-2]
@@ -139,8 +139,10 @@ class Learned(nn.Module):
         if not self.shortest:
             return dwell.view_as(self.dwell)
         with torch.no_grad():
-            ends = [each.amax(dim=-1).clamp(min=0) for each in frames]
-            peaks = torch.cat(ends, dim=-1) if ends else torch.ones_like(dwell)
+            peaks = torch.ones_like(dwell)
+            if pattern is not None:
+                ends = [pattern.amax(dim=-1), -pattern.amin(dim=-1)][: self.dwell.shape[-2]]
+                peaks = torch.cat(ends, dim=-1).clamp(min=0)
             shown = share_out(dwell * peaks, self.shortest) / torch.where(peaks > 0, peaks, 1.0)
         return through(dwell, shown).view_as(self.dwell)
 

@@ -10,7 +10,8 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.live import loop_of
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.networks import StopRule, judge, read_loop
+from deepfsi.hardware.live.networks import judge, read_loop
+from deepfsi.hardware.recording.live_settings import StopRule
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},

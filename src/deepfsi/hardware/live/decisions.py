@@ -20,10 +20,10 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.live.networks import Loop, judge
-from deepfsi.hardware.live.settings import MARGIN_NS
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
+from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.hardware.recording.tails import excess_chance
 
 ON, OFF = 0, 1

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -20,29 +20,13 @@ from deepfsi.errors import InputError, as_input_error
 from deepfsi.hardware.live.dwells import share_out
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Readout
+from deepfsi.hardware.recording.live_settings import StopRule
 
 SMALLEST = float(np.finfo(np.float32).tiny)
 """Probability below which none is told from 0."""
 
 Layer = tuple[np.ndarray, np.ndarray]
 """Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
-
-
-class StopRule(BaseModel):
-    """When an exposure stops, as `design.stopping.StoppingRule` has it.
-
-    Attributes
-    ----------
-    temperatures : tuple of float
-        What the logits are divided by after each look; none where all are 1.
-    threshold : float
-        Confidence above which the exposure stops; 1 for never before the last look.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    temperatures: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] = ()
-    threshold: float = Field(1.0, ge=0, le=1)
 
 
 class About(BaseModel):

@@ -18,12 +18,12 @@ from deepfsi.errors import InputError, as_input_error
 from deepfsi.hardware.drivers.protocols import StreamingCounter, StreamingProjector
 from deepfsi.hardware.live import shown
 from deepfsi.hardware.live.decisions import OFF, Decision, FrameList, Observer
-from deepfsi.hardware.live.networks import StopRule, read_loop
-from deepfsi.hardware.live.settings import MARGIN_NS, Live
+from deepfsi.hardware.live.networks import read_loop
 from deepfsi.hardware.patterns.folder import LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule
 from deepfsi.hardware.recording.streaming import FrameGates
 
 PATIENCE_S = 5.0

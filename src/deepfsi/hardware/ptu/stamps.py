@@ -11,13 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.datasets.array_files import list_variables, read_variable
-from deepfsi.datasets.table_files import read_table
+from deepfsi.datasets.table_files import HDF5, read_table
 from deepfsi.errors import InputError
-from deepfsi.hardware.ptu.header import TICKS_S
+from deepfsi.hardware.ptu.header import GENERIC_T2, TICKS_S
 from deepfsi.hardware.ptu.writer import Writer
-
-HDF5 = (".h5", ".hdf5")
-"""Ends of the names of Photon-HDF5 files."""
 
 TIMES, CHANNELS = "photon_data/timestamps", "photon_data/detectors"
 UNIT = "photon_data/timestamps_specs/timestamps_unit"
@@ -28,9 +25,6 @@ MOST_EVENTS = 2**28
 
 LARGEST_WHOLE = 2.0**53
 """Numbers above which a table's floating point leaves out whole ones."""
-
-MOST_INPUTS = 64
-"""Inputs of a PTU file."""
 
 
 @dataclass(frozen=True)
@@ -126,16 +120,16 @@ def write_stamps(
     for each in (marker, *chosen):
         if each not in there:
             raise InputError(f"channel {each} has no events; {known}")
-    if not chosen or len(chosen) > MOST_INPUTS or len({marker, *chosen}) <= len(chosen):
+    if not chosen or len(chosen) > GENERIC_T2.inputs or len({marker, *chosen}) <= len(chosen):
         raise InputError(
             f"channels {', '.join(map(str, chosen)) or 'none'} for the detectors beside {marker} "
-            f"for the trigger are not allowed: give 1 to {MOST_INPUTS} other ones, each once"
+            f"for the trigger are not allowed: give 1 to {GENERIC_T2.inputs} other ones, each once"
         )
-    codes = np.full(len(stamps.times), MOST_INPUTS)
+    codes = np.full(len(stamps.times), GENERIC_T2.inputs)
     codes[stamps.channels == marker] = -1
     for code, each in enumerate(chosen):
         codes[stamps.channels == each] = code
-    kept = np.flatnonzero(codes < MOST_INPUTS)
+    kept = np.flatnonzero(codes < GENERIC_T2.inputs)
     order = kept[np.argsort(stamps.times[kept], kind="stable")]
     with Writer(path, stamps.tick_s) as writer:
         writer.write(stamps.times[order] - stamps.times[order[0]], codes[order])

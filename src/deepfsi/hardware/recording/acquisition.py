@@ -19,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
-from deepfsi.hardware.live.settings import Live
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -29,6 +28,7 @@ from deepfsi.hardware.patterns.timing import (
     usual_tolerance,
 )
 from deepfsi.hardware.recording.alignment import MOST_FRAMES
+from deepfsi.hardware.recording.live_settings import Live
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""

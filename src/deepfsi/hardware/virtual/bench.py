@@ -16,10 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns
-from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
-from deepfsi.hardware.virtual.camera import MARKER, Camera
+from deepfsi.hardware.virtual.camera import MARKER, Camera, check_file_inputs
 from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
 from deepfsi.progress import SILENT, Report
 
@@ -204,11 +203,7 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
 
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
-        if max(self._inputs) >= GENERIC_T2.inputs:
-            raise InputError(
-                f"input {max(self._inputs) + 1} is none of a {GENERIC_T2.name} file, which has "
-                f"{GENERIC_T2.inputs}: use fewer `detectors`"
-            )
+        check_file_inputs(self._inputs)
         self._laboratory.wiring = self._inputs, self._bit
         self._laboratory.written = Writer(path, TICK_S, growing=True).__enter__()
         self._file = FileIO(path)

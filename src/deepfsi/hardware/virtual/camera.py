@@ -410,6 +410,15 @@ def _describe(
     )
 
 
+def check_file_inputs(inputs: Sequence[int]) -> None:
+    """Raise `InputError` if the file of a virtual recording has no such inputs."""
+    if max(inputs) >= GENERIC_T2.inputs:
+        raise InputError(
+            f"input {max(inputs) + 1} is none of a {GENERIC_T2.name} file, which has "
+            f"{GENERIC_T2.inputs}: use fewer `detectors`"
+        )
+
+
 def write_photons(
     path: Path,
     manifest: Manifest,
@@ -429,11 +438,7 @@ def write_photons(
         Of the counter, 0 for input 1: that of each detector. The first ones unless given.
     """
     wired = range(rates.shape[2]) if inputs is None else inputs
-    if max(wired) >= GENERIC_T2.inputs:
-        raise InputError(
-            f"input {max(wired) + 1} is none of a {GENERIC_T2.name} file, which has "
-            f"{GENERIC_T2.inputs}: use fewer `detectors`"
-        )
+    check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / TICK_S), len(rates))
     ends = np.cumsum(durations)

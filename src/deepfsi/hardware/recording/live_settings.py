@@ -1,12 +1,30 @@
 """Settings of a live run, as the acquisition's file has them."""
 
+from typing import Annotated
+
 from pydantic import BaseModel, ConfigDict, Field
 
-from deepfsi.hardware.live.networks import StopRule
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000
 """Time by which a picture outlasts its gate, so that clocks may differ and markers be off, ns."""
+
+
+class StopRule(BaseModel):
+    """When an exposure stops, as `design.stopping.StoppingRule` has it.
+
+    Attributes
+    ----------
+    temperatures : tuple of float
+        What the logits are divided by after each look; none where all are 1.
+    threshold : float
+        Confidence above which the exposure stops; 1 for never before the last look.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    temperatures: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] = ()
+    threshold: float = Field(1.0, ge=0, le=1)
 
 
 class Live(BaseModel):
