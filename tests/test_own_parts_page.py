@@ -9,7 +9,7 @@ from pathlib import Path
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import plan
 
-PAGE = (Path(__file__).parent.parent / "docs/own-parts.md").read_text()
+PAGE = (Path(__file__).parent.parent / "docs/do/own-parts.md").read_text()
 MODULE, *BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 LINES = re.findall(r"^deepfsi .*$", PAGE, flags=re.MULTILINE)
 TABLES = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)

@@ -155,7 +155,7 @@ def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
     assert "by balanced accuracy" in page
 
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "do"
 PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
 SMALL = {"32x32": "8x8", "dlp7000": "64x48", "[32, 32]": "[8, 8]", "[1e4, 1e5]": "[1e5]"}
 """What the lines of the docs are made smaller by, besides fewer masks in the comparison."""
@@ -171,7 +171,7 @@ def of_docs(page, begin, end="```"):
 
 @pytest.mark.slow
 def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path, monkeypatch):
-    """By the lines of docs/data.md, in order: 16 bits, unequal classes, a network of one's own."""
+    """By the lines of docs/do/data.md, in order: 16 bits, unequal classes, a network of one's own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     save_pictures(tmp_path / "my-pictures", {"ash": 200, "oak": 24, "yew": 20}, side=16)

@@ -21,7 +21,7 @@ from deepfsi.optics.budget import photons_per_pixel
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
-DEPLOY = (Path(__file__).parents[2] / "docs/deploy.md").read_text()
+DEPLOY = (Path(__file__).parents[2] / "docs/do/deploy.md").read_text()
 
 
 def opened(graph: bytes) -> onnxruntime.InferenceSession:

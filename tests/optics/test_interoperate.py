@@ -14,7 +14,7 @@ from conftest import PHOTONS, every_design, generator, light_on, quick, syntheti
 from deepfsi.design.artifact import Design
 from deepfsi.optics.budget import photons_per_pixel
 
-PAGE = (Path(__file__).parents[2] / "docs/interoperate.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs/do/interoperate.md").read_text()
 ADAPTER, EXAMPLE = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 
 

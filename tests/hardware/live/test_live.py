@@ -347,8 +347,8 @@ def test_counts_that_do_not_come_are_missed(digits, patterns, tmp_path, monkeypa
 
 
 def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):
-    """Both programs of docs/live.md, word for word, on a laboratory of two scenes."""
-    page = (Path(__file__).parents[3] / "docs/live.md").read_text()
+    """Both programs of docs/do/live.md, word for word, on a laboratory of two scenes."""
+    page = (Path(__file__).parents[3] / "docs/do/live.md").read_text()
     loop, groups = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(tmp_path)
     Path("looks").symlink_to(patterns)

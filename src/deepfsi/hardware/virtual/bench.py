@@ -27,7 +27,7 @@ START_S = 1e-3
 
 
 class Latencies(BaseModel):
-    """Times that the steps of a loop take, seconds; docs/live.md says where each is from.
+    """Times that the steps of a loop take, seconds; docs/do/live.md says where each is from.
 
     Attributes
     ----------
