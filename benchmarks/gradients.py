@@ -1,7 +1,7 @@
 """Compare estimators of the gradient of a mask under photon noise, on equal trainings.
 
-    python benchmarks/gradients.py --csv gradients.csv           # one study of docs/understand/gradients.md
-    python benchmarks/gradients.py --data digits --quick         # the same in a moment
+    python benchmarks/gradients.py --csv gradients.csv  # one study of docs/understand/gradients.md
+    python benchmarks/gradients.py --data digits --quick  # the same in a moment
 
 Poisson counts have no derivative by their rate. `ml_gauss` (the package's) trains on Gaussian noise
 instead; the others draw exact counts and estimate how the loss changes with the rate of each

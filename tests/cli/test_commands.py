@@ -8,8 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 
+from deepfsi.cli import app
 from deepfsi.design.artifact import Design
 
 COMMANDS = [
@@ -35,6 +37,30 @@ def design_file(tmp_path_factory):
 def test_every_command_has_help_with_an_example(done, command):
     out = done(*command.split(), "--help")
     assert f"Example: deepfsi {command}" in " ".join(out.split())
+
+
+HEADINGS = {
+    "": ["Design:", "Study:", "Camera:", "Data:"],
+    "camera": ["Record a run:", "Read a run:", "Calibrate the camera:"],
+    "dmd": ["Commands:"],
+    "data": ["Commands:"],
+}
+
+
+@pytest.mark.parametrize("group", HEADINGS)
+def test_help_of_a_group_has_headings_and_whole_sentences(done, group):
+    out = done(*group.split(), "--help")
+    lines = out.splitlines()
+    assert all(len(line) <= 80 for line in lines)
+    headings = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
+    assert headings == ["Options:", *HEADINGS[group]]
+    commands = typer.main.get_command(app)
+    commands = commands.commands[group].commands if group else commands.commands
+    for name, command in commands.items():
+        sentence = command.help.split("\n\n")[0]
+        assert sentence.endswith(".")
+        assert f"{name} {sentence}" in " ".join(out.split())
+    assert "..." not in out.replace("[ARGS]...", "")
 
 
 def test_help_imports_nothing_heavy():

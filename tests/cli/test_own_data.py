@@ -171,7 +171,7 @@ def of_docs(page, begin, end="```"):
 
 @pytest.mark.slow
 def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path, monkeypatch):
-    """By the lines of docs/do/data.md, in order: 16 bits, unequal classes, a network of one's own."""
+    """By the lines of docs/do/data.md: 16 bits, unequal classes, a network of one's own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     save_pictures(tmp_path / "my-pictures", {"ash": 200, "oak": 24, "yew": 20}, side=16)

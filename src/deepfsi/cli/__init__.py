@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -10,12 +11,14 @@ import deepfsi
 from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd, live
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, show, stop
+from deepfsi.cli.groups import Group
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
 from deepfsi.interrupts import STOPPED, say_stopped
 
 app = typer.Typer(
     name="deepfsi",
+    cls=Group,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -37,17 +40,38 @@ def _start(
     common.help_if_bare(context)
 
 
-for _command in (compare, sweep, reproduce, report, design, evaluate, stop, show, plan, export):
-    app.command()(_command)
-camera.camera.command("live")(live.camera_live)
-camera.camera.command("prepare")(acquisitions.camera_prepare)
-camera.camera.command("import")(acquisitions.camera_import)
-camera.camera.command("classify")(classify.camera_classify)
-camera.camera.command("spots")(calibrations.camera_spots)
-camera.camera.command("calibrate")(calibrations.camera_calibrate)
-app.add_typer(dmd.dmd, name="dmd")
-app.add_typer(camera.camera, name="camera")
-app.add_typer(data.app, name="data")
+_HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Design": (design, show, evaluate, stop, export),
+    "Study": (compare, plan, sweep, reproduce, report),
+}
+for _heading, _commands in _HEADINGS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_heading)(_command)
+app.add_typer(dmd.dmd, name="dmd", rich_help_panel="Camera")
+app.add_typer(camera.camera, name="camera", rich_help_panel="Camera")
+app.add_typer(data.app, name="data", rich_help_panel="Data")
+
+_OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
+    "Record a run": {
+        "prepare": acquisitions.camera_prepare,
+        "simulate": camera.camera_simulate,
+        "live": live.camera_live,
+        "import": acquisitions.camera_import,
+    },
+    "Read a run": {
+        "inspect": camera.camera_inspect,
+        "count": camera.camera_count,
+        "classify": classify.camera_classify,
+        "image": camera.camera_image,
+    },
+    "Calibrate the camera": {
+        "spots": calibrations.camera_spots,
+        "calibrate": calibrations.camera_calibrate,
+    },
+}
+for _heading, _named in _OF_CAMERA.items():
+    for _name, _command in _named.items():
+        camera.camera.command(_name, rich_help_panel=_heading)(_command)
 
 
 def main() -> NoReturn:

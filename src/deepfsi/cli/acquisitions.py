@@ -35,7 +35,7 @@ def camera_prepare(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Make the folder of an acquisition in your laboratory; photons.ptu is then put into it.
+    """Make the folder of a real acquisition; you then put the counter's photons.ptu into it.
 
     Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
     """
@@ -91,7 +91,7 @@ def camera_import(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Write the time stamps of another counter as a photon file: the trigger as marker 0.
+    """Write the time stamps of another make of counter as a photon file, its trigger as marker 0.
 
     Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
     """

@@ -42,7 +42,7 @@ def camera_calibrate(
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
     as_json: options.Json = False,
 ) -> None:
-    """Fit the camera's view of its display to a run of spots: place, blur, flat field, dark rate.
+    """Fit the camera's view to a run of the spots: position, blur, flat field, dark counts.
 
     `deepfsi design --view` then trains on what the camera sees. Of several detectors, the cells
     that each sees are written to detectors.npy, for `deepfsi design --detectors`.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepfsi.cli import common, options, paths, replays
+from deepfsi.cli.groups import Group
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
@@ -25,9 +26,10 @@ SMALL_DRIFT = 1e-3
 """Drift of clocks that is printed in ppm, as a share."""
 
 camera = typer.Typer(
+    cls=Group,
     invoke_without_command=True,
     callback=common.help_if_bare,
-    help="Acquisitions, virtual or real: photon files to counts, classes and pictures.\n\n"
+    help="Runs of a camera, virtual or real: from photon files to counts, classes and pictures.\n\n"
     "Example: deepfsi camera count run_0001",
 )
 
@@ -38,7 +40,6 @@ EVENT_BYTES = 4
 """Bytes of a photon in its file."""
 
 
-@camera.command("simulate")
 def camera_simulate(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
     scene: options.Scenes,
@@ -55,7 +56,7 @@ def camera_simulate(
     yes: options.LargeFile = False,
     as_json: options.Json = False,
 ) -> None:
-    """Record scenes with a virtual camera: a photon file as a real one would write it.
+    """Record scenes with a virtual camera, in a photon file such as a real counter writes.
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
@@ -110,7 +111,6 @@ def read_scenes(scene: Path, patterns: Path, has_design: bool) -> "Display":
     return images if white is None else read_display(scene, white)
 
 
-@camera.command("count")
 def camera_count(
     folder: options.Run,
     exposure: options.Exposure = None,
@@ -126,7 +126,7 @@ def camera_count(
     dead_time_model: options.DeadTimeModel = None,
     as_json: options.Json = False,
 ) -> None:
-    """Count the photons of each frame's gates; missing, doubled and late markers are named.
+    """Count the photons in each frame's gate; name missing, doubled and late markers.
 
     A shorter exposure than the recorded one is counted in shorter gates, and more of them. Frames
     that all last longer or shorter than planned are counted as they are, and the drift is said.
@@ -212,7 +212,6 @@ def _drifted(drift: float) -> str:
     return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
 
 
-@camera.command("image")
 def camera_image(
     folder: options.Run,
     out: Annotated[
@@ -220,7 +219,7 @@ def camera_image(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Draw the least-squares picture of each scene from its counts, for alignment.
+    """Draw the least-squares reconstruction of each scene from its counts, to align the camera.
 
     Example: deepfsi camera image run_0001 -o picture.png
     """
@@ -237,11 +236,10 @@ def camera_image(
     common.draw("camera.image", figure, target, as_json)
 
 
-@camera.command("inspect")
 def camera_inspect(
     file: Annotated[Path, typer.Argument(help="PicoQuant .ptu file")], as_json: options.Json = False
 ) -> None:
-    """Say what is in a photon file: records, photons and markers by channel, overflows, span.
+    """List what a photon file holds: records, photons and markers by channel, overflows, duration.
 
     A file that is cut or damaged is described as far as it goes, and the exit code is 2.
 

@@ -73,7 +73,7 @@ def camera_classify(
     ] = False,
     as_json: options.Json = False,
 ) -> None:
-    """Say the class of each exposure of an acquisition that was counted, or of a table of counts.
+    """Classify each exposure of a counted acquisition, or of a table of counts.
 
     Counts that do not look like what the design was trained for are refused, and single scenes
     that do not are unsure. A table has a value for each frame, in the order of the patterns.

@@ -7,11 +7,14 @@ from typing import Annotated
 import typer
 
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.groups import Group
 
 app = typer.Typer(
+    cls=Group,
     invoke_without_command=True,
     callback=common.help_if_bare,
-    help="Data sets by name: what there is, fetch it, check it.\n\nExample: deepfsi data list",
+    help="Data sets that have a name: list, download, check and export them.\n\n"
+    "Example: deepfsi data list",
 )
 
 
@@ -88,7 +91,7 @@ def data_export(
     size: options.Size = None,
     as_json: options.Json = False,
 ) -> None:
-    """Write test scenes as pictures, to be shown to a camera, with a folder for each class.
+    """Write test scenes as pictures to show to a camera, in a folder for each class.
 
     Example: deepfsi data export mnist --per-class 2 -o images
     """

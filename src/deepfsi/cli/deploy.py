@@ -84,7 +84,7 @@ def plan(
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
-    """Say how many photons, masks and detectors a target accuracy needs, for each design.
+    """Find how many photons, masks and detectors each design needs for a target accuracy.
 
     Every design is trained at a few budgets, then where its curve meets the target; what lies
     between is interpolated, and the interval says how far that can be trusted. Stopped, it goes on

@@ -49,7 +49,7 @@ def design(
     device: options.Device = "auto",
     as_json: options.Json = False,
 ) -> None:
-    """Learn masks and classifier for one budget or a range of them, and save them as one file.
+    """Learn masks and their classifier, for one photon budget or a range, saved as one file.
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
@@ -187,7 +187,7 @@ def stop(
     device: options.Device = "auto",
     as_json: options.Json = False,
 ) -> None:
-    """Stop exposures as soon as their answer is sure enough, and say what that saves.
+    """Stop each exposure once the classifier is confident enough, and say what light this saves.
 
     Data and left-out scenes are those that the design remembers.
 

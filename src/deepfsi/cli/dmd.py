@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.groups import Group
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
@@ -15,9 +16,10 @@ if TYPE_CHECKING:
     from deepfsi.hardware.patterns.timing import Cost
 
 dmd = typer.Typer(
+    cls=Group,
     invoke_without_command=True,
     callback=common.help_if_bare,
-    help="Patterns for a micromirror device.\n\n"
+    help="Patterns for a micromirror device (DMD): export and check them, list the devices.\n\n"
     "Example: deepfsi dmd export digits.safetensors --device dlp7000 --dwell 1ms -o patterns",
 )
 
@@ -66,7 +68,7 @@ def dmd_export(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Turn a design into frames for a micromirror device, with a manifest.
+    """Write the frames of a design for a micromirror device, with a manifest.
 
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
 

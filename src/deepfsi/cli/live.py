@@ -65,7 +65,7 @@ def camera_live(
     yes: options.LargeFile = False,
     as_json: options.Json = False,
 ) -> None:
-    """Show, count and decide what to show next, scene after scene, with a design of several looks.
+    """Show masks, count and choose the next dwells, scene after scene, with a design of looks.
 
     Prints each decision as it falls. Ctrl-C keeps the scenes that are finished.
 

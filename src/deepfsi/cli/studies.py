@@ -50,7 +50,7 @@ def compare(
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
-    """Train every design at every budget, and report which sees best.
+    """Train every design at every photon budget, and report the accuracy of each.
 
     The mask count of each design is chosen on validation data, and the test set is read once. A
     stopped comparison goes on where it was when run again with the same output folder.
@@ -192,7 +192,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="output of compare, sweep or reproduce")],
     as_json: options.Json = False,
 ) -> None:
-    """Write the page of a comparison, or of all experiments in a folder, anew.
+    """Write the report of a comparison, or of all experiments in a folder, again.
 
     Example: deepfsi report runs/paper
     """
