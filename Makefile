@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test clean
+.PHONY: run test docs clean
 
 run: $(VENV)/installed
 	$(BIN)/deepfsi compare -o runs/digits
@@ -14,11 +14,22 @@ test: $(VENV)/installed
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n logical --dist worksteal
 
-$(VENV)/installed: pyproject.toml constraints.txt
+docs: $(VENV)/docs
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --jobs auto docs docs/_build/html
+	$(BIN)/python docs/check_site.py docs/_build/html
+
+$(VENV)/torch: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	touch $@
+
+$(VENV)/installed: $(VENV)/torch
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
+$(VENV)/docs: $(VENV)/torch
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
+
 clean:
-	rm -rf $(VENV) runs .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) docs/_build docs/generated runs .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

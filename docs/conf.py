@@ -1,0 +1,71 @@
+"""The site: `make docs` builds it with warnings as errors.
+
+Everything made by a build lies in `docs/generated` (pages) and `docs/_build` (the site).
+"""
+
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "extensions"))
+
+project = "DeepFSI"
+author = "The DeepFSI developers"
+copyright = author
+version = release = version_of("deepfsi")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+    "mathml",
+    "links",
+]
+exclude_patterns = [
+    "_build",
+    "gallery",
+    "tutorial",
+    "generated/**/*.ipynb",
+    "generated/**/*.py",
+    "generated/**/*.json",
+]
+suppress_warnings = ["config.cache"]
+default_role = "code"
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
+myst_heading_anchors = 4
+
+autodoc_typehints = "none"
+autosummary_generate = True
+numpydoc_show_class_members = False
+
+SCRIPTS = [each.parent.name for each in sorted(HERE.glob("*/GALLERY_HEADER.rst"))]
+sphinx_gallery_conf = {
+    "examples_dirs": SCRIPTS,
+    "gallery_dirs": [f"generated/{name}" for name in SCRIPTS],
+    "filename_pattern": r"/plot_",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "parallel": True,
+    "show_memory": False,
+    "download_all_examples": False,
+    "write_computation_times": False,
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "DeepFSI"
+html_math_renderer = "mathml"
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "navbar_align": "left",
+    "show_nav_level": 1,
+    "show_prev_next": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
