@@ -161,7 +161,7 @@ def _check_counts(labels: Labels, names: tuple[str, ...], name: str, drawn: bool
         raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
 
 
-def check_seed(seed: int) -> None:
+def check_seed(seed: object) -> None:
     """Raise `InputError` for what scikit-learn cannot take as a seed."""
     if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**32):
         raise InputError(f"seed {seed!r}: give an integer from 0 to 2**32 - 1")

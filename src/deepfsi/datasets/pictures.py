@@ -111,14 +111,14 @@ def _resizing(shape: Shape | None, bilinear: bool) -> str:
     return "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels"
 
 
-def as_shape(size: int | Shape | None) -> Shape | None:
+def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:
     """Height and width of a size that is one side or both."""
     if size is None:
         return None
-    shape = size if isinstance(size, tuple) else (size, size)
+    shape: tuple[int, ...] = size if isinstance(size, tuple) else (size, size)
     if not (len(shape) == 2 and min(shape) >= 1):
         raise InputError(f"size {size}: give one side or (H, W), in pixels, at least 1")
-    return shape
+    return shape[0], shape[1]
 
 
 def check_total(images: int, shape: tuple[int, ...]) -> None:

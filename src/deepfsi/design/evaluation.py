@@ -238,7 +238,7 @@ def check_data(design: Design, data: Dataset) -> None:
         )
 
 
-def check_draws(draws: int, seed: int) -> None:
+def check_draws(draws: object, seed: int) -> None:
     """Raise `InputError` unless so many noise draws can be had from that seed."""
     if not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")

@@ -49,7 +49,7 @@ def check_noise(name: str) -> str:
     return name
 
 
-def check_dark(dark: float, noise: str) -> float:
+def check_dark(dark: object, noise: str) -> float:
     """Return dark counts of a detector in an exposure, or raise `InputError`."""
     if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):
         raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")

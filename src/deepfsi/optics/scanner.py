@@ -58,8 +58,11 @@ class Scanner(nn.Module):
         detection: Detection | None = None,
     ) -> None:
         super().__init__()
-        if isinstance(masks, Tensor):
-            raise InputError("masks were given as a tensor: give Scanner.from_rails(rails)")
+        if not isinstance(masks, nn.Module):
+            raise InputError(
+                f"masks were given as {type(masks).__name__}, not as a module: for a tensor of rails "
+                "give Scanner.from_rails(rails)"
+            )
         self.masks = masks
         self.noise, self._own = resolve(noise)
         self.sigma, self.dark = sigma, check_dark(dark, self.noise)

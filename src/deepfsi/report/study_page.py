@@ -156,7 +156,7 @@ def decimals_of(numbers: Sequence[float]) -> int:
     return max(0, 3 - exponent) if exponent >= 0 else 2 - exponent
 
 
-def number_text(number: float, decimals: int) -> str:
+def number_text(number: float | Integral, decimals: int) -> str:
     """Write a number: integers in full, others with these decimals or as a power of ten."""
     if isinstance(number, Integral):
         text = str(number)
