@@ -401,8 +401,11 @@ def test_products_of_detectors_are_those_of_masks_that_are_dark_elsewhere(capsys
     assert len(capsys.readouterr().out.splitlines()) == 6
 
 
-def test_shares_of_a_step_are_of_its_operations(capfd):
-    benchmark("step").main(["--data", "digits", "--masks", "8", "--precision", "float32"])
+def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch):
+    """All are shown, as a busy machine decides which are the largest of a small training."""
+    step = benchmark("step")
+    monkeypatch.setattr(step, "SHOWN", 1000)
+    step.main(["--data", "digits", "--masks", "8", "--precision", "float32"])
     title, *rows = capfd.readouterr().out.splitlines()
     assert title.startswith("digits, 8 masks, float32")
     assert any(row.endswith("aten::mm") for row in rows)
