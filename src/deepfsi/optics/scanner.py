@@ -60,8 +60,8 @@ class Scanner(nn.Module):
         super().__init__()
         if not isinstance(masks, nn.Module):
             raise InputError(
-                f"masks were given as {type(masks).__name__}, not as a module: for a tensor of rails "
-                "give Scanner.from_rails(rails)"
+                f"masks were given as {type(masks).__name__}, not as a module: for a tensor "
+                "of rails give Scanner.from_rails(rails)"
             )
         self.masks = masks
         self.noise, self._own = resolve(noise)
