@@ -23,6 +23,8 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "mathml",
+    "commands",
+    "formats",
     "links",
 ]
 exclude_patterns = [
@@ -35,6 +37,7 @@ exclude_patterns = [
 ]
 suppress_warnings = ["config.cache"]
 default_role = "code"
+smartquotes = False
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
 myst_heading_anchors = 4
@@ -58,6 +61,9 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "DeepFSI"
+html_context = {"default_mode": "auto"}
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False

@@ -5,25 +5,37 @@ has pages of these, to which the links are turned when a page is read.
 """
 
 import re
+from pathlib import Path
 
+ROOT = Path(__file__).parents[2]
+WHOLE = re.compile(r"```\{include\} \.\./\.\./(\w+\.md)\n```")
 HOMES = (
-    (r"(?:\.\./)+CHANGELOG\.md", "/lookup/changelog.md"),
-    (r"(?:\.\./)+CONTRIBUTING\.md", "/lookup/contributing.md"),
-    (r"(?:\.\./)*gallery/(?P<script>plot_\w+)\.py", r"/generated/gallery/\g<script>.rst"),
-    (r"(?:\.\./)*tutorial/(?P<script>plot_\w+)\.py", r"/generated/tutorial/\g<script>.rst"),
+    (
+        r"(?:\.\./)*(?:CHANGELOG|CONTRIBUTING|RELEASING|SECURITY)\.md",
+        lambda path: f"/lookup/{path.split('/')[-1].lower()}",
+    ),
+    (
+        r"(?:\.\./)*(?:gallery|tutorial)/plot_\w+\.py",
+        lambda path: f"/generated/{'/'.join(path.split('/')[-2:])[:-3]}.rst",
+    ),
 )
 
 
 def turned(text):
     """Text of a Markdown page with its links turned to pages of the site."""
-    for there, here in HOMES:
-        text = re.sub(rf"\]\({there}(?P<anchor>#[\w-]+)?\)", rf"]({here}\g<anchor>)", text)
+    for there, home in HOMES:
+        text = re.sub(rf"(?<=\]\(){there}(?=[#)])", lambda link, home=home: home(link[0]), text)
     return text
+
+
+def whole(name):
+    """Text of a file at the root of the repository, its links as in a page of the site."""
+    return (ROOT / name).read_text().replace("](docs/", "](/")
 
 
 def turn(app, page, source):
     """Turn the links of a page that Sphinx reads."""
-    source[0] = turned(source[0])
+    source[0] = turned(WHOLE.sub(lambda found: whole(found[1]), source[0]))
 
 
 def setup(app):

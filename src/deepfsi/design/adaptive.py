@@ -217,7 +217,17 @@ class AdaptiveDwells(ExposureKind):
 
 @validated(frozen=True, config=STRICT)
 class AdaptiveShape:
-    """Entry of a design file's header for `AdaptiveDwells`: looks, network's widths, dwell."""
+    """Entry of a design file's header for `AdaptiveDwells`.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the exposure.
+    hidden : tuple of int
+        Widths of the hidden layers of the network that chooses dwells.
+    shortest : float
+        Shortest dwell of a frame, a share of the exposure.
+    """
 
     looks: Annotated[int, Field(ge=2, le=64)]
     hidden: tuple[Annotated[int, Field(ge=1)], ...]

@@ -42,7 +42,15 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class MlpSize(BaseModel):
-    """Entry of the header for an `Mlp`: its parameters of the same names."""
+    """Entry of the header for an `Mlp`: its parameters of the same names.
+
+    Attributes
+    ----------
+    hidden : tuple of int
+        Widths of the hidden layers.
+    dropout : float
+        Share of hidden units left out in a step of training.
+    """
 
     model_config = STRICT
 
@@ -53,7 +61,21 @@ class MlpSize(BaseModel):
 
 
 class VitSize(BaseModel):
-    """Entry of the header for a `Vit`: its parameters of the same names."""
+    """Entry of the header for a `Vit`: its parameters of the same names.
+
+    Attributes
+    ----------
+    patches : int
+        Patches of an image.
+    width : int
+        Numbers that stand for a patch.
+    depth : int
+        Transformer blocks.
+    heads : int
+        Attention heads of a block.
+    hidden : int
+        Hidden units of a block's feed-forward network.
+    """
 
     model_config = STRICT
 
@@ -66,7 +88,15 @@ class VitSize(BaseModel):
 
 
 class OwnShape(BaseModel):
-    """Entry of the header for an `OwnClassifier`: its parameters of the same names."""
+    """Entry of the header for an `OwnClassifier`: its parameters of the same names.
+
+    Attributes
+    ----------
+    factory : str
+        module:name of the function or class that makes the module; empty of one given as an object.
+    arguments : dict
+        Its keyword arguments.
+    """
 
     model_config = STRICT
 
@@ -79,10 +109,20 @@ class OwnShape(BaseModel):
 class Header(BaseModel):
     """Header of a design file: all of a design but its tensors.
 
-    Attributes are those of `artifact.Design`, and
-
     Attributes
     ----------
+    name : str
+        Which design, such as deepfsi.
+    light : str
+        Light constraint that the rails obey.
+    summed_reflectance : float
+        s, the training scenes' mean summed reflectance: λ = Φ x / s.
+    image_shape : tuple of int
+        Rows and columns of a scene, or values of a spectrum.
+    classes : tuple of str
+        Names, in the order of the classifier's outputs.
+    info : dict
+        Provenance: settings of the training, data and their hash, versions, device, seconds.
     schema_number : int
         `SCHEMA`; "schema" in the file.
     deepfsi : str

@@ -141,16 +141,21 @@ class Recipe(BaseModel):
     split: Literal["random", "blocks"] | None = Field(
         None, description="how a hyperspectral image is divided for testing; random unless given"
     )
-    designs: Filled[Name] = (
-        "impulse",
-        "raster",
-        "hadamard",
-        "truncated-hadamard",
-        "pca",
-        "deepfsi",
-        "control",
+    designs: Filled[Name] = Field(
+        (
+            "impulse",
+            "raster",
+            "hadamard",
+            "truncated-hadamard",
+            "pca",
+            "deepfsi",
+            "control",
+        ),
+        description="names of designs",
     )
-    photons: Filled[Budget] = (1e2, 1e3, 1e4, 1e5)
+    photons: Filled[Budget] = Field(
+        (1e2, 1e3, 1e4, 1e5), description="budgets Φ: expected photons on the coding device"
+    )
     gaussian_photons: Axis[Budget] = Field(
         (), description="budgets under gaussian noise, if others"
     )
@@ -158,19 +163,28 @@ class Recipe(BaseModel):
         (), description="readouts over pixels, m · D / N; the paper's unless given"
     )
     masks: Axis[Count] = Field((), description="mask counts, instead of ratios")
-    noise: Filled[Physical] = ("poisson",)
+    noise: Filled[Physical] = Field(
+        ("poisson",), description="noise of the camera: poisson, gaussian, camera, none or your own"
+    )
     train_noise: Axis[TrainingNoise] = Field(
         (), description="noises of the training, if others: photon noise is trained by ml_gauss"
     )
-    sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    sigma: float = Field(
+        1.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="read noise of gaussian and camera noise, counts rms per readout",
+    )
     dark: float = Field(
         0.0,
         ge=0,
         allow_inf_nan=False,
         description="dark counts of a detector in an exposure, under camera noise",
     )
-    light: Filled[Light] = ("column",)
-    rails: Filled[Rails] = ("dual",)
+    light: Filled[Light] = Field(("column",), description="light constraints")
+    rails: Filled[Rails] = Field(
+        ("dual",), description="dual: signed masks of two frames each; single: non-negative masks"
+    )
     detectors: Filled[str] = Field(
         ("1x1",),
         description="detectors on parts of the device: ROWSxCOLUMNS, bands, or a .npy map",
@@ -197,7 +211,9 @@ class Recipe(BaseModel):
     tuned: Annotated[dict[str, Any], AfterValidator(_tuned)] = Field(
         {}, description="the same for single designs"
     )
-    resources: Resources = Resources()
+    resources: Resources = Field(
+        Resources(), description="share of a Ray cluster that each batch of trials takes"
+    )
 
     @model_validator(mode="after")
     def _one_or_the_other(self) -> "Recipe":

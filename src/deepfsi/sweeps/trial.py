@@ -36,18 +36,20 @@ class Trial(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    job: Job
+    job: Job = Field(description="design that is trained, and its light and noise")
     variant: str = Field("", description="which of several training settings, in words")
     detectors: str = Field("1x1", description="name of its detectors: as given, or of their map")
     data: str = Field(description="name")
-    data_hash: str
-    matrix_hash: str = ""
+    data_hash: str = Field(description="of scenes and labels")
+    matrix_hash: str = Field("", description="of one's own masks")
     source_hash: str = Field("", description="of the files of one's own classifier and noise")
-    validation: int
-    draws: int
-    test_photons: tuple[float, ...]
-    test_noise: tuple[Noise, ...]
-    test_levels: tuple[int, ...] = (0,)
+    validation: int = Field(description="training scenes held out")
+    draws: int = Field(description="noise draws of each test scene")
+    test_photons: tuple[float, ...] = Field(description="budgets of the tests")
+    test_noise: tuple[Noise, ...] = Field(description="noises of the tests")
+    test_levels: tuple[int, ...] = Field(
+        (0,), description="grey levels of the masks in the tests, dark included; 0: continuous"
+    )
 
     @property
     def key(self) -> str:

@@ -30,7 +30,13 @@ _slot = 0
 
 
 class Resources(BaseModel):
-    """Share of a cluster that each batch takes."""
+    """Share of a cluster that each batch takes.
+
+    Attributes
+    ----------
+    cpus, gpus : float
+        Processors, and GPUs or a share of one.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

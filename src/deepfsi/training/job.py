@@ -83,12 +83,14 @@ class TrainingSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    epochs: int = Field(40, ge=1, le=MOST_EPOCHS)
+    epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
     batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
     lr: LearningRate = Field(1e-2, description="peak of the one-cycle schedule")
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
-    hidden: tuple[Annotated[int, Field(ge=1)], ...] = (40, 128)
-    dropout: float = Field(0.0, ge=0, lt=1)
+    hidden: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        (40, 128), description="widths of the hidden layers of mlp"
+    )
+    dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
     classifier: Annotated[str, AfterValidator(_classifier)] = Field(
         MLP,
         description="mlp, or module:factory of your own; own: given as an object",
@@ -104,7 +106,10 @@ class TrainingSettings(BaseModel):
         False, description="weigh scenes so that every class counts alike in the loss"
     )
     start: Start = Field("pca", description="design that learned masks start from")
-    precision: Precision = "auto"
+    precision: Precision = Field(
+        "auto",
+        description="type of the products; auto: bfloat16 where its rounding is below the noise",
+    )
     levels: Levels = Field(
         0, description="grey levels of the device, dark included, that masks are made of; 0: any"
     )
@@ -182,16 +187,20 @@ class Job(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    design: str = "deepfsi"
-    masks: int = Field(ge=1)
-    photons: float = Field(ge=BUDGETS[0], le=BUDGETS[1])
-    noise: TrainingNoise = "ml_gauss"
-    sigma: float = Field(1.0, gt=0, allow_inf_nan=False)
+    design: str = Field("deepfsi", description="name of the design")
+    masks: int = Field(ge=1, description="number of masks, m")
+    photons: float = Field(
+        ge=BUDGETS[0], le=BUDGETS[1], description="budget Φ: expected photons on the coding device"
+    )
+    noise: TrainingNoise = Field("ml_gauss", description="noise of the training")
+    sigma: float = Field(
+        1.0, gt=0, allow_inf_nan=False, description="read noise, counts rms per readout"
+    )
     dark: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="dark counts of a detector in an exposure"
     )
-    light: Light = "column"
-    rails: Rails = "dual"
+    light: Light = Field("column", description="light constraint")
+    rails: Rails = Field("dual", description="signed masks, or non-negative ones")
     detectors: str | tuple[int, ...] = Field(
         "1x1",
         description="ROWSxCOLUMNS of parts of the device with a detector each; or each pixel's",
@@ -201,8 +210,8 @@ class Job(BaseModel):
         description="difference, or both: what the network reads of two rails; both for two-arm "
         "unless given",
     )
-    seed: int = Field(0, ge=0, lt=2**32)
-    training: TrainingSettings = TrainingSettings()
+    seed: int = Field(0, ge=0, lt=2**32, description="repeats the training exactly on one device")
+    training: TrainingSettings = Field(TrainingSettings(), description="settings of the training")
 
     def conditioning(self, image_shape: tuple[int, ...]) -> Conditioning | None:
         """Conditioning inputs of the classifier for scenes of a shape, if it has any."""

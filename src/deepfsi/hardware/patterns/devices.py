@@ -36,6 +36,8 @@ class Device(BaseModel):
 
     Attributes
     ----------
+    name : str
+        By which messages and results name it.
     columns, rows : int
         Mirrors across and down, as they are addressed.
     shortest_us, longest_us : int
@@ -52,6 +54,8 @@ class Device(BaseModel):
         Places of the mirrors.
     pitch_um : float or None
         Side of a mirror with its gap, µm.
+    controller : {"any", "alp", "dlpc900", "dlpc350", "dlpc347x"}
+        It decides which frame files the device takes; "any" takes packed frames.
     planes : str
         Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first.
     """

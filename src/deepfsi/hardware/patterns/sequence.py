@@ -171,6 +171,8 @@ class Frame(BaseModel):
 
     Attributes
     ----------
+    role : {"mask", "on", "off"}
+        A mask, or a sentinel with all mirrors ON or OFF.
     mask : int or None
         Row of the sensing matrix.
     rail : {"plus", "minus", "both"} or None
@@ -233,6 +235,24 @@ class Manifest(BaseModel):
 
     Attributes
     ----------
+    deepfsi : str
+        Version of the package that wrote it.
+    device : Device
+        That shows the frames.
+    image_shape : tuple of int
+        Rows and columns of the masks, or values of a spectrum.
+    light : str
+        Light constraint of the design.
+    readout : {"difference", "both"}
+        What the network reads of two rails.
+    selection : {"ordered", "random"}
+        Choice of the mirrors of a grey cell.
+    format : {"npy", "raw", "png", "planes"}
+        Files of the frames.
+    design_sha256 : str or None
+        Of the design file beside it.
+    frames : tuple of Frame
+        In the order in which they are shown.
     masks, rails : int
         m, and 2 for signed masks or 1: the shape of what is counted.
     dimmed : float

@@ -44,7 +44,15 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class Scene(BaseModel):
-    """One scene, with its class as label where that is known."""
+    """One scene of a recording.
+
+    Attributes
+    ----------
+    name : str
+        By which results name it.
+    label : str or None
+        Its class, where that is known.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -40,6 +40,7 @@ class DeadTime(BaseModel):
     Attributes
     ----------
     seconds : float
+        For which it is blind after a photon.
     paralysable : bool
         True if an arrival that is lost makes it blind again, as overlapping pulses of a
         photomultiplier do.

@@ -1,0 +1,117 @@
+"""Tables of what files hold, made from the models that read and write them.
+
+The directive `fields` makes the section of one model: each field with its type, the values allowed,
+its default, and its meaning from the field's description or the docstring.
+"""
+
+import inspect
+import json
+from importlib import import_module
+
+from markdown import Made, table
+from numpydoc.docscrape import NumpyDocString
+from pydantic import TypeAdapter
+
+NAMES = {
+    "integer": "whole number",
+    "number": "number",
+    "string": "text",
+    "boolean": "true or false",
+}
+BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+CONSTANTS = {"schema": "version of the format", "schema_version": "version of the format"}
+CONSTANTS["kind"] = "which of several kinds the table is of"
+
+
+def model(path):
+    """Class of a dotted path."""
+    module, _, name = path.rpartition(".")
+    return getattr(import_module(module), name)
+
+
+def section(path):
+    """Heading, summary and table of a model."""
+    found = model(path)
+    summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
+    return f"### {found.__name__}\n\n{summary}\n\n{table(HEADS, rows(found))}"
+
+
+HEADS = ["field", "meaning", "type", "default"]
+
+
+def rows(found):
+    """Name, meaning, type and default of each field of a model."""
+    schema = TypeAdapter(found).json_schema()
+    described = meanings(found)
+    for name, field in schema["properties"].items():
+        meaning = field.get("description") or described.get(name) or CONSTANTS.get(name)
+        if not meaning:
+            raise LookupError(f"{found.__name__}.{name} has no description: give its field one")
+        default = "" if name not in schema.get("required", ()) else "required"
+        if "default" in field:
+            default = f"`{json.dumps(field['default'], ensure_ascii=False)}`"
+        yield f"`{name}`", meaning, kind(field), default.replace("`null`", "none")
+
+
+def meanings(found):
+    """Meaning of each field that the docstring describes."""
+    parts = NumpyDocString(inspect.cleandoc(found.__doc__))
+    told = {}
+    for each in (*parts["Parameters"], *parts["Attributes"]):
+        names = each.name or each.type
+        told |= {name.strip(): " ".join(each.desc) for name in names.split(",") if each.desc}
+    return told
+
+
+def kind(field):
+    """Type of a field in words, with a link to the table of another model."""
+    if "$ref" in field:
+        name = field["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "const" in field:
+        return f"`{json.dumps(field['const'])}`"
+    if "enum" in field:
+        return " or ".join(f"`{each}`" for each in field["enum"])
+    choices = field.get("anyOf") or field.get("oneOf")
+    if choices:
+        return " or ".join(kind(each) for each in choices)
+    return plain(field)
+
+
+def plain(field):
+    """Type of a number, text, list or table."""
+    name = field.get("type")
+    if name == "null":
+        return "none"
+    if name == "array":
+        items = field.get("prefixItems")
+        if items:
+            return f"list of {len(items)}: {', '.join(kind(each) for each in items)}"
+        return f"list of {kind(field['items'])}"
+    if name == "object":
+        return "table"
+    if "minimum" in field and "maximum" in field:
+        return f"{NAMES[name]}, {number(field['minimum'])} to {number(field['maximum'])}"
+    bounds = [f"{sign} {number(field[key])}" for key, sign in BOUNDS.items() if key in field]
+    return ", ".join([NAMES[name], *bounds])
+
+
+def number(value):
+    """Number as one would write it: 1e15, 65536."""
+    return str(value) if isinstance(value, int) else f"{value:g}".replace("e+", "e")
+
+
+class Fields(Made):
+    """The directive; its argument is the dotted path of a model."""
+
+    required_arguments = 1
+
+    def text(self):
+        """Markdown of the section."""
+        return section(self.arguments[0])
+
+
+def setup(app):
+    """Add the directive."""
+    app.add_directive("fields", Fields)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,97 @@
+"""The site builds without a warning, its links lead somewhere, and its tables leave nothing out."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+sys.path[:0] = [str(DOCS), str(DOCS / "extensions")]
+
+import check_site  # noqa: E402
+import commands  # noqa: E402
+import formats  # noqa: E402
+import links  # noqa: E402
+
+MODELS = re.findall(r"^```\{fields\} (\S+)$", (DOCS / "lookup/formats.md").read_text(), re.M)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Site built from a copy of the pages, its scripts not run."""
+    home = tmp_path_factory.mktemp("site")
+    shutil.copytree(DOCS, home / "docs", ignore=shutil.ignore_patterns("_build", "generated"))
+    for path in ROOT.glob("*.md"):
+        shutil.copy(path, home)
+    command = ["-m", "sphinx", "-q", "-W", "--keep-going", "-D", "plot_gallery=0", "docs", "html"]
+    done = subprocess.run([sys.executable, *command], cwd=home, capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    return home / "html"
+
+
+@pytest.mark.slow
+def test_every_link_of_the_built_site_leads_somewhere_and_nothing_comes_from_elsewhere(site):
+    assert not list(check_site.faults(site))
+
+
+def test_a_bad_link_and_a_file_from_elsewhere_are_found(tmp_path):
+    (tmp_path / "a.html").write_text(
+        '<p id="here"></p><a href="b.html"></a><a href="#here"></a><a href="#gone"></a>'
+        '<img src="https://a.example/b.png"><link rel="stylesheet" href="//a.example/c.css">'
+        '<a href="https://a.example"></a><p style="background: url(http://a.example/d.png)"></p>'
+    )
+    (tmp_path / "e.css").write_text('@import "https://a.example/f.css"; a { b: url(data:image) }')
+    assert list(check_site.faults(tmp_path)) == [
+        "a.html: loads https://a.example/b.png",
+        "a.html: loads //a.example/c.css",
+        "a.html: loads http://a.example/d.png",
+        "a.html: nothing at b.html",
+        "a.html: nothing at #gone",
+        "a.html: nothing at //a.example/c.css",
+        "e.css: loads https://a.example/f.css",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("link", "page"),
+    [
+        ("[a](../../CONTRIBUTING.md#b)", "[a](/lookup/contributing.md#b)"),
+        ("[a](../gallery/plot_b.py)", "[a](/generated/gallery/plot_b.rst)"),
+        ("[a](b.md#c)", "[a](b.md#c)"),
+    ],
+)
+def test_links_to_files_outside_the_docs_turn_to_pages(link, page):
+    assert links.turned(link) == page
+
+
+def test_every_heading_of_the_command_line_has_a_page():
+    pages = (DOCS / "lookup/cli").glob("*.md")
+    found = [name for path in pages for name in re.findall(r"\{commands\} (\w+)", path.read_text())]
+    assert sorted(found) == sorted(commands.headings())
+
+
+def test_every_option_is_in_the_reference():
+    text = commands.reference("Design")
+    assert "| `--photons <str>` | budget: expected photons on the coding device;" in text
+    assert "| `-o, --out <path>` | design file, .safetensors | required |" in text
+    assert "$ deepfsi design --data mnist" in text
+
+
+@pytest.mark.parametrize("path", MODELS)
+def test_every_field_of_a_file_has_a_meaning_and_a_type(path):
+    found = formats.model(path)
+    rows = list(formats.rows(found))
+    assert len(rows) == len(formats.TypeAdapter(found).json_schema()["properties"])
+    assert all(name and meaning and kind for name, meaning, kind, _ in rows)
+
+
+def test_types_and_allowed_values_are_words():
+    schema = {"type": "array", "items": {"type": "number", "minimum": 0, "maximum": 1e15}}
+    assert formats.kind(schema) == "list of number, 0 to 1e15"
+    assert formats.kind({"anyOf": [{"enum": ["a", "b"]}, {"type": "null"}]}) == "`a` or `b` or none"
+    assert formats.kind({"$ref": "#/$defs/Frame"}) == "[Frame](#frame)"
+    assert formats.kind({"type": "integer", "exclusiveMinimum": 0}) == "whole number, > 0"
