@@ -29,6 +29,7 @@ def test_the_citation_is_of_this_version_and_of_the_paper():
     [paper] = CITATION["references"]
     assert paper["title"] == "Deep Feature-specific Imaging"
     assert project["urls"]["Paper"] == f"https://doi.org/{paper['doi']}"
+    assert paper["doi"] in (ROOT / "paper.bib").read_text()
 
 
 def test_hooks_run_the_pinned_ruff():
@@ -47,3 +48,14 @@ def test_workflows_call_our_own_scripts_and_pinned_actions(path):
     assert not [each for each in used if not re.fullmatch(r"[\w/-]+@[0-9a-f]{40} # v[\d.]+", each)]
     assert workflow["permissions"] == {}
     assert workflow["concurrency"]["cancel-in-progress"]
+
+
+def test_the_paper_cites_what_its_bibliography_has_and_shows_measured_figures():
+    text, entries = ((ROOT / name).read_text() for name in ("paper.md", "paper.bib"))
+    cited = set(re.findall(r"@(\w+)", text.partition("# Summary")[2]))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", entries, re.M))
+    measured = (ROOT / "docs/understand/results.md").read_text()
+    shown = re.findall(r"0\.\d{3} ± 0\.\d{3}", text)
+    assert len(shown) == 15
+    assert not [each for each in shown if each not in measured]
+    assert (ROOT / re.findall(r"\]\((docs/figures/.+?)\)", text)[0]).is_file()
