@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.cli.dmd import design_rails
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.datasets.table_files import Table
 from deepfsi.design.artifact import Design
+from deepfsi.design.frames import design_rails
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns

@@ -5,6 +5,7 @@ Everything made by a build lies in `docs/generated` (pages) and `docs/_build` (t
 
 import sys
 from importlib.metadata import version as version_of
+from importlib.util import find_spec
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -50,7 +51,7 @@ SCRIPTS = [each.parent.name for each in sorted(HERE.glob("*/GALLERY_HEADER.rst")
 sphinx_gallery_conf = {
     "examples_dirs": SCRIPTS,
     "gallery_dirs": [f"generated/{name}" for name in SCRIPTS],
-    "filename_pattern": r"/plot_",
+    "filename_pattern": "/plot_" if find_spec("deepinv") else "/plot_(?!deepinv)",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
     "parallel": True,

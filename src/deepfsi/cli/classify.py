@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from deepfsi.cli import common, dmd, options, paths, replays
+from deepfsi.cli import common, options, paths, replays
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -162,6 +162,7 @@ def _of_run(file: Path, folder: Path, trust: bool) -> _Exposures:
 def _of_table(file: Path, table: Path, settings: "TableSettings", trust: bool) -> _Exposures:
     """Exposures of a table of counts."""
     from deepfsi.datasets.table_files import read_table
+    from deepfsi.design.frames import design_rails
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.patterns.nominal import nominal_manifest
     from deepfsi.hardware.recording.tables import WORDS, count_table
@@ -178,7 +179,7 @@ def _of_table(file: Path, table: Path, settings: "TableSettings", trust: bool) -
                 f"--settle and --dead-time need the times of the frames, and {file} has none: give "
                 "the folder of its patterns"
             )
-        manifest = nominal_manifest(dmd.design_rails(file))
+        manifest = nominal_manifest(design_rails(file))
     counts, scenes = count_table(read_table(table, WORDS), manifest, settings, str(table))
     return _Exposures(counts, scenes, made)
 

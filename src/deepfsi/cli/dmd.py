@@ -123,43 +123,9 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
                 "leave it out"
             )
     paths.check_design(file)
+    from deepfsi.design.frames import design_rails
+
     return design_rails(file)
-
-
-def design_rails(file: Path) -> "DesignRails":
-    """Rails of a design file, for one device."""
-    from deepfsi.design.artifact import Design
-    from deepfsi.hardware.patterns.detectors import Detectors
-    from deepfsi.hardware.patterns.folder import DesignRails
-    from deepfsi.hardware.patterns.sequence import Brightness
-
-    made = Design.load(file)
-    if made.name == "impulse":
-        raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
-    made.exposure.check_frames()
-    known = made.info.get("brightness")
-    with as_input_error(str(file)):
-        brightness = None if known is None else Brightness.model_validate(known)
-    labels = made.detection.labels
-    cells = None if labels is None else tuple(labels.tolist())
-    rails = DesignRails(
-        made.rails.numpy(),
-        made.light,
-        made.image_shape,
-        made.summed_reflectance,
-        file.read_bytes(),
-        brightness,
-        None if cells is None else Detectors(count=made.detection.count, cells=cells),
-        made.detection.readout,
-    )
-    if made.exposure.looks == 1:
-        return rails
-    from dataclasses import replace
-
-    from deepfsi.design.live import loop_of
-
-    loop = loop_of(made)
-    return replace(rails, looks=loop.looks, loop=loop.to_bytes())
 
 
 @dmd.command("check")

@@ -115,7 +115,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
     if source.is_dir():
         yield source
         return
-    from deepfsi.cli.dmd import design_rails
+    from deepfsi.design.frames import design_rails
     from deepfsi.hardware.patterns.devices import find_device
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings

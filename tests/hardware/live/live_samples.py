@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from conftest import quick
-from deepfsi.cli.dmd import design_rails
+from deepfsi.design.frames import design_rails
 from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
 from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns

@@ -1,0 +1,71 @@
+"""
+What the camera sees
+====================
+
+A virtual camera shows the masks on a micromirror device and writes a photon file, as a real one
+would. The file is counted, and the counts give classes and a least-squares picture.
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import deepfsi
+from deepfsi.design.frames import design_rails
+from deepfsi.hardware.patterns.devices import find_device
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.picture import reconstruct
+from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record
+from deepfsi.report.style import STYLE
+
+plt.rcParams.update(STYLE)
+
+# %%
+# Twenty non-negative masks, each shown for its own share of the exposure.
+
+digits = deepfsi.load_dataset("digits")
+design = deepfsi.learn(digits, photons=1e5, masks=20, light="free-dwell", rails="single", epochs=30)
+
+# %%
+# Frames for a device of 64 × 48 mirrors, and a recording of four digits: 10 ms each at 10⁷ photons
+# per second. Counting finds each frame by its marker and its photons by the frame's gate.
+
+scenes, labels = digits.x_test[:4], digits.y_test[:4]
+with tempfile.TemporaryDirectory() as folder:
+    file = design.save(Path(folder) / "design.safetensors")
+    frames, run = Path(folder) / "frames", Path(folder) / "run"
+    patterns = export_patterns(
+        design_rails(file), FrameSettings(find_device("64x48"), 1e-3), frames
+    )
+    camera = RecordingSettings(CAMERAS["ideal"], flux=1e7, exposure_s=10e-3, repeats=1)
+    record(frames, scenes.reshape(-1, 8, 8), [f"digit {k}" for k in labels], None, run, camera)
+    counts = count(run)
+    pictures = reconstruct(run)
+
+# %%
+# The classifier reads the counts less background, and the budget that the all-ON frames tell. The
+# counts of 20 masks are enough for a class, and hardly for a picture of 64 pixels.
+
+shown = design.as_shown(*patterns.realised)
+signal = design.readouts(counts.signal()[:, 0])
+probabilities = shown.classify(signal, counts.photons)
+
+figure, axes = plt.subplots(3, 4, figsize=(6.4, 5.6), sharey="row", layout="constrained")
+for place in range(4):
+    above, middle, below = axes[:, place]
+    above.imshow(scenes[place].reshape(8, 8), cmap="gray", vmin=0, vmax=1)
+    above.set_title(f"scene: a {labels[place]}")
+    middle.bar(np.arange(1, 21), signal[place], width=1, color="#5d6670")
+    middle.set(xticks=(1, 10, 20), xlabel="mask")
+    below.imshow(pictures[place], cmap="gray", vmin=0, vmax=1)
+    found = probabilities[place].argmax()
+    below.set_xlabel(f"read as {design.classes[found]} ({probabilities[place].max():.2f})")
+    for ax in (above, below):
+        ax.set(xticks=[], yticks=[])
+axes[1, 0].set_ylabel("counts in 10 ms")
+axes[2, 0].set_ylabel("picture from counts")
+plt.show()

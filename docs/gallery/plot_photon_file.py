@@ -1,0 +1,68 @@
+"""
+A photon file
+=============
+
+A PicoQuant PTU file holds the arrival time of every photon and a marker at the start of every
+frame. The markers find the frames; the photons between them are the counts.
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.report.style import STYLE
+
+plt.rcParams.update(STYLE)
+
+# %%
+# A small file to read: 24 frames of 1 ms with different light, photons at random times. Yours comes
+# from the counter's own program.
+
+rng = np.random.default_rng(0)
+tick = 1e-12
+frame = round(1e-3 / tick)
+light = rng.uniform(50, 400, 24)
+starts = frame * np.arange(24)
+photons = np.concatenate(
+    [
+        start + rng.integers(0, frame, rng.poisson(mean))
+        for start, mean in zip(starts, light, strict=True)
+    ]
+)
+times = np.concatenate([starts, photons])
+codes = np.concatenate([np.full(24, -1), np.zeros(len(photons))]).astype(np.int16)
+order = np.argsort(times, kind="stable")
+
+# %%
+# ``inspect`` says what a file holds; markers and gates give the counts of each frame.
+
+with tempfile.TemporaryDirectory() as folder:
+    path = Path(folder) / "photons.ptu"
+    with Writer(path, tick_s=tick) as writer:
+        writer.write(times[order], codes[order])
+    contents = inspect(path)
+    marked, _ = read_markers(path)
+    counts = count_gates(path, marked, marked + frame)[:, 0]
+print(contents.model_dump_json(indent=1))
+
+# %%
+# Above, the photons of the first four frames as they arrive; below, the counts of all frames with
+# the standard deviation √n of photon counts.
+
+figure, (above, below) = plt.subplots(
+    2, 1, figsize=(6.4, 4.6), height_ratios=(1, 2), layout="constrained"
+)
+first = photons[photons < 4 * frame] * tick * 1e3
+above.plot(first, rng.uniform(0.1, 0.9, len(first)), ".", color="#0072b2", markersize=2)
+above.vlines(marked[:5] * tick * 1e3, 0, 1, color="#d55e00")
+above.set(xlim=(-0.05, 4.05), ylim=(0, 1), yticks=[], xlabel="time, ms")
+above.set_title("photons (dots, spread upwards to be seen) and markers (lines)")
+below.errorbar(range(1, 25), counts, np.sqrt(counts), fmt="o", color="#0072b2", capsize=2)
+below.stairs(light, np.arange(0.5, 25), color="0.4", linestyle=":", label="expected")
+below.set(xlabel="frame", ylabel="counts", ylim=(0, None))
+below.legend()
+plt.show()

@@ -1,0 +1,48 @@
+"""Scripts of the gallery and the tutorial: they compile, and use public names that exist.
+
+The site's build runs them whole.
+"""
+
+import ast
+import importlib
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parent.parent / "docs"
+GALLERY = sorted(DOCS.glob("gallery/plot_*.py"))
+SCRIPTS = [*GALLERY, *sorted(DOCS.glob("tutorial/plot_*.py"))]
+
+
+def named(tree: ast.Module) -> set[tuple[str, str]]:
+    """Names of the package that a script uses, as pairs of module and name."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] == "deepfsi":
+            found |= {(str(node.module), alias.name) for alias in node.names}
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            found |= {("deepfsi", node.attr)} if node.value.id == "deepfsi" else set()
+    return found
+
+
+def test_a_dozen_scripts():
+    assert len(GALLERY) >= 12
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_names_exist_and_are_public(path):
+    tree = ast.parse(path.read_text())
+    compile(tree, str(path), "exec")
+    for module, name in named(tree):
+        assert not any(part.startswith("_") for part in (*module.split("."), name))
+        assert hasattr(importlib.import_module(module), name), f"{module} has no {name}"
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_form(path):
+    """A title with its line beneath, and a figure that is shown."""
+    text = path.read_text()
+    _, title, line, empty, *words = ast.get_docstring(ast.parse(text), clean=False).split("\n")
+    assert (line, empty) == ("=" * len(title), "")
+    assert " ".join(words).count(". ") >= 1
+    assert text.endswith("plt.show()\n")
