@@ -176,7 +176,7 @@ def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path
     monkeypatch.syspath_prepend(tmp_path)
     save_pictures(tmp_path / "my-pictures", {"ash": 200, "oak": 24, "yew": 20}, side=16)
     page = (DOCS / "data.md").read_text(encoding="utf-8")
-    network = PYTHON.findall((DOCS / "own-parts.md").read_text(encoding="utf-8"))[0]
+    network = PYTHON.findall((DOCS / "own-classifier.md").read_text(encoding="utf-8"))[0]
     (tmp_path / "mynets.py").write_text(network, encoding="utf-8")
     recipe = of_docs(page, 'data = "my-pictures"').replace("[10, 20]", "[6]")
     (tmp_path / "mine.toml").write_text(recipe, encoding="utf-8")

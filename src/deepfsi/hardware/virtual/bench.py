@@ -27,7 +27,7 @@ START_S = 1e-3
 
 
 class Latencies(BaseModel):
-    """Times that the steps of a loop take, seconds; docs/do/live.md says where each is from.
+    """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources.
 
     Attributes
     ----------
