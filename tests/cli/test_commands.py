@@ -63,6 +63,13 @@ def test_help_of_a_group_has_headings_and_whole_sentences(done, group):
     assert "..." not in out.replace("[ARGS]...", "")
 
 
+@pytest.mark.parametrize(
+    ("words", "page"), [(["nonsense"], ""), (["dmd", "nonsense"], " dmd"), (["show"], " show")]
+)
+def test_words_that_no_command_knows_lead_to_its_help(refuse, words, page):
+    assert refuse(*words).endswith(f"{page} --help`\n")
+
+
 def test_help_imports_nothing_heavy():
     script = (
         "import sys; sys.argv = ['deepfsi', '--help']\n"

@@ -57,7 +57,7 @@ def test_envi_without_its_package(tmp_path, monkeypatch):
     (tmp_path / "a.hdr").write_text("ENVI")
     np.save(tmp_path / "a_gt.npy", LABELS)
     monkeypatch.setitem(__import__("sys").modules, "spectral.io", None)
-    with refused("pip install deepfsi[spectral]"):
+    with refused("pip install spectral"):
         load_dataset(tmp_path / "a.hdr")
 
 

@@ -151,7 +151,7 @@ def test_damage_that_a_library_does_not_expect_is_one_line(tmp_path, monkeypatch
 def test_hdf5_without_its_package_says_what_to_install(tmp_path, monkeypatch):
     matlab_73(tmp_path / "new.mat", counts=VALUES)
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(InputError, match=r"pip install deepfsi\[hdf5\], or save it .* '-v7'"):
+    with pytest.raises(InputError, match=r"pip install h5py, or save it .* '-v7'"):
         read_table(tmp_path / "new.mat")
 
 

@@ -380,5 +380,5 @@ def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch, address_t
 
 def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"pip install 'deepfsi\[ray\]'"):
+    with pytest.raises(InputError, match="pip install ray"):
         next(run_on_ray(max, 0, [0]))

@@ -85,7 +85,9 @@ def main() -> NoReturn:
     except InputError as error:
         _fail(as_options(str(error)))
     except typer.TyperException as error:
-        _fail(getattr(error, "format_message", error.__str__)())
+        said = getattr(error, "format_message", error.__str__)()
+        context = getattr(error, "ctx", None)  # of an error in the words of the command
+        _fail(f"{said.rstrip('.')}; see `{context.command_path} --help`" if context else said)
     except OSError as error:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == STOPPED:

@@ -117,7 +117,7 @@ def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
         import h5py
     except ImportError as error:
         raise InputError(
-            f"{path} is {kind}, read by the package h5py: pip install deepfsi[hdf5]{other}"
+            f"{path} is {kind}, read by the package h5py: pip install h5py{other}"
         ) from error
     held: dict[str, Any] = {}
 

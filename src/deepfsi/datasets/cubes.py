@@ -127,7 +127,7 @@ def _read_envi(path: Path) -> _Array:
         from spectral.io import envi
     except ImportError as error:
         raise InputError(
-            f"{path} is an ENVI header, read by the package spectral: pip install deepfsi[spectral]"
+            f"{path} is an ENVI header, read by the package spectral: pip install spectral"
         ) from error
     try:
         image = envi.open(str(path))

@@ -184,7 +184,7 @@ class _Graph:
             import onnx
         except ImportError:
             raise InputError(
-                "an ONNX graph is written with the package onnx: pip install 'deepfsi[onnx]'"
+                "an ONNX graph is written with the package onnx: pip install onnx onnxruntime"
             ) from None
         self.onnx = onnx
         self.nodes: list[Any] = []

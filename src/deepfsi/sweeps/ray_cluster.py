@@ -73,7 +73,7 @@ def run_on_ray(
 def check_request(cpus: float, gpus: float) -> None:
     """Raise `InputError` where Ray is missing or no task can ask for so much."""
     if importlib.util.find_spec("ray") is None:
-        raise InputError("Ray is not installed: pip install 'deepfsi[ray]'")
+        raise InputError("Ray is not installed: pip install ray")
     if cpus < 0 or gpus < 0 or cpus + gpus == 0 or (gpus > 1 and gpus % 1):
         raise InputError(
             f"a task cannot ask for {cpus:g} CPUs and {gpus:g} GPUs: give numbers ≥ 0, "

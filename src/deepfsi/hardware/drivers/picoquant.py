@@ -85,8 +85,7 @@ class SnapiCounter:
             module = importlib.import_module("snAPI.Main")
         except ImportError:
             raise InputError(
-                "PicoQuant counters need snAPI, which is not installed: pip install "
-                "'deepfsi[picoquant]'"
+                "PicoQuant counters need snAPI, which is not installed: pip install snapi"
             ) from None
         except OSError as error:
             raise InputError(

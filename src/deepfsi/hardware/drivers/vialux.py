@@ -93,7 +93,7 @@ class _Board(ABC):
             module = importlib.import_module("ALP4")
         except ImportError:
             raise InputError(
-                "Vialux devices need ALP4lib, which is not installed: pip install 'deepfsi[vialux]'"
+                "Vialux devices need ALP4lib, which is not installed: pip install ALP4lib"
             ) from None
         folder = None if self.library is None else str(self.library)
         with _refusals("be opened"), contextlib.redirect_stdout(sys.stderr):  # it prints
