@@ -1,7 +1,7 @@
 """Draw the optics of each light law.
 
-Run as ``python docs/figures/light_laws.py``: writes light-free-dwell.svg, light-equal-dwell.svg, light-two-arm.svg, light-column.svg and
-light-detectors.svg beside this file.
+Run as ``python docs/figures/light_laws.py``: writes light-free-dwell.svg,
+light-equal-dwell.svg, light-two-arm.svg, light-column.svg and light-detectors.svg beside this file.
 """
 
 from pathlib import Path
