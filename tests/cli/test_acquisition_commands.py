@@ -2,12 +2,10 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.recording.acquisition import Acquisition
 from hardware.recording.recording_samples import DWELL, Run, patterns_of, shining, train
 
 LIST = "name,label\nfirst,cat\nsecond,dog\nthird,\n"
@@ -146,10 +144,3 @@ def test_wrong_wiring_is_put_right_when_counting(done, refuse, lab):
 def test_what_cannot_be_prepared_leaves_nothing(refuse, lab, words, said):
     usual = ["--scenes", lab / "scenes.csv", "-o", lab / "run"]
     assert said in refuse("camera", "prepare", lab / "patterns", *usual, *words)
-
-
-def test_the_schema_is_documented():
-    """Each field of acquisition.json has a row in docs/do/camera.md."""
-    text = (Path(__file__).parents[2] / "docs" / "do" / "camera.md").read_text()
-    for name in Acquisition.model_fields:
-        assert f"| `{name}` |" in text
