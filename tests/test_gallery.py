@@ -1,10 +1,12 @@
 """Scripts of the gallery and the tutorial: they compile, and use public names that exist.
 
-The site's build runs them whole.
+The site's build runs them whole. Beside them, the moving picture of the README.
 """
 
 import ast
 import importlib
+import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
@@ -29,7 +31,7 @@ def test_a_dozen_scripts():
     assert len(GALLERY) >= 12
 
 
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*SCRIPTS, DOCS / "exposure.py"], ids=lambda path: path.stem)
 def test_names_exist_and_are_public(path):
     tree = ast.parse(path.read_text())
     compile(tree, str(path), "exec")
@@ -46,3 +48,16 @@ def test_form(path):
     assert (line, empty) == ("=" * len(title), "")
     assert " ".join(words).count(". ") >= 1
     assert text.endswith("plt.show()\n")
+
+
+def test_moving_picture_stands_alone():
+    """It loads nothing, runs no script, is small, and stops for readers who want no motion."""
+    file = DOCS / "figures" / "exposure.svg"
+    text = file.read_text()
+    assert file.stat().st_size < 600_000
+    assert {element.tag.split("}")[1] for element in ET.fromstring(text).iter()} <= {
+        *("svg", "style", "g", "rect", "path", "line", "text"),
+    }
+    assert re.findall(r"https?://[^\"]+|url\(", text) == ["http://www.w3.org/2000/svg"]
+    assert "prefers-reduced-motion" in text
+    assert "prefers-color-scheme:dark" in text

@@ -1,0 +1,341 @@
+"""Draw the moving picture of the README: one exposure, from the first photon to the answer.
+
+    python docs/exposure.py -o docs/figures/exposure.svg
+
+A design of 20 nested ON/OFF masks is learned on MNIST (half a minute), and its stopping rule is
+calibrated on images that the training left out. Then one test image is exposed: its counts are one
+Poisson draw, the probabilities those of the design after each mask. A raster scan of the same image
+with the same light is drawn beside it. Everything moves by CSS within the file.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import deepfsi
+from deepfsi.design.stopping import Stopped, stop
+from deepfsi.files import write_atomically
+
+PHOTONS = 1e5
+"""Budget of a whole exposure."""
+
+THRESHOLD = 0.95
+"""Confidence at which an exposure ends."""
+
+SCENE = 44
+"""Test image of MNIST that is shown."""
+
+BEGIN, SHOW, LOOP = 0.8, 9.0, 14.0
+"""Seconds before the exposure, of the exposure, and of the whole picture."""
+
+STYLE = """
+svg{--paper:#fff;--ink:#1b1f24;--muted:#57606a;--faint:#e4e8ec;--lead:#c24e00;--off:#24292f}
+@media(prefers-color-scheme:dark){svg{--paper:#15191e;--ink:#e8ecf0;--muted:#a5afba;--faint:#30363d;
+--lead:#ff8a4c;--off:#000}}
+text{font:14px system-ui,sans-serif;fill:var(--ink)}.m{fill:var(--muted)}.e{text-anchor:end}
+.b{font-weight:600}.h{font:600 22px system-ui,sans-serif;fill:var(--lead)}
+.bar{fill:var(--muted)}.lead{fill:var(--lead)}.faint{fill:var(--faint)}.px{shape-rendering:crispEdges}
+.off{fill:var(--off)}.on{fill:#fff}.n{font-size:13px;text-anchor:middle}
+.line{stroke:var(--muted);stroke-dasharray:3 3}
+"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One exposure that was stopped, and what led to it.
+
+    Attributes
+    ----------
+    scene : array, shape (h, w)
+        Reflectance.
+    label : str
+    masks : array of bool, shape (k, h, w)
+        Mirrors ON in the frames that were shown.
+    ends : array, shape (k,)
+        Share of the exposure that is over after each mask.
+    counts : array, shape (k,)
+    chances : array, shape (k, C)
+        Calibrated probabilities after each mask.
+    raster : array, shape (n, 3)
+        Row, column and time of the photons of a raster scan, the time a share of the exposure.
+    tested : Stopped
+        Accuracy and light of the same design over all test images.
+    """
+
+    scene: np.ndarray
+    label: str
+    masks: np.ndarray
+    ends: np.ndarray
+    counts: np.ndarray
+    chances: np.ndarray
+    raster: np.ndarray
+    tested: Stopped
+
+
+def expose() -> Run:
+    """Learn the design, calibrate its rule, and expose one test image."""
+    data = deepfsi.load_dataset("mnist")
+    design = deepfsi.learn(
+        data.hold_out(10000),
+        photons=PHOTONS,
+        masks=20,
+        nested=2,
+        light="equal-dwell",
+        rails="single",
+        levels=2,
+        start="class-pairs",
+        hidden=(256, 128),
+        epochs=30,
+        device="cpu",
+    )
+    tested = stop(design, data, PHOTONS, held_out=10000, threshold=THRESHOLD)
+    scene = data.x_test[SCENE]
+    rates = deepfsi.photons_per_pixel(torch.from_numpy(scene), PHOTONS, design.summed_reflectance)
+    counts = design.scanner().counts(rates, torch.Generator().manual_seed(0)).numpy()[0]
+    chances = [np.full(len(data.classes), 1 / len(data.classes))]
+    for shown in range(design.fewest_masks, design.masks + 1):
+        now, enough = tested.rule.classify(design, counts[:shown], PHOTONS)
+        chances.append(now)
+        if enough:
+            break
+    peaks = design.rails[0].amax(dim=1).numpy()
+    ends = np.cumsum(peaks) / peaks.sum()
+    rng = np.random.default_rng(0)
+    arrived = rng.poisson(rates.numpy() / data.pixels)
+    places = np.repeat(np.arange(data.pixels), arrived)
+    seen = places[places < ends[shown - 1] * data.pixels]
+    return Run(
+        scene.reshape(data.image_shape),
+        data.classes[data.y_test[SCENE]],
+        design.matrix[:shown].reshape(-1, *data.image_shape) > 0,
+        ends[:shown],
+        counts[:shown].astype(int),
+        np.array(chances),
+        np.column_stack([*np.divmod(seen, data.image_shape[1]), seen / data.pixels]),
+        tested,
+    )
+
+
+class Film:
+    """Elements of an SVG and their CSS animations, which all last `LOOP` seconds.
+
+    Without animation every element stands as it does at the end.
+    """
+
+    def __init__(self) -> None:
+        self.parts: list[str] = []
+        self.rules: list[str] = []
+
+    def add(self, part: str) -> None:
+        """Add an element."""
+        self.parts.append(part)
+
+    def moving(
+        self, part: str, prop: str, values: list[tuple[float, str]], steps: bool = False
+    ) -> None:
+        """Add an element, ``<tag …>``, one of whose properties moves.
+
+        Parameters
+        ----------
+        part : str
+            With ``@`` where its class goes.
+        prop : str
+            CSS property.
+        values : list of (float, str)
+            Seconds and the value from then on, or reached then if it moves evenly.
+        steps : bool
+            If it changes at once.
+        """
+        name = f"a{len(self.rules)}"
+        frames = "".join(f"{100 * at / LOOP:.2f}%{{{prop}:{value}}}" for at, value in values)
+        last = f"100%{{{prop}:{values[-1][1]}}}"
+        self.rules.append(
+            f"@keyframes {name}{{{frames}{last}}}.{name}{{{prop}:{values[-1][1]};"
+            f"animation:{name} {LOOP:g}s {'step-end' if steps else 'linear'} infinite}}"
+        )
+        self.add(part.replace("@", name))
+
+    def between(self, part: str, since: float, until: float | None = None) -> None:
+        """Add an element that is seen for a time, or from a time to the end."""
+        values = [(0.0, "0"), (since, "1")] if since > 0 else [(0.0, "1")]
+        self.moving(part, "opacity", values + ([(until, "0")] if until else []), steps=True)
+
+    def svg(self, width: int, height: int, words: str) -> bytes:
+        """Content of the file, with what a reader who cannot see it is told."""
+        still = "@media(prefers-reduced-motion:reduce){*{animation:none!important}}"
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
+            f'width="{width}" height="{height}" role="img" aria-label="{words}">'
+            f"<style>{STYLE}{''.join(self.rules)}{still}</style>"
+            f'<rect class="paper" width="{width}" height="{height}" rx="8" '
+            f'style="fill:var(--paper)"/>{"".join(self.parts)}</svg>\n'
+        ).encode()
+
+
+def cells(lit: np.ndarray) -> str:
+    """Path of the cells of a picture that are lit, each row's runs as rectangles of height 1."""
+    path = []
+    for row, line in enumerate(lit):
+        edges = np.flatnonzero(np.diff(np.r_[0, line.astype(np.int8), 0]))
+        for left, right in zip(edges[::2], edges[1::2], strict=True):
+            path.append(f"M{left} {row}h{right - left}v1h{left - right}z")
+    return "".join(path)
+
+
+def draw_scene(film: Film, scene: np.ndarray) -> None:
+    """Draw a scene in 16 greys."""
+    grey = np.rint(15 * scene).astype(int)
+    film.add('<text class="b" x="16" y="28">Scene</text>')
+    film.add('<g class="px" transform="translate(16 40) scale(5)">')
+    for level in np.unique(grey):
+        film.add(f'<path fill="#{3 * f"{17 * level:02x}"}" d="{cells(grey == level)}"/>')
+    film.add("</g>")
+
+
+def draw_masks(film: Film, run: Run, times: np.ndarray) -> None:
+    """Draw the masks one after another, and the counts behind each as they arrive."""
+    total = run.tested.rule.after[-1]
+    step, foot, tall = 504 / total, 408, 120 / run.counts.max()
+    starts = np.r_[BEGIN, times[:-1]]
+    film.add('<rect class="off" x="200" y="40" width="160" height="160"/>')
+    film.add('<text class="b" x="200" y="248">Photons counted behind each mask</text>')
+    film.add(f'<rect class="faint" x="200" y="{foot}" width="504" height="1.5"/>')
+    for place, (since, until, count) in enumerate(zip(starts, times, run.counts, strict=True)):
+        last = place == len(times) - 1
+        end = None if last else until
+        film.between(
+            f'<g class="@"><text class="b" x="200" y="28">Mask {place + 1} of {total}</text>'
+            f'<path class="px on" transform="translate(200 40) scale(5)" '
+            f'd="{cells(run.masks[place])}"/></g>',
+            since if place else 0.0,
+            end,
+        )
+        film.moving(
+            f'<rect class="lead @" x="{200 + step * place + 2:.1f}" y="{foot - tall * count:.1f}" '
+            f'width="{step - 4:.1f}" height="{tall * count:.1f}" '
+            f'style="transform-origin:0 {foot}px"/>',
+            "transform",
+            [(0, "scaleY(0)"), (since, "scaleY(0)"), (until, "scaleY(1)")],
+        )
+        film.between(
+            f'<text class="n @" x="{step * (place + 0.5) + 200:.1f}" '
+            f'y="{foot - tall * count - 4:.1f}">{count}</text>',
+            until,
+        )
+        film.between(
+            f'<text class="m e @" x="704" y="248">{run.counts[: place + 1].sum():,} so far</text>',
+            until,
+            None if last else times[place + 1],
+        )
+
+
+def draw_chances(film: Film, run: Run, times: np.ndarray) -> None:
+    """Draw the probability of each class after each mask that is judged."""
+    judged = times[-len(run.chances) + 1 :]
+    wide = 250
+    film.add('<text class="b" x="392" y="28">Probability of each digit</text>')
+    for digit, line in enumerate(run.chances.T):
+        y = 40 + 16 * digit
+        if digit == run.chances[-1].argmax():
+            colours = [(0.0, "var(--muted)"), (BEGIN + SHOW, "var(--lead)")]
+            film.moving('<g class="@">', "fill", colours, steps=True)
+        else:
+            film.add('<g class="bar">')
+        film.add(f'<text class="m" x="392" y="{y + 13}">{digit}</text>')
+        moves = [(0.0, line[0])]
+        for at, before, after in zip(judged, line[:-1], line[1:], strict=True):
+            moves += [(at, before), (at + 0.15, after)]
+        film.moving(
+            f'<rect class="@" x="410" y="{y + 2}" width="{wide}" height="12" '
+            'style="transform-origin:410px 0"/></g>',
+            "transform",
+            [(at, f"scaleX({chance:.3f})") for at, chance in moves],
+        )
+    x = 410 + wide * THRESHOLD
+    film.add(f'<line class="line" x1="{x:.0f}" x2="{x:.0f}" y1="38" y2="202"/>')
+    film.add(f'<text class="m" x="{x + 5:.0f}" y="53">{THRESHOLD:.0%}:</text>')
+    film.add(f'<text class="m" x="{x + 5:.0f}" y="71">stop</text>')
+
+
+def draw_raster(film: Film, run: Run, size: int) -> None:
+    """Draw what a raster scan has counted, pixel by pixel in the same time."""
+    film.add('<text class="b" x="16" y="236">Raster scan,</text>')
+    film.add('<text class="b" x="16" y="254">the same light</text>')
+    film.add('<rect class="off" x="16" y="264" width="160" height="160"/>')
+    film.add('<g class="px" transform="translate(16 264) scale(5)">')
+    for row, column, at in run.raster:
+        seconds = BEGIN + SHOW * at / run.ends[-1]
+        dot = f'<rect class="on @" x="{column:g}" y="{row:g}" width="1" height="1"/>'
+        film.between(dot, seconds)
+    reached = size * run.ends[-1]
+    film.moving(
+        f'<rect class="lead @" width="{size}" height=".4" y="0"/>',
+        "transform",
+        [
+            (0, "translateY(0px)"),
+            (BEGIN, "translateY(0px)"),
+            (BEGIN + SHOW, f"translateY({reached:.2f}px)"),
+        ],
+    )
+    film.add("</g>")
+
+
+def draw_light(film: Film, run: Run) -> None:
+    """Draw how much of the light is used, and the answer."""
+    end, used = BEGIN + SHOW, run.ends[-1]
+    film.add('<text class="b" x="16" y="455">Light used</text>')
+    film.add('<rect class="faint" x="110" y="443" width="594" height="14" rx="3"/>')
+    film.moving(
+        f'<rect class="lead @" x="110" y="443" width="{594 * used:.0f}" height="14" rx="3" '
+        'style="transform-origin:110px 0"/>',
+        "transform",
+        [(0, "scaleX(0)"), (BEGIN, "scaleX(0)"), (end, "scaleX(1)")],
+    )
+    answer, sure = run.chances[-1].argmax(), run.chances[-1].max()
+    lines = (
+        f"{sure:.0%} sure after {len(run.masks)} masks",
+        f"and {used:.0%} of the light.",
+        f"Raster scan: {len(run.raster)} photons.",
+    )
+    x = 220 + 504 * len(run.masks) / run.tested.rule.after[-1]
+    words = "".join(
+        f'<text x="{x:.0f}" y="{336 + 20 * place}">{line}</text>'
+        for place, line in enumerate(lines)
+    )
+    answer = f'<text class="h" x="{x:.0f}" y="308">It is a {answer}.</text>'
+    film.between(f'<g class="@">{answer}{words}</g>', end + 0.2)
+
+
+def main() -> None:
+    """Write the picture, and print what its caption says."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("-o", "--out", type=Path, default=Path("docs/figures/exposure.svg"))
+    out = parser.parse_args().out
+    run = expose()
+    times = BEGIN + SHOW * run.ends / run.ends[-1]
+    film = Film()
+    draw_scene(film, run.scene)
+    draw_masks(film, run, times)
+    draw_chances(film, run, times)
+    draw_raster(film, run, len(run.scene))
+    draw_light(film, run)
+    words = (
+        f"One exposure: {len(run.masks)} masks are shown one after another, photons are counted "
+        f"behind each, and the probability of the digit {run.chances[-1].argmax()} rises until the "
+        "exposure stops."
+    )
+    write_atomically(out, film.svg(720, 472, words))
+    tested = run.tested
+    print(
+        f"label {run.label}, {run.counts.sum()} photons counted, {run.ends[-1]:.3f} of the light\n"
+        f"all test images: accuracy {tested.stopped.mean:.3f} "
+        f"[{tested.stopped.low:.3f}, {tested.stopped.high:.3f}] with {tested.used.mean:.3f} of the "
+        f"light, {tested.whole.mean:.3f} with all of it"
+    )
+
+
+if __name__ == "__main__":
+    main()
