@@ -114,15 +114,16 @@ def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
         _no_gain(
             "HB",
             _compared(photon, "hadamard", "raster"),
-            "Their reconstruction errors are equal in the pixel mean, but raster's variance "
-            "follows each pixel's brightness, and in these images the strokes are the bright ones; "
-            "Hadamard's is spread evenly, the empty frame included.",
+            "Their reconstruction errors are equal in the mean over pixels, but the variance of "
+            "raster scan follows each pixel's brightness, and in these images the strokes are the "
+            "bright pixels; the variance of Hadamard is the same in all pixels, the dark "
+            "background included.",
         ),
         _no_gain(
             "TH",
             _compared(photon, "truncated-hadamard", "raster"),
-            "It spends all light on a few low frequencies, where these images have most of their "
-            "differences: truncation is prior knowledge about the scene.",
+            "TH spends all light on a few low frequencies, in which these images differ most. "
+            "Truncation is prior knowledge about the scene.",
         ),
         _claim(
             "PN: the control group is below DeepFSI in the starved half "
@@ -164,8 +165,8 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
             f"{photons_text(worst[1])} photons",
             ""
             if above(rivals.values())
-            else "In bright light several designs come to what the "
-            "classifier can do, and the rest is chance; in the dark all are near guessing.",
+            else "With much light several designs reach the limit of the classifier, and the "
+            "order is chance; with very little light all are near guessing.",
         ),
     ]
 
@@ -203,7 +204,7 @@ def _cost(results: Results) -> Table:
 
 EXPERIMENT = Experiment(
     name="mnist",
-    title="Which design sees best, under read noise and under photon noise",
+    title="Which design is most accurate, under read noise and under photon noise",
     paper=PAPER,
     show=show,
 )

@@ -135,9 +135,10 @@ def _claims(measures: Measures) -> tuple[Claim, ...]:
     spans = [measures.at(SPAN, noise)[dim].value for noise in NOISES]
     repeated = (
         f"At {photons_text(dim)} photons AGN's masks span {spans[0]:.1f} directions, PN's "
-        f"{spans[1]:.1f}: it is AGN's that repeat. Under read noise every readout costs the same "
-        "however dim it is, so light is gathered in a few features that are measured again and "
-        "again; under photon noise, with light split freely among readouts, masks share the scene."
+        f"{spans[1]:.1f}: AGN's masks repeat themselves. Under read noise every readout has the "
+        "same noise however dim it is, so light is concentrated in a few features that are "
+        "measured repeatedly. Under photon noise, with light divided freely among readouts, the "
+        "masks divide the scene among them."
     )
     grown = _minus(likeness[bright], likeness[dim])
     spanned = "Starved, PN's masks span fewer independent directions than AGN's"
