@@ -27,6 +27,7 @@ extensions = [
     "commands",
     "formats",
     "links",
+    "modules",
 ]
 exclude_patterns = [
     "_build",

@@ -1,12 +1,17 @@
 """The site builds without a warning, its links lead somewhere, and its tables leave nothing out."""
 
+import inspect
+import pkgutil
 import re
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+import deepfsi
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -16,19 +21,25 @@ import check_site  # noqa: E402
 import commands  # noqa: E402
 import formats  # noqa: E402
 import links  # noqa: E402
+import modules  # noqa: E402
+
+LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
+OF_THE_HOUSE = {f"deepfsi.{name}" for name in ("imports", "interrupts", "memory", "owners")}
+"""Modules that only the package itself needs."""
 
 MODELS = re.findall(r"^```\{fields\} (\S+)$", (DOCS / "lookup/formats.md").read_text(), re.M)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Site built from a copy of the pages, its scripts not run."""
+    """Site built from a copy of the pages: no script is run, modules are not listed."""
     home = tmp_path_factory.mktemp("site")
     shutil.copytree(DOCS, home / "docs", ignore=shutil.ignore_patterns("_build", "generated"))
     for path in ROOT.glob("*.md"):
         shutil.copy(path, home)
-    command = ["-m", "sphinx", "-q", "-W", "--keep-going", "-D", "plot_gallery=0", "docs", "html"]
-    done = subprocess.run([sys.executable, *command], cwd=home, capture_output=True, text=True)
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "html"]
+    quick = ["-D", "plot_gallery=0", "-D", "modules_left_out=1"]
+    done = subprocess.run([*command, *quick], cwd=home, capture_output=True, text=True)
     assert not done.returncode, done.stderr
     return home / "html"
 
@@ -87,6 +98,23 @@ def test_every_field_of_a_file_has_a_meaning_and_a_type(path):
     rows = list(formats.rows(found))
     assert len(rows) == len(formats.TypeAdapter(found).json_schema()["properties"])
     assert all(name and meaning and kind for name, meaning, kind, _ in rows)
+
+
+@pytest.mark.parametrize("name", deepfsi.__all__)
+def test_every_name_of_the_package_is_on_its_page_with_an_example(name):
+    page = (DOCS / "lookup/api/package.md").read_text()
+    assert re.search(rf"^.. auto(class|function):: {name}$", page, re.M)
+    assert "\nExamples\n---" in inspect.getdoc(getattr(deepfsi, name))
+
+
+def test_every_module_with_public_names_is_on_a_page():
+    pages = [path.read_text() for path in (DOCS / "lookup/api").glob("*.md")]
+    folders = [name for text in pages for name in " ".join(LISTED.findall(text)).split()]
+    listed = {path for folder in folders for path in modules.under(folder)}
+    every = (each.name for each in pkgutil.walk_packages(deepfsi.__path__, "deepfsi."))
+    public = {name for name in every if not re.search(r"\.(_|cli|experiments)", name)}
+    left_out = {name for name in public - listed if modules.names(import_module(name))}
+    assert left_out == OF_THE_HOUSE
 
 
 def test_types_and_allowed_values_are_words():

@@ -40,6 +40,13 @@ class OwnClassifier(nn.Module):
         Keyword arguments of the factory besides the numbers, JSON types only.
     weights : mapping of tensor, optional
         State of the module, where it is None.
+
+    Examples
+    --------
+    >>> import deepfsi, torch
+    >>> classifier = deepfsi.OwnClassifier(torch.nn.Linear(6, 10))
+    >>> classifier(torch.zeros(2, 6)).shape
+    torch.Size([2, 10])
     """
 
     def __init__(

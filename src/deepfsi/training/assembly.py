@@ -48,6 +48,15 @@ def design_of(
     ------
     InputError
         If scanner, classifier and data do not fit together, or the masks break their constraint.
+
+    Examples
+    --------
+    >>> import deepfsi, torch
+    >>> rails = torch.rand(1, 5, 64, generator=torch.Generator().manual_seed(0)) / 5
+    >>> scanner, classifier = deepfsi.Scanner.from_rails(rails), torch.nn.Linear(5, 10)
+    >>> # ... here both are trained, by a loop of your own
+    >>> deepfsi.design_of(scanner, classifier, "digits", photons=1e4).masks
+    5
     """
     budget, scenes = check_budget(photons), as_dataset(data)
     rails = _rails(scanner, scenes)

@@ -1,0 +1,85 @@
+"""Reference of the modules of a folder of the package, from their docstrings.
+
+The directive `modules` makes a section of each module that has public names; names that the
+package itself gives have a section of their own, and are left out.
+"""
+
+import pkgutil
+import re
+from importlib import import_module
+from inspect import isclass, isfunction
+
+from markdown import Made
+
+import deepfsi
+
+
+def names(module):
+    """Public classes and functions that a module defines, but for those of the package itself."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and (isclass(value) or isfunction(value))
+        and value.__module__ == module.__name__
+        and getattr(deepfsi, name, None) is not value
+    ]
+
+
+def under(folder):
+    """Public modules of a folder of the package, and of the folders in it."""
+    package = import_module(f"deepfsi.{folder}")
+    yield package.__name__
+    for each in pkgutil.walk_packages(getattr(package, "__path__", []), f"{package.__name__}."):
+        if not each.ispkg:
+            yield each.name
+
+
+def section(path):
+    """Section of a module."""
+    module = import_module(path)
+    found = names(module)
+    if not found:
+        return ""
+    lines = [f".. automodule:: {path}", "   :no-members:", ""]
+    for name in found:
+        lines += [f".. auto{'class' if isclass(vars(module)[name]) else 'function'}:: {name}"]
+        lines += ["   :members:", ""] if isclass(vars(module)[name]) else [""]
+    lines.insert(3, f".. currentmodule:: {path}\n")
+    text = "\n".join(lines)
+    return f"## `{path}`\n\n```{{eval-rst}}\n{text}\n```"
+
+
+def as_text(app, what, name, thing, options, lines):
+    """Mark what reStructuredText would read as its own: ``|M|``, ``(*lead, m)``, and tables."""
+    code, out = False, []
+    for line in lines:
+        begins, code = line.startswith("    ") and not code, line.startswith("    ")
+        if what == "module" and begins:
+            out += ["::", ""]
+        if not (line.lstrip().startswith((">>>", "...")) or (what == "module" and code)):
+            line = re.sub(r"\||(?<=\()\*(?=\w)|(?<=, )\*(?=\w)", r"\\\g<0>", line)
+        out.append(line)
+    lines[:] = out
+
+
+class Modules(Made):
+    """The directive; its arguments are folders of the package."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def text(self):
+        """Markdown of the sections; none where they are left out, for a quick build."""
+        if self.config.modules_left_out:
+            return ""
+        paths = [path for folder in self.arguments[0].split() for path in under(folder)]
+        return "\n\n".join(filter(None, map(section, paths)))
+
+
+def setup(app):
+    """Add the directive, and read docstrings before numpydoc does."""
+    app.add_config_value("modules_left_out", False, "env")
+    app.connect("autodoc-process-docstring", as_text, priority=400)
+    app.add_directive("modules", Modules)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
