@@ -38,7 +38,7 @@ exclude_patterns = [
     "generated/**/*.json",
 ]
 suppress_warnings = ["config.cache"]
-default_role = "code"
+default_role = "py:obj"
 smartquotes = False
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]

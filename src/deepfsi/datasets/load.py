@@ -39,6 +39,8 @@ def load_dataset(
 ) -> Dataset:
     """Load a data set by its name, from a path, or from arrays.
 
+    Raises `InputError` if the source is unknown, missing or damaged, or cannot take an option.
+
     Parameters
     ----------
     source : str, path or tuple
@@ -69,8 +71,6 @@ def load_dataset(
     white : float, optional
         Value that is reflectance 1, of images and arrays of integers wider than a byte; by default
         that of the fewest bits that hold the largest value, as `deepfsi.datasets.values` says.
-
-    Raises `InputError` if the source is unknown, missing or damaged, or cannot take an option.
 
     Examples
     --------

@@ -1,5 +1,7 @@
 """A design from masks and a classifier that a training loop of the user's own has made."""
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -27,7 +29,8 @@ def design_of(
     """Design of a scanner and a network that were trained together, elsewhere.
 
     The classifier goes on to see what it was trained on: counts of a budget Φ. Those of another
-    budget are brought to it by their ratio.
+    budget are brought to it by their ratio. Raises `InputError` if scanner, classifier and data do
+    not fit together, or the masks break their constraint.
 
     Parameters
     ----------
@@ -44,17 +47,11 @@ def design_of(
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
         Constraint that masks obey; that of `Learned` masks is their own.
 
-    Raises
-    ------
-    InputError
-        If scanner, classifier and data do not fit together, or the masks break their constraint.
-
     Examples
     --------
     >>> import deepfsi, torch
     >>> rails = torch.rand(1, 5, 64, generator=torch.Generator().manual_seed(0)) / 5
     >>> scanner, classifier = deepfsi.Scanner.from_rails(rails), torch.nn.Linear(5, 10)
-    >>> # ... here both are trained, by a loop of your own
     >>> deepfsi.design_of(scanner, classifier, "digits", photons=1e4).masks
     5
     """
@@ -64,11 +61,7 @@ def design_of(
     light = scanner.masks.light if isinstance(scanner.masks, Learned) else light
     constraints.check_light(light, kind := {1: "single", 2: "dual"}[len(rails)])
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
-    told = {"noise": scanner.noise, "sigma": scanner.sigma, "light": light, "rails": kind}
-    info = provenance(
-        Job(design="custom", masks=masks, photons=budget, **told), scenes, device, 0.0
-    )
-    del info["job"]["training"], info["seconds"]  # they are not known
+    told = {"masks": masks, "photons": budget, "light": light, "rails": kind}
     design = Design(
         name="custom",
         rails=constraints.check(rails, light),
@@ -80,10 +73,20 @@ def design_of(
         light=light,
         image_shape=scenes.image_shape,
         classes=scenes.classes,
-        info=info,
+        info=_provenance(scanner, scenes, device, told),
     )
     train = torch.from_numpy(scenes.x_train).to(rails), torch.from_numpy(scenes.y_train)
     return design.calibrated(*train)
+
+
+def _provenance(
+    scanner: Scanner, data: Dataset, device: torch.device, told: dict[str, Any]
+) -> dict[str, Any]:
+    """Provenance without what is not known of a training elsewhere."""
+    job = Job(design="custom", noise=scanner.noise, sigma=scanner.sigma, **told)
+    info = provenance(job, data, device, 0.0)
+    del info["job"]["training"], info["seconds"]
+    return info
 
 
 def _rails(scanner: Scanner, data: Dataset) -> Tensor:
