@@ -28,7 +28,9 @@ DIGITS = [str(digit) for digit in range(10)]
 
 def points(reach=0.03, offset=0.0):
     return [
-        Accuracy(design, label, specific, exposure, accuracy, accuracy - reach, accuracy + reach)
+        Accuracy(
+            design, label, label, specific, exposure, accuracy, accuracy - reach, accuracy + reach
+        )
         for place, (design, (label, specific)) in enumerate(DESIGNS.items())
         for step, exposure in enumerate(EXPOSURES)
         for accuracy in [0.3 + 0.2 * step - 0.05 * place + offset]

@@ -353,11 +353,30 @@ def test_masks_are_curves_over_rising_wavelengths(wavelengths):
     assert figure.get_supxlabel() == ("band" if wavelengths is None else "wavelength (nm)")
 
 
-def test_class_colours_are_apart():
-    from matplotlib.colors import to_rgb
-    from skimage.color import rgb2lab
+SEEN = {
+    "all cones": (np.eye(3), 20),
+    "no red cones": (
+        ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052)),
+        10,
+    ),
+    "no green cones": (
+        ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969)),
+        10,
+    ),
+}
+"""What eyes see of linear RGB (Machado, Oliveira and Fernandes 2009), and the least distance."""
 
-    colours = np.array([to_rgb(colour) for colour in figures.CLASS_COLOURS])
-    lab = rgb2lab(colours[None])[0]
-    apart = np.linalg.norm(lab[:, None] - lab, axis=-1)
-    assert apart[~np.eye(16, dtype=bool)].min() > 23
+
+@pytest.mark.parametrize("eyes", SEEN)
+def test_class_colours_are_apart(eyes):
+    from matplotlib.colors import to_rgb
+    from skimage.color import deltaE_ciede2000, rgb2lab
+
+    matrix, least = SEEN[eyes]
+    rgb = np.array([to_rgb(colour) for colour in (*figures.CLASS_COLOURS, figures.NO_CLASS)])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.transpose(matrix), 0, 1)
+    back = np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
+    lab = rgb2lab(back[None])[0]
+    apart = deltaE_ciede2000(lab[:, None], lab[None])
+    assert apart[~np.eye(17, dtype=bool)].min() > least

@@ -38,6 +38,7 @@ def results_of(noises=("poisson", "gaussian"), budgets=BUDGETS, designs=DESIGNS,
                     accuracy,
                     design=design,
                     label=code.label,
+                    title=code.title,
                     specific=code.specific,
                     noise=noise,
                     photons=photons,
@@ -62,6 +63,14 @@ def mask_rows(budgets=(1e3, 1e5, 1e8), shape=(6, 4), counts=(9, 7)):
         )
         for photons in budgets
     ]
+
+
+PANELS = {
+    "light throughput": ("light throughput", "share of the budget"),
+    "effective number of directions": ("effective number of directions", "effective rank"),
+    "subspace similarity": ("subspace similarity", "overlap, 0 to 1"),
+}
+NAMES = {"AGN with PN": "both noises"}
 
 
 def measure_rows(budgets=BUDGETS):
@@ -95,7 +104,7 @@ def starts_of(noises=("poisson",), budgets=BUDGETS, ends=True):
 FIGURES = {
     "error": lambda: figures.error_figure(results_of()),
     "masks": lambda: figures.masks_table_figure(mask_rows()),
-    "measures": lambda: figures.measures_figure(measure_rows()),
+    "measures": lambda: figures.measures_figure(measure_rows(), PANELS, NAMES),
     "starts": lambda: figures.starts_figure(*starts_of()),
     "both starts": lambda: figures.starts_figure(*starts_of(("gaussian", "poisson"))),
 }
@@ -106,7 +115,7 @@ every_figure = pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES.key
 @every_figure
 def test_words_can_be_read(draw):
     figure = draw()
-    assert figure.get_figwidth() <= 8.5
+    assert figure.get_figwidth() <= 10
     assert_legible(figure)
 
 
@@ -149,14 +158,14 @@ def test_both_noises_share_one_noise_axis():
         for photons in BUDGETS
     ]
     assert start > max(errors) > min(errors) > end
-    assert "less noise →" in figures.error_figure(results).get_supxlabel()
+    assert all("less noise →" in ax.get_xlabel() for ax in (left, right))
 
 
 @pytest.mark.parametrize(("noise", "panel"), [("gaussian", 0), ("poisson", 1)])
 def test_points_stand_at_their_error(noise, panel):
     results = results_of(designs=("deepfsi",))
     ax = figures.error_figure(results).axes[panel]
-    (line,) = (line for line in ax.lines if line.get_label() == "DFSI")
+    (line,) = (line for line in ax.lines if line.get_label() == "DeepFSI")
     errors = [impulse_imaging_error(photons, 0.37, 1024, noise, 2.0) for photons in BUDGETS]
     chosen = [p for p in results.points if p.noise == noise and p.best]
     np.testing.assert_allclose(line.get_xdata(), errors)
@@ -167,8 +176,9 @@ def test_circles_are_feature_specific_on_the_noise_axis():
     ax = figures.error_figure(results_of()).axes[1]
     markers = {line.get_label(): line.get_marker() for line in ax.lines}
     circles = {name for name, marker in markers.items() if marker == "o"}
-    assert circles == {"FSI", "DFSI", "CG"}
-    assert {name for name, marker in markers.items() if marker == "s"} == {"II", "RS", "HB", "TH"}
+    assert circles == {"PCA", "DeepFSI", "control group"}
+    squares = {name for name, marker in markers.items() if marker == "s"}
+    assert squares == {"impulse imaging", "raster scan", "Hadamard basis", "truncated Hadamard"}
 
 
 def test_names_stand_at_the_end_with_least_noise():
@@ -234,7 +244,9 @@ def test_rails_few_masks_and_dark_ones():
 
 def test_each_measure_has_a_panel_and_each_series_a_look():
     rows = measure_rows()
-    figure = figures.measures_figure(rows)
+    figure = figures.measures_figure(rows, PANELS, NAMES)
+    assert [ax.get_ylabel() for ax in figure.axes] == [label for _, label in PANELS.values()]
+    assert {ax.get_xlabel() for ax in figure.axes} == {"photon budget Φ (photons)"}
     assert [ax.get_title(loc="left").replace("\n", " ") for ax in figure.axes] == [
         "light throughput",
         "effective number of directions",
@@ -251,7 +263,8 @@ def test_each_measure_has_a_panel_and_each_series_a_look():
             ends = [segment[:, 1].tolist() for segment in bars.lines[2][0].get_segments()]
             np.testing.assert_allclose(ends, [[r.low, r.high] for r in kept if r.series == name])
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["Gaussian read noise", "photon noise", "AGN with PN", "random masks"]
+    named = ["Gaussian read noise", "photon noise", "both noises", "random masks"]
+    assert legend == [*named, "95 % interval"]
     looks = {
         (line.get_linestyle(), line.get_marker())
         for line in (bars.lines[0] for ax in figure.axes for bars in ax.containers)
@@ -261,8 +274,9 @@ def test_each_measure_has_a_panel_and_each_series_a_look():
 
 def test_measures_of_one_budget_without_intervals():
     rows = [replace(row, low=None, high=None) for row in measure_rows([1e4])]
-    assert_legible(figures.measures_figure(rows))
-    assert_legible(figures.measures_figure([r for r in rows if r.measure == "light throughput"]))
+    assert_legible(figures.measures_figure(rows, PANELS))
+    one = [row for row in rows if row.measure == "light throughput"]
+    assert_legible(figures.measures_figure(one, PANELS))
 
 
 def test_starts_are_drawn_beside_their_paired_differences():
@@ -278,7 +292,7 @@ def test_starts_are_drawn_beside_their_paired_differences():
         colours = [bars.lines[0].get_color() for bars in panel.containers]
         assert colours[-2:] == [COLOURS["truncated-hadamard"], COLOURS["random"]]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["pca", "truncated-hadamard", "random", "chance"]
+    assert legend == ["from PCA", "from truncated Hadamard", "from random ±1", "chance"]
     across = [bars.lines[0].get_xdata()[0] for bars in left.containers]
     assert len(set(across)) == 3
     np.testing.assert_allclose(across, 100, rtol=0.2)

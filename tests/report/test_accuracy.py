@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.accuracy import accuracy_figure, count_figure
+from shared.figures import assert_legible
 from shared.results import DESIGNS, make_results, with_all
 
 
@@ -12,7 +13,9 @@ def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
     (ax,) = figure.axes
     drawn = [line for line in ax.lines if not line.get_label().startswith("_")]
     markers = {line.get_label(): line.get_marker() for line in drawn}
-    assert markers == {"FSI": "o", "DFSI": "o", "II": "s", "RS": "s", "TH": "s"}
+    circles, squares = {"PCA (FSI)", "DeepFSI"}, {"impulse imaging", "raster scan"}
+    squares |= {"truncated Hadamard"}
+    assert markers == dict.fromkeys(circles, "o") | dict.fromkeys(squares, "s")
     assert ax.get_xscale() == "log"
     named = {text.get_text() for text in ax.texts}
     assert named == {"", "chance", *markers}
@@ -20,12 +23,50 @@ def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
 
 
 def test_error_bars_are_the_intervals(tmp_path):
-    results = make_results(tmp_path, designs=("deepfsi",), budgets=(1e3,))
-    best = next(p for p in results.points if p.best)
+    results = make_results(tmp_path, designs=("deepfsi",))
+    best = [p for p in results.points if p.best]
     (ax,) = accuracy_figure(results).axes
     (bar,) = (c for c in ax.collections if "LineCollection" in type(c).__name__)
-    (segment,) = bar.get_segments()
-    np.testing.assert_allclose(sorted(segment[:, 1]), [best.low, best.high])
+    ends = [sorted(segment[:, 1]) for segment in bar.get_segments()]
+    np.testing.assert_allclose(ends, [[p.low, p.high] for p in best])
+
+
+def test_one_budget_is_a_ranking_without_an_empty_half(tmp_path):
+    results = make_results(tmp_path, budgets=(1e3,), noises=("poisson", "gaussian"))
+    figure = accuracy_figure(results)
+    assert_legible(figure)
+    for ax, noise in zip(figure.axes, ("poisson", "gaussian"), strict=True):
+        best = [p for p in results.points if p.best and p.noise == noise]
+        ordered = sorted(best, key=lambda p: p.accuracy)
+        assert [label.get_text() for label in ax.get_yticklabels()] == [p.title for p in ordered]
+        bars = [c for c in ax.collections if "LineCollection" in type(c).__name__]
+        ends = [bar.get_segments()[0][:, 0] for bar in bars]
+        np.testing.assert_allclose(ends, [[p.low, p.high] for p in ordered])
+        across = [line.get_xdata()[0] for line in ax.lines if line.get_marker() in ("o", "s")]
+        np.testing.assert_allclose(across, [p.accuracy for p in ordered])
+
+
+def test_markers_and_bars_are_named_in_the_figure(tmp_path):
+    for designs, said in (
+        (("deepfsi", "raster"), {"masks made from training data", "other masks"}),
+        (("deepfsi",), {"masks made from training data"}),
+    ):
+        results = make_results(tmp_path, designs=designs)
+        for figure in (accuracy_figure(results), count_figure(results)):
+            (key,) = figure.legends
+            words = {text.get_text() for text in key.get_texts()}
+            assert {*said, "95 % interval"} <= words
+    assert "filled: number of masks chosen on validation data" in words
+    twice = make_results(tmp_path, lights=("column", "two-arm"))
+    assert any("hollow" in t.get_text() for t in accuracy_figure(twice).legends[0].get_texts())
+
+
+def test_names_are_short_only_where_they_would_be_too_long(tmp_path):
+    results = make_results(tmp_path, designs=("deepfsi",), lights=("column", "free-dwell"))
+    long = results.with_points(p.model_copy(update={"title": 40 * "x"}) for p in results.points)
+    for given, name in ((results, "DeepFSI"), (long, "DFSI")):
+        named = {text.get_text() for text in accuracy_figure(given).axes[0].texts}
+        assert named == {"", "chance", f"{name} column", f"{name} free-dwell"}
 
 
 def test_names_at_the_edge_do_not_touch(tmp_path):

@@ -117,7 +117,7 @@ def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
     panels = accuracy_figure(results).axes
     assert [ax.get_title(loc="left") for ax in panels] == ["photon noise", "Gaussian read noise"]
     names = {text.get_text() for text in panels[0].texts} - {"", "chance"}
-    assert names == {"II", "DFSI column", "DFSI free-dwell"}
+    assert names == {"impulse imaging", "DeepFSI column", "DeepFSI free-dwell"}
     assert len(count_figure(results).axes) == 4
     text = words_of(page_of(tmp_path))
     assert "DeepFSI free-dwell, Gaussian read noise" in text

@@ -1,6 +1,7 @@
 """Heat maps and contour maps: what they show is what they were given, and words can be read."""
 
 import itertools
+import math
 
 import matplotlib
 import numpy as np
@@ -96,7 +97,7 @@ def test_heat_maps_share_one_scale_and_one_bar():
     assert len(meshes) == 3
     assert len({mesh.norm for mesh in meshes}) == 1
     assert meshes[0].get_clim() == (0.0, 1.0)
-    assert bar.get_ylabel() == "accuracy"
+    assert bar.get_ylabel() == "accuracy (share correct)"
     assert bar.get_ylim() == (0.0, 1.0)
     for mesh, seed in zip(meshes, (1, 2, 3), strict=True):
         np.testing.assert_array_equal(mesh.get_array(), accuracies(seed))
@@ -218,7 +219,7 @@ def test_line_of_dim_measurements():
 def test_line_that_no_panel_holds_is_not_named():
     grid = accuracies()
     for pixels, held in ((64, True), (4, False), (10**6, False)):
-        figure = maps.contour_figure(grid, grid, BUDGETS, RATIOS, ("A", "B"), pixels=pixels)
+        figure = maps.contour_figure(grid, grid - 0.05, BUDGETS, RATIOS, ("A", "B"), pixels=pixels)
         assert len(figure.legends) == held
         assert all(len(ax.lines) == 2 * held for ax in figure.axes[:3])
 
@@ -232,6 +233,24 @@ def test_triangles_point_where_the_difference_goes():
     assert sorted(map(tuple, dots.get_offsets())) == [(4, -1), (4, 0)]
     assert sorted(map(tuple, up.get_offsets())) == [(2, -1)]
     assert sorted(map(tuple, down.get_offsets())) == [(2, 0), (3, -1)]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "difference within its 95 % interval",
+        "higher, beyond that interval",
+        "lower, beyond that interval",
+    ]
+
+
+@pytest.mark.parametrize(("largest", "panels"), [(0.0, 2), (0.0094, 2), (0.011, 3)])
+def test_a_difference_too_small_to_see_is_words(largest, panels):
+    first = accuracies(1)
+    second = first.copy()
+    second[1, 2] -= largest
+    figure = maps.contour_figure(first, second, BUDGETS, RATIOS, ("A", "B"))
+    assert_legible(figure)
+    assert len([ax for ax in figure.axes if ax.get_title(loc="left")]) == panels
+    said = [text.get_text() for key in figure.legends for text in key.get_texts()]
+    bound = math.ceil(1000 * largest) / 1000
+    assert said == ([f"B − A: no difference above {bound:.3f} anywhere"] if panels == 2 else [])
 
 
 def test_contours_are_interpolated_between_decades():
@@ -256,6 +275,7 @@ def test_contours_are_interpolated_between_decades():
 @pytest.mark.parametrize("gap", [False, True])
 def test_small_contour_maps_and_gaps(budgets, ratios, gap):
     first, second = (accuracies(k, budgets, ratios) for k in (1, 2))
+    second -= 0.05
     if gap:
         second[0, -1] = np.nan
     figure = maps.contour_figure(first, second, budgets, ratios, ("A", "B"), pixels=64)

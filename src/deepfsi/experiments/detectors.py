@@ -13,7 +13,7 @@ from deepfsi.datasets.cifar import where
 from deepfsi.experiments.experiment import Experiment, Finding, budgets
 from deepfsi.report.lines import Line, lines_figure
 from deepfsi.report.section import Claim, Picture, Table
-from deepfsi.report.style import COLOURS, PAPER, photons_text
+from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.statistics.differences import above, difference
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
@@ -178,8 +178,8 @@ def _frames(point: Point) -> str:
 
 def _picture(fixed: Chosen, looks: Chosen) -> Picture:
     panels = {
-        "photon budget Φ": _by_detectors(fixed, looks),
-        "detectors": [
+        BUDGET_AXIS: _by_detectors(fixed, looks),
+        "number of detectors": [
             *_by_budget(fixed, looks=False),
             *_by_budget(looks, looks=True),
         ],

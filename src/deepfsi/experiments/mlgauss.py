@@ -51,8 +51,7 @@ def show(results: Results) -> Finding:
     )
     picture = Picture(
         both.figure(("tested with MLGauss", "tested with Poisson"), pixels),
-        "Accuracy by budget and compression ratio, trained with MLGauss; triangles mark "
-        "differences beyond their interval.",
+        "Accuracy by budget and compression ratio, trained with MLGauss.",
         "Contour maps of accuracy under two test noises, and of their difference.",
     )
     return Finding(found, (picture,), (claim,))

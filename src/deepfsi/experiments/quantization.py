@@ -35,8 +35,7 @@ def show(results: Results) -> Finding:
     )
     picture = Picture(
         both.figure(("continuous", f"1/{levels - 1} of the peak")),
-        "Accuracy by budget and compression ratio, exact photon noise; triangles mark differences "
-        "beyond their interval.",
+        "Accuracy by budget and compression ratio, exact photon noise.",
         "Contour maps of accuracy with and without quantised masks, and of their difference.",
     )
     return Finding(found, (picture,), (claim,))

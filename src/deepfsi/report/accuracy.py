@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.report import style
@@ -29,6 +30,10 @@ class Measured(Protocol):
         """Its short name."""
 
     @property
+    def title(self) -> str:
+        """Its name, written out."""
+
+    @property
     def specific(self) -> bool:
         """True for a feature-specific design."""
 
@@ -47,6 +52,9 @@ class Measured(Protocol):
 
 LINE_HEIGHT = 0.06
 """Height of a name at the right edge, in parts of the axis."""
+
+LONGEST = 32
+"""Letters of the longest name in a figure; where one is longer, all are the designs' short ones."""
 
 Fields = tuple[str, ...]
 
@@ -115,6 +123,13 @@ def series_names(
     return names
 
 
+def figure_names(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ...], str]:
+    """Name of each series in a figure: written out, or short where one would be too long."""
+    rows = list(points)
+    names = series_names(rows, axes, "title")
+    return series_names(rows, axes) if max(map(len, names.values())) > LONGEST else names
+
+
 def noises(results: Results) -> list[str]:
     """Noise models of a comparison, in the order in which they appear."""
     return list(dict.fromkeys(point.noise for point in results.points))
@@ -125,16 +140,19 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     """Accuracy against photons, each design at its chosen mask count; one panel a noise.
 
     The axis of accuracy ends at `top`, above the highest point. Error bars are the points'
-    intervals. Circles are feature-specific designs, squares others.
+    intervals. Circles are feature-specific designs, squares others. Where all were tested at one
+    budget, each design has a line of its own, the most accurate on top.
     """
-    panels = noises(results)
-    figure = Figure(figsize=(4.8 * len(panels), style.PANEL_HEIGHT), layout="constrained")
+    panels, chosen = noises(results), [p for p in results.points if p.best]
+    axes_apart, chance = series_axes(results), results.data.commonest
+    if len({p.photons for p in chosen}) == 1:
+        return _ranking_figure(chosen, panels, axes_apart, chance, top)
+    figure = Figure(figsize=(5.4 * len(panels), style.PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(axes, panels, strict=True):
-        points = [p for p in results.points if p.noise == noise and p.best]
-        chance = results.data.commonest
-        accuracy_axes(ax, points, series_axes(results), attrgetter("photons"), chance, top=top)
-        ax.set_xlabel("photon budget Φ")
+        points = [p for p in chosen if p.noise == noise]
+        accuracy_axes(ax, points, axes_apart, attrgetter("photons"), chance, top=top)
+        ax.set_xlabel(style.BUDGET_AXIS)
         budgets = sorted({p.photons for p in points})
         short = all(len(style.photons_text(budget)) <= 4 for budget in budgets)
         ax.xaxis.set_major_locator(
@@ -143,6 +161,79 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.photons_text(value)))
         if len(panels) > 1:
             ax.set_title(style.noise_text(noise))
+    marker_key(figure, chosen, _hollow(chosen))
+    return figure
+
+
+def _hollow(points: Iterable[Measured]) -> str:
+    """Words for hollow markers of series beside a design's first; empty where there are none."""
+    rows = list(points)
+    kinds = {tuple(str(getattr(p, axis)) for axis in CHOSEN) for p in rows}
+    several = len(kinds) > len({p.design for p in rows})
+    return "hollow: further light laws, rails or detectors" if several else ""
+
+
+def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
+    """Say below a figure what circles, squares and bars are, and what else its words say."""
+    looks: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
+    kinds = {point.specific for point in points}
+    keys = [
+        (Line2D([], [], marker=marker, **looks), name)
+        for marker, name, specific in (
+            ("o", "masks made from training data", True),
+            ("s", "other masks", False),
+        )
+        if specific in kinds
+    ]
+    bar = Line2D([], [], color=style.MUTED, markersize=9, linestyle="none", marker="|")
+    keys.append((bar, "95 % interval"))
+    keys += [(Line2D([], [], linestyle="none"), word) for word in words if word]
+    figure.legend(
+        *zip(*keys, strict=True),
+        loc="outside lower center",
+        ncols=len(keys) if figure.get_figwidth() > 7 else 3,
+        frameon=False,
+        fontsize=style.SMALL,
+        handlelength=1.0,
+        columnspacing=1.2,
+    )
+
+
+def _ranking_figure(
+    points: Sequence[Measured], panels: Sequence[str], axes: Fields, chance: float, top: float
+) -> Figure:
+    """Accuracies at one budget: a line for each series, a panel for each noise."""
+    names = figure_names(points, axes)
+    high = 0.26 * len(names) + 1.3
+    figure = Figure(figsize=(5.4 * len(panels), high), layout="constrained")
+    for ax, noise in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        groups = series([p for p in points if getattr(p, "noise", noise) == noise], axes)
+        rows = sorted(groups.items(), key=lambda row: row[1][0].accuracy)
+        for place, (_, [point]) in enumerate(rows):
+            ax.errorbar(
+                point.accuracy,
+                place,
+                xerr=np.clip(
+                    [[point.accuracy - point.low], [point.high - point.accuracy]], 0, None
+                ),
+                color=style.COLOURS.get(point.design, style.INK),
+                marker="o" if point.specific else "s",
+                capsize=2,
+                elinewidth=1,
+            )
+        ax.set_yticks(range(len(rows)), [names[key] for key, _ in rows])
+        ax.set_ylim(-0.6, len(rows) - 0.4)
+        ax.set_xlim(0, top)
+        ax.set_xlabel(style.ACCURACY_AXIS)
+        ax.grid(axis="x")
+        ax.axvline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)))
+        ax.annotate(
+            "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
+            textcoords="offset points", color=style.MUTED, fontsize=style.SMALL,
+        )  # fmt: skip
+        if len(panels) > 1:
+            ax.set_title(style.noise_text(noise), pad=14)
+    marker_key(figure, points)
     return figure
 
 
@@ -159,7 +250,7 @@ def count_figure(results: Results) -> Figure:
     ]
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.2 * columns, style.PANEL_HEIGHT * rows), layout="constrained")
+    figure = Figure(figsize=(4.9 * columns, style.PANEL_HEIGHT * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).flat
     several = len(noises(results)) > 1
     for ax, (noise, photons) in zip(axes, panels, strict=False):
@@ -175,6 +266,7 @@ def count_figure(results: Results) -> Figure:
             ax.set_title(f"{heading}, {style.noise_text(noise)}" if several else heading)
     for ax in list(figure.axes)[len(panels) :]:
         ax.remove()
+    marker_key(figure, results.points, "filled: number of masks chosen on validation data")
     return figure
 
 
@@ -209,7 +301,8 @@ def accuracy_axes(
     top : float
         End of the axis of accuracy.
     """
-    groups, names = series(points, axes), series_names(points, axes)
+    rows_of = list(points)
+    groups, names = series(rows_of, axes), figure_names(rows_of, axes)
     tried = [across(point) for members in groups.values() for point in members]
     left, right = span or (min(tried), max(tried))
     decades = max(1.0, abs(math.log10(max(left, right) / min(left, right))))
@@ -230,7 +323,7 @@ def accuracy_axes(
     ax.set_xlim(edges[::-1] if left > right else edges)
     ax.axhline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
     ax.set_ylim(0, top)
-    ax.set_ylabel("accuracy")
+    ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
     _name_ends(ax, [*ends, ("chance", style.MUTED, ax.get_xlim()[1], chance)])

@@ -8,7 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from deepfsi.report.style import GRID, INK, MUTED, PANEL_HEIGHT, photons_text, styled
+from deepfsi.report.style import (
+    ACCURACY_AXIS,
+    GRID,
+    INK,
+    MUTED,
+    PANEL_HEIGHT,
+    SMALL,
+    photons_text,
+    styled,
+)
 
 
 class Reached(Protocol):
@@ -41,6 +50,8 @@ class Line:
         Rising.
     accuracy, low, high : sequence of float
         With its interval; none is drawn where both ends are left out.
+    start : str
+        Words at its left end.
     """
 
     name: str
@@ -49,6 +60,7 @@ class Line:
     accuracy: Sequence[float]
     low: Sequence[float] = ()
     high: Sequence[float] = ()
+    start: str = ""
 
     @classmethod
     def through(
@@ -86,7 +98,7 @@ def lines_figure(panels: Mapping[str, Sequence[Line]]) -> Figure:
         ax.xaxis.set_minor_locator(NullLocator())
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(round(value))))
         ax.set_xlabel(label)
-    axes[0].set_ylabel("accuracy")
+    axes[0].set_ylabel(ACCURACY_AXIS)
     return figure
 
 
@@ -96,6 +108,13 @@ def draw_lines(ax: Axes, lines: Iterable[Line]) -> None:
         ax.plot(line.across, line.accuracy, label=line.name or "_", **line.look)
         if line.low:
             ax.vlines(line.across, line.low, line.high, color=line.look["color"], linewidth=1)
+        if line.start:
+            ax.margins(x=0.12)
+            ax.annotate(
+                line.start, (line.across[0], line.accuracy[0]), (-6, 0), color=line.look["color"],
+                textcoords="offset points", fontsize=SMALL, verticalalignment="center",
+                horizontalalignment="right",
+            )  # fmt: skip
     ax.grid(visible=True, color=GRID)
     ax.tick_params(colors=MUTED, labelcolor=INK)
     ax.legend(frameon=False, fontsize=8, loc="best")

@@ -17,6 +17,14 @@ from matplotlib.ticker import FixedLocator, FuncFormatter
 
 from deepfsi.report import style
 
+DRAWN = 0.01
+"""Smallest largest difference of two accuracies that is drawn in a panel of its own."""
+
+_DIM = (
+    Line2D([], [], color=style.MUTED, linestyle=(0, (4, 2)), linewidth=1.4),
+    "0.1 photons per pixel and measurement; fewer above and left of it",
+)
+
 
 class Cell(Protocol):
     """Accuracy at a compression ratio and a budget."""
@@ -110,13 +118,13 @@ def heat_figure(
         labels += _cell_labels(ax, edges, accuracy, norm)
     for ax in list(axes.flat)[len(panels) :]:
         ax.remove()
-    framed = "; framed: of the training" if trained_at in budgets else ""
-    figure.supxlabel(f"photon budget Φ of the test{framed}", fontsize=9)
+    framed = "; framed: training" if trained_at in budgets else ""
+    figure.supxlabel(f"budget Φ of the test (photons){framed}", fontsize=9)
     figure.supylabel("compression ratio m/N", fontsize=9)
     bar = figure.colorbar(
         ScalarMappable(norm, style.SEQUENTIAL),
         ax=list(figure.axes),
-        label="accuracy",
+        label=style.ACCURACY_AXIS,
         aspect=30,
         pad=0.02,
     )
@@ -166,7 +174,7 @@ def contour_figure(
     column has points only.
 
     The accuracies share one scale; the difference, second minus first, has one that is
-    symmetric about 0.
+    symmetric about 0. Where no difference reaches `DRAWN`, words take the place of its panel.
 
     Parameters
     ----------
@@ -185,36 +193,53 @@ def contour_figure(
         up where the second is higher and down where it is lower.
     """
     difference = second - first
-    norm, steps = _accuracy_range((first, second)), difference_levels(difference)
-    levels = [*(k / 10 for k in range(round(10 * float(norm.vmin or 0)), 10)), 0.95, 1.0]
-    accuracy_norm, difference_norm = BoundaryNorm(levels, 256), BoundaryNorm(steps, 256)
-    figure = Figure(figsize=(style.PAGE_WIDTH, 2.9), layout="constrained")
-    axes = figure.subplots(1, 3, sharex=True, sharey=True)
-    x, y = np.log10(budgets), np.log10(ratios)
-    for ax, values, heading in zip(axes, (first, second), names, strict=False):
-        _contours(ax, x, y, values, accuracy_norm, style.SEQUENTIAL)
-        _dots(ax, x, y, values, np.isfinite(values), "o", accuracy_norm, style.SEQUENTIAL)
-        ax.set_title(heading)
-    _difference_panel(axes[2], x, y, difference, apart, difference_norm)
+    largest = np.nanmax(np.abs(difference), initial=0.0)
+    drawn = 2 + (largest >= DRAWN)
+    figure = Figure(figsize=(0.6 + 2.2 * drawn, 3.1), layout="constrained")
+    axes = figure.subplots(1, drawn, sharex=True, sharey=True)
     for ax in axes:
         _logarithmic(ax, budgets, ratios)
-    if pixels and _dim_lines(axes, pixels):
-        _name_dim_lines(figure)
     axes[0].set_ylabel("compression ratio m/N")
-    bar, ticks = _bar_beside(axes[:2], accuracy_norm, style.SEQUENTIAL, "accuracy"), levels[::-2]
-    bar.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
-    middles = (steps[1:] + steps[:-1]) / 2
-    bar = _bar_beside(axes[2:], difference_norm, style.DIVERGING, f"{names[1]}\n− {names[0]}")
-    bar.set_ticks(middles, labels=[style.signed_text(value) for value in middles])
+    x, y = np.log10(budgets), np.log10(ratios)
+    _accuracy_panels(axes[:2], x, y, dict(zip(names, (first, second), strict=True)))
+    keys = [_DIM] if pixels and _dim_lines(axes, pixels) else []
+    if drawn == 3:
+        keys += _difference_panel(axes[2], x, y, difference, apart, f"{names[1]}\n− {names[0]}")
+    else:
+        words = f"{names[1]} − {names[0]}: no difference above {_rounded_up(largest)} anywhere"
+        keys.append((Line2D([], [], linestyle="none"), words))
+    _name_keys(figure, keys)
     return figure
 
 
-def _name_dim_lines(figure: Figure) -> None:
-    key = Line2D([], [], color=style.MUTED, linestyle=(0, (4, 2)), linewidth=1.4)
-    words = "0.1 photons per pixel and measurement; fewer above and left of it"
-    figure.legend(
-        [key], [words], loc="outside lower center", frameon=False, fontsize=8, handlelength=3
-    )
+def _accuracy_panels(
+    axes: np.ndarray, x: np.ndarray, y: np.ndarray, panels: Mapping[str, np.ndarray]
+) -> None:
+    """Draw accuracies by heading, in log10 coordinates, on one scale."""
+    norm = _accuracy_range(panels.values())
+    levels = [*(k / 10 for k in range(round(10 * float(norm.vmin or 0)), 10)), 0.95, 1.0]
+    steps = BoundaryNorm(levels, 256)
+    for ax, (heading, values) in zip(axes, panels.items(), strict=True):
+        _contours(ax, x, y, values, steps, style.SEQUENTIAL)
+        _dots(ax, x, y, values, np.isfinite(values), "o", steps, style.SEQUENTIAL)
+        ax.set_title(heading)
+    bar, ticks = _bar_beside(axes, steps, style.SEQUENTIAL, style.ACCURACY_AXIS), levels[::-2]
+    bar.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
+
+
+def _rounded_up(value: float) -> str:
+    """A small difference with one digit, not below itself."""
+    return f"{math.ceil(1000 * value) / 1000:.3f}"
+
+
+def _name_keys(figure: Figure, keys: Sequence[tuple[Line2D, str]]) -> None:
+    """Say below the panels what their markers and lines are."""
+    if keys:
+        lines, words = zip(*keys, strict=True)
+        figure.legend(
+            lines, words, loc="outside lower center", ncols=2, frameon=False, fontsize=8,
+            handlelength=2, columnspacing=1.4,
+        )  # fmt: skip
 
 
 def _difference_panel(
@@ -223,16 +248,33 @@ def _difference_panel(
     y: np.ndarray,
     values: np.ndarray,
     apart: np.ndarray | None,
-    norm: BoundaryNorm,
-) -> None:
-    """Draw differences, as triangles where they are clear, in log10 coordinates."""
+    label: str,
+) -> list[tuple[Line2D, str]]:
+    """Draw differences, as triangles where they are clear, in log10 coordinates.
+
+    Returns what its markers mean.
+    """
+    steps = difference_levels(values)
+    norm, middles = BoundaryNorm(steps, 256), (steps[1:] + steps[:-1]) / 2
+    bar = _bar_beside(np.array([ax]), norm, style.DIVERGING, label)
+    bar.set_ticks(middles, labels=[style.signed_text(value) for value in middles])
     _contours(ax, x, y, values, norm, style.DIVERGING)
     clear = np.zeros(values.shape, dtype=bool) if apart is None else np.asarray(apart)
     up, down = clear & (values > 0), clear & (values < 0)
     same = np.isfinite(values) & ~up & ~down
-    for marker, where in (("o", same), ("^", up), ("v", down)):
-        _dots(ax, x, y, values, where, marker, norm, style.DIVERGING)
     ax.set_title("difference")
+    keys = []
+    for marker, where, words in (
+        ("o", same, "difference within its 95 % interval" if clear.any() else ""),
+        ("^", up, "higher, beyond that interval"),
+        ("v", down, "lower, beyond that interval"),
+    ):
+        _dots(ax, x, y, values, where, marker, norm, style.DIVERGING)
+        if where.any() and words:
+            look = Line2D([], [], linestyle="none", marker=marker, color=style.PAPER)
+            look.set(markeredgecolor=style.INK, markersize=5.5)
+            keys.append((look, words))
+    return keys
 
 
 def _logarithmic(ax: Axes, budgets: Sequence[float], ratios: Sequence[float]) -> None:
@@ -244,7 +286,7 @@ def _logarithmic(ax: Axes, budgets: Sequence[float], ratios: Sequence[float]) ->
     ax.yaxis.set_major_locator(FixedLocator([math.log10(r) for r in _ratio_ticks(ratios)]))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(10**value)))
     ax.tick_params(labelsize=style.SMALL)
-    ax.set_xlabel("photon budget Φ")
+    ax.set_xlabel("budget Φ (photons)")
 
 
 def _bar_beside(axes: np.ndarray, norm: BoundaryNorm, colours: str, label: str) -> Colorbar:
@@ -336,7 +378,9 @@ def _contours(
         return
     known = np.ma.masked_invalid(values)
     ax.contourf(x, y, known, levels=norm.boundaries, norm=norm, cmap=colours)
-    ax.contour(x, y, known, levels=norm.boundaries, colors=style.ON_LIGHT, linewidths=0.4)
+    ax.contour(
+        x, y, known, levels=norm.boundaries, colors=style.ON_LIGHT, linewidths=0.4, linestyles="-"
+    )
 
 
 def _dots(

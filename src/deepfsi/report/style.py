@@ -176,6 +176,9 @@ PAGE_WIDTH = 7.2
 SMALL = 7.5
 """Font size, points."""
 
+BUDGET_AXIS = "photon budget Φ (photons)"
+ACCURACY_AXIS = "accuracy (share correct)"
+
 ON_LIGHT, ON_DARK = "#101010", "#fefefe"  # ink on colour maps
 
 SEQUENTIAL = "cividis"

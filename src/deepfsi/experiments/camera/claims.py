@@ -40,6 +40,7 @@ from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.experiments.experiment import Experiment, Finding
 from deepfsi.hardware.patterns.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
+from deepfsi.optics.codes import DESIGNS
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.bootstrap import (
@@ -209,6 +210,7 @@ def _point(test: DigitTest) -> Accuracy:
     return Accuracy(
         test.design,
         test.label,
+        LABELS.get(test.design) or DESIGNS[test.design].title,
         test.specific,
         test.exposure_s,
         mean.mean,

@@ -39,6 +39,7 @@ class Accuracy:
 
     design: str
     label: str
+    title: str
     specific: bool
     exposure_s: float
     accuracy: float
@@ -195,7 +196,7 @@ def effects_figure(
         if row == len(exposures) - 1:
             ax.set_xlabel(textwrap.fill(label, 24), fontsize=8)
         if column == 0:
-            ax.set_ylabel("accuracy")
+            ax.set_ylabel(style.ACCURACY_AXIS)
             photons = "" if flux is None else f", {style.photons_text(flux * exposure)} photons"
             ax.set_title(f"exposure {exposure:g} s{photons}")
     keys = {word: keys[word] for word in sorted(keys, key=lambda word: word == MARKS)}
@@ -279,7 +280,7 @@ def _effect_lines(
     for design in dict.fromkeys(point.design for point in members):
         own = sorted((p for p in members if p.design == design), key=lambda p: p.value)
         reach = [[p.accuracy - p.low for p in own], [p.high - p.accuracy for p in own]]
-        lines[own[0].label] = ax.errorbar(
+        lines[own[0].title] = ax.errorbar(
             [p.value * unit or ground for p in own],
             [p.accuracy for p in own],
             yerr=np.clip(reach, 0, None),

@@ -20,7 +20,7 @@ from deepfsi.experiments.flexible.measures import Measures, Prefix, measure
 from deepfsi.report.lines import Line, lines_figure
 from deepfsi.report.maps import accuracy_grid, heat_figure
 from deepfsi.report.section import Claim, Picture, Table
-from deepfsi.report.style import photons_text
+from deepfsi.report.style import BUDGET_AXIS, photons_text
 from deepfsi.statistics.differences import (
     CONFIDENCE,
     Difference,
@@ -84,8 +84,8 @@ class Rivalry:
 
     @property
     def fixed(self) -> dict[str, str]:
-        """Labels of the other designs."""
-        return {name: p.label for (name, _), p in self.own.items() if name != LEARNED}
+        """Names of the other designs."""
+        return {name: p.title for (name, _), p in self.own.items() if name != LEARNED}
 
     def table(self, caption: str, heads: tuple[str, str], text: Text) -> Table:
         """Accuracies at every place, and the differences.
@@ -325,42 +325,49 @@ def _lines_picture(numbers: Numbers) -> Picture:
     ranged, nested = numbers.ranged, numbers.nested
     base = points(numbers.results, recipe="budgets", design=LEARNED)
     elsewhere = [
-        _line(
-            "" if number else "the same, elsewhere",
-            "elsewhere",
-            [point for point in base if point.trained_at == trained_at],
-            "photons",
-            bars=False,
+        replace(
+            _line(
+                "" if number else "those designs at other budgets\n(trained at: left end)",
+                "elsewhere",
+                [point for point in base if point.trained_at == trained_at],
+                "photons",
+            ),
+            low=(),
+            high=(),
+            start=photons_text(trained_at),
         )
         for number, trained_at in enumerate(ranged.places)
     ]
-    first, own, *fixed = ranged.lines("one design for all", "one for each budget")
+    first, own, *fixed = ranged.lines("one design for all budgets", "a design for each budget")
     panels = {
-        "photon budget Φ": [first, own, *elsewhere, *fixed],
-        "masks shown": nested.lines("first masks of one design", "one for each number"),
+        BUDGET_AXIS: [first, own, *elsewhere, *fixed],
+        f"number of masks shown, at {numbers.nested_at} photons": nested.lines(
+            "first masks of one design", "a design for each number"
+        ),
     }
     return Picture(
         lines_figure(panels),
-        "Left: one design for all budgets, against those for one budget each, there and "
-        f"(dotted) elsewhere. Right: the first masks of one design at {numbers.nested_at} photons, "
-        "against designs of that many. Bars: 95 % intervals.",
+        "Left: one design for all budgets, against designs for one budget each, tested at that "
+        "budget and (dotted) at the others. Right: the first masks of one design at "
+        f"{numbers.nested_at} photons, against designs of that many. Bars: 95 % intervals.",
         "Accuracy against budget and against masks; numbers in the tables.",
     )
 
 
 def _stopping_picture(results: Results, measures: Measures) -> Picture:
     photons = measures.stopped[0].photons
-    plain = _line("neither, whole exposures", LEARNED, points(results, recipe="plain"), "photons")
+    plain = _line("whole exposures", "plain", points(results, recipe="plain"), "photons")
     stopped = (
-        Stops("nested, stopped early", "elsewhere", measures.stopped),
+        Stops("nested masks, stopped early", "nested", measures.stopped),
         Stops("several looks, stopped early", "looks", measures.looked),
     )
     return Picture(
         stopping_figure(stopped, plain),
         f"Exposures of {photons_text(photons)} photons on one device that stop when their answer "
-        "is sure enough. Left: accuracy against the mean of photons used, for all thresholds (the "
-        "diamond is at those chosen), and of a design for whole exposures of that many. Middle: "
-        "how many go on, a line for each trial. Right: accuracy of the surest answers.",
+        "is sure enough. Left: accuracy against the mean of photons used, for all thresholds, and "
+        "of a design for whole exposures of that many; diamonds: the threshold chosen on "
+        "validation data. Middle: the share of exposures not yet stopped, in the mean (bold) and "
+        "in each trial (thin). Right: accuracy of the answers kept, the least sure withheld.",
         "What stopping early saves, when exposures stop, and what rejection gives.",
     )
 
@@ -386,11 +393,8 @@ def _heat_picture(results: Results, prefixes: Iterable[Prefix]) -> Picture:
     )
 
 
-def _line(
-    name: str, look: str, members: Iterable[Point | Prefix], axis: str, bars: bool = True
-) -> Line:
-    line = Line.through(name, LOOKS[look], ((getattr(p, axis), p) for p in members))
-    return line if bars else replace(line, low=(), high=())
+def _line(name: str, look: str, members: Iterable[Point | Prefix], axis: str) -> Line:
+    return Line.through(name, LOOKS[look], ((getattr(p, axis), p) for p in members))
 
 
 EXPERIMENT = Experiment(

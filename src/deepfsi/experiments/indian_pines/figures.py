@@ -18,10 +18,10 @@ NO_CLASS = "#e9ecef"
 """Colour of pixels without a label."""
 
 CLASS_COLOURS = (
-    "#ff0000", "#0000ff", "#bfea15", "#15bfaa", "#552a00", "#80aaff", "#95aa55", "#005555",
-    "#556aff", "#004080", "#558055", "#80eaaa", "#40eaff", "#1515aa", "#6a80aa", "#bfea6a",
+    "#ff59a6", "#ffcca6", "#595959", "#a68059", "#008080", "#33cccc", "#cca6ff", "#cc3300",
+    "#a633a6", "#0080ff", "#a6a600", "#0000ff", "#00ff00", "#593300", "#333359", "#800033",
 )  # fmt: skip
-"""Sixteen colours at least 23 apart in CIE L*a*b*, to eyes without red or green cones as well.
+"""Sixteen colours at least 20 apart by CIEDE2000, and 10 to eyes without red or green cones.
 
 Maps number their classes all the same.
 """

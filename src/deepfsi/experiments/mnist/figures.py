@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import impulse_imaging_error
+from deepfsi.optics.codes import DESIGNS
 from deepfsi.report import style
-from deepfsi.report.accuracy import accuracy_axes, noises, series_axes
+from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
 from deepfsi.sweeps.results import Point, Results
 
@@ -133,7 +135,7 @@ def error_figure(results: Results) -> Figure:
 
     chosen = [point for point in results.points if point.noise in panels and point.best]
     errors = [error(point) for point in chosen]
-    figure = Figure(figsize=(4.2 * len(panels), style.PANEL_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(5.0 * len(panels), style.PANEL_HEIGHT + 0.3), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for ax, noise in zip(axes, panels, strict=True):
         accuracy_axes(
@@ -146,11 +148,10 @@ def error_figure(results: Results) -> Figure:
         )
         ax.set_title(style.noise_text(noise))
         ax.label_outer()
+        ax.set_xlabel("noise: RMS error of impulse imaging (reflectance)\nless noise →")
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
-    gap = "; " if len(panels) > 1 else "\n"
-    label = f"impulse-imaging reconstruction error (RMSE, reflectance){gap}less noise →"
-    figure.supxlabel(label, fontsize=9)
+    marker_key(figure, chosen)
     return figure
 
 
@@ -240,34 +241,51 @@ def _name_values(figure: Figure, ax: Axes) -> None:
 
 
 @style.styled
-def measures_figure(rows: Sequence[Measure]) -> Figure:
+def measures_figure(
+    rows: Sequence[Measure],
+    panels: Mapping[str, tuple[str, str]],
+    names: Mapping[str, str] = MappingProxyType({}),
+) -> Figure:
     """Measures of learned masks against the photon budget, one small panel for each measure.
 
     A panel for each `measure` and a line for each `series`, in the order of their first
     appearance; axes begin at 0. Bars run from `low` to `high`.
+
+    Parameters
+    ----------
+    rows : sequence of Measure
+    panels : mapping of str to tuple of str
+        Heading and label of the axis of each measure.
+    names : mapping of str to str
+        Of series that are not noises, for the key.
     """
     measures = list(dict.fromkeys(row.measure for row in rows))
     columns = min(3, len(measures))
     lines = -(-len(measures) // columns)
-    figure = Figure(figsize=(style.PAGE_WIDTH * columns / 3, 2.4 * lines), layout="constrained")
+    figure = Figure(figsize=(3.0 * columns, 2.5 * lines), layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False)
-    names = list(dict.fromkeys(row.series for row in rows))
     others = itertools.cycle(PLAIN)
-    looks = {name: LOOKS.get(name) or next(others) for name in names}
+    kinds = dict.fromkeys(row.series for row in rows)
+    looks = {kind: LOOKS.get(kind) or next(others) for kind in kinds}
     handles = {}
     for ax, measure in zip(axes.flat, measures, strict=False):
         members = [row for row in rows if row.measure == measure]
         for name in dict.fromkeys(row.series for row in members):
             own = [row for row in members if row.series == name]
             handles[name] = _line(ax, own, looks[name])
-        ax.set_title(textwrap.fill(measure, 28))
-        ax.set_xlabel("photon budget Φ")
-        ax.set_ylim(0, None)
+        heading, label = panels[measure]
+        ax.set_title(textwrap.fill(heading, 28))
+        ax.set_ylabel(label)
+        ax.set_xlabel(style.BUDGET_AXIS)
+        ax.set_ylim(0, 1.08 * max(row.value if row.high is None else row.high for row in members))
         ax.grid(axis="y")
         _budget_axis(ax, [row.photons for row in members])
     for ax in list(axes.flat)[len(measures) :]:
         ax.remove()
-    _legend(figure, {style.noise_text(n) if n in LOOKS else n: line for n, line in handles.items()})
+    known = {kind: style.noise_text(kind) if kind in LOOKS else kind for kind in kinds}
+    named = {**known, **names}
+    bar = Line2D([], [], color=style.MUTED, linestyle="none", marker="|", markersize=9)
+    _legend(figure, {named[kind]: line for kind, line in handles.items()} | {"95 % interval": bar})
     return figure
 
 
@@ -307,10 +325,10 @@ def starts_figure(
             for ax, members in ((left, accuracies), (right, differences)):
                 own = [row for row in members if (row.noise, row.start) == (noise, start)]
                 if own:
-                    handles[start] = _line(ax, own, look, shift)
+                    handles[f"from {DESIGNS[start].title}"] = _line(ax, own, look, shift)
         left.set_ylim(0, 1)
-        left.set_ylabel("accuracy")
-        right.set_ylabel("accuracy less that of pca in a trial")
+        left.set_ylabel(style.ACCURACY_AXIS)
+        right.set_ylabel("accuracy less that from PCA")
         right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.signed_text(value)))
         several = f"{style.noise_text(noise)}: " if len(rows) > 1 else ""
         left.set_title(f"{several}accuracy")
@@ -318,7 +336,7 @@ def starts_figure(
         budgets = {row.photons for row in accuracies if row.noise == noise}
         for ax in (left, right):
             ax.grid(axis="y")
-            ax.set_xlabel("photon budget Φ")
+            ax.set_xlabel(style.BUDGET_AXIS)
             _budget_axis(ax, budgets)
     _legend(figure, {**handles, "chance": Line2D([], [], **dotted)})
     return figure
@@ -330,7 +348,7 @@ def _legend(figure: Figure, lines: Mapping[str, Line2D]) -> None:
         lines.values(),
         lines.keys(),
         loc="outside lower center",
-        ncols=max(1, int(figure.get_figwidth() / 1.8)),
+        ncols=max(1, int(figure.get_figwidth() / 2.2)),
         frameon=False,
         handlelength=3,
     )

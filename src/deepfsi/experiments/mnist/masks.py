@@ -34,6 +34,15 @@ SHOWN = (1e3, 1e5, 1e8)
 LIGHT, SPAN = "light counted", "independent directions"
 KEPT = "likeness to the start"
 MATCHED, SUBSPACE = "likeness, mask by mask", "likeness of what they span"
+PANELS = {
+    LIGHT: ("light counted", "share of the budget Φ"),
+    SPAN: ("independent directions", "effective rank of the masks"),
+    MATCHED: ("likeness, mask by mask", "mean |cosine|, 0 to 1"),
+    SUBSPACE: ("likeness of spanned spaces", "overlap, 0 to 1"),
+    KEPT: ("likeness to the first masks", "mean |cosine|, 0 to 1"),
+}
+"""Heading and axis of each measure."""
+
 NOISES, BOTH = ("gaussian", "poisson"), "AGN and PN"
 
 PAPER = (
@@ -181,7 +190,9 @@ def _found(measures: Measures, masks: int) -> str:
 
 def _pictures(measures: Measures) -> tuple[Picture, ...]:
     drawn = Picture(
-        measures_figure(measures.measures),
+        measures_figure(
+            measures.measures, PANELS, {BOTH: "masks of read noise and of photon noise"}
+        ),
         "Light, independent directions, and likeness of AGN's and PN's masks. Bars: 95 % "
         "intervals.",
         "Measures of the masks against the photon budget; numbers in the table.",

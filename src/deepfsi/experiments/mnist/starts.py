@@ -51,7 +51,7 @@ def show(results: Results) -> Finding:
     )
     picture = Picture(
         starts_figure(accuracies, differences, 1 / len(results.data.classes)),
-        "Accuracy by the matrix that masks start from, and differences to pca. Bars: 95 % "
+        "Accuracy by the matrix that masks start from, and differences to PCA. Bars: 95 % "
         "intervals.",
         "Accuracy of learned masks from three initial matrices; numbers in the table.",
     )

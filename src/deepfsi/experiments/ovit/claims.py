@@ -155,8 +155,8 @@ def summarise(records: Sequence[Mapping[str, Any]]) -> list[Point]:
             "masks": masks,
         }
         made = point(axes, members, masks)
-        label = LABEL if design == LEARNED else made.label
-        found.append(made.model_copy(update={"label": label}))
+        named = {"label": LABEL, "title": LABEL} if design == LEARNED else {}
+        found.append(made.model_copy(update=named))
     return found
 
 
@@ -238,8 +238,8 @@ def _pictures(results: Results, masks: Sequence[LearnedMasks]) -> tuple[Picture,
             patch_masks_figure(
                 [row for row in masks if row.photons in SHOWN or len(masks) <= len(SHOWN)]
             ),
-            f"The {masks[0].side ** 2} masks of {LABEL}, the brightest first, row by row. Black is "
-            "−peak, mid-grey 0, white peak, for each budget its own.",
+            f"Masks of {LABEL} on patches of {masks[0].side} × {masks[0].side} pixels: those that "
+            "count most photons, row by row. Each budget has a scale of its own.",
             f"Masks learned by {LABEL} at several budgets.",
         ),
     )

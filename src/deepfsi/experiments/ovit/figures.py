@@ -5,10 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from deepfsi.report.masks import brightest, mask_axes, peak, signed
-from deepfsi.report.style import GREYS, PAGE_WIDTH, power_text, styled
+from deepfsi.report.masks import BAR_LABEL, brightest, mask_axes, peak, signed
+from deepfsi.report.style import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, styled
+
+SHOWN = 16
+"""Masks of a budget that are drawn at most."""
 
 
 @dataclass(frozen=True)
@@ -35,25 +40,34 @@ class LearnedMasks:
 
 @styled
 def patch_masks_figure(rows: Sequence[LearnedMasks]) -> Figure:
-    """All masks of image patches, a panel for each budget.
+    """Masks of image patches, a panel for each budget with a scale of its own.
 
-    Masks that count most photons come first, row by row. Black is −peak, mid-grey 0 and white
-    peak; the peak, the largest |M_ij| of that budget, stands below.
+    Those that count most photons, row by row. Black is −peak, mid-grey 0 and white peak; the peak
+    is the largest |M_ij| of that budget.
     """
     width = PAGE_WIDTH / max(len(rows), 3)
-    figure = Figure(figsize=(width * len(rows), width + 0.5), layout="constrained")
+    figure = Figure(figsize=(width * len(rows), width + 0.45), layout="constrained")
     panels = figure.subplots(1, len(rows), squeeze=False)[0]
     for ax, row in zip(panels, rows, strict=True):
         matrix, side = signed(np.asarray(row.matrix)), row.side
-        across = math.ceil(math.sqrt(len(matrix)))
-        down = -(-len(matrix) // across)
+        shown = brightest(matrix, SHOWN)
+        across = math.ceil(math.sqrt(len(shown)))
+        down = -(-len(shown) // across)
         sheet = np.full((down * (side + 1) - 1, across * (side + 1) - 1), np.nan)
-        for place, index in enumerate(brightest(matrix, len(matrix))):
+        for place, index in enumerate(shown):
             y, x = (part * (side + 1) for part in divmod(place, across))
             sheet[y : y + side, x : x + side] = matrix[index].reshape(side, side)
         end = peak(matrix)
         mask_axes(ax, sheet, end, GREYS)
         ax.spines[:].set_visible(False)
-        ax.set_title(f"{power_text(row.photons)} photons")
-        ax.set_xlabel(f"peak {end:.2g}", fontsize=8)
+        ax.set_title(
+            f"{power_text(row.photons)} photons: {len(shown)} of {len(matrix)} masks", fontsize=8
+        )
+        bar = figure.colorbar(
+            ScalarMappable(Normalize(-end, end), GREYS), ax=ax, location="bottom", pad=0.02,
+            aspect=28,
+        )  # fmt: skip
+        bar.set_ticks([-end, 0, end], labels=[f"−{end:.2g}", "0", f"{end:.2g}"])
+        plain_bar(bar)
+        bar.set_label(BAR_LABEL, fontsize=SMALL)
     return figure
