@@ -102,6 +102,16 @@ def shape_rates(kinds: list[int], counts: list[int], rng: np.random.Generator) -
     return np.stack([x @ masks.T, x @ (1 - masks).T], axis=1) / masks.size
 
 
+def test_a_readout_that_one_scene_alone_lights_is_not_tested():
+    """As a raster scan has where pictures have a black border and one reaches into it."""
+    rates = np.random.default_rng(3).gamma(4.0, size=(300, 1, 6)) / 100
+    rates[:, :, 4:] = 0
+    rates[7, :, 5] = 0.01
+    found = find_distribution(torch.from_numpy(rates), np.arange(300) % CLASSES, CLASSES)
+    assert (found.mean > 0).tolist() == [[True] * 4 + [False] * 2]
+    assert all(torch.isfinite(part).all() for part in found.tensors.values())
+
+
 @pytest.mark.parametrize("sizes", [[200, 15, 12], [200, 50, 50], [200, 80, 60]])
 def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
     """New scenes of any classes; classes that are too few to tell are not tested."""

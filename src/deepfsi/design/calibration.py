@@ -65,12 +65,15 @@ def find_distribution(
         Of the order of scenes and the noise of the calibration.
     """
     every = rates.double().cpu().numpy()
-    lit = every.mean(axis=0) > 0
+    rng = np.random.default_rng([seed, 12])
+    folds = np.array_split(rng.permutation(len(every)), FOLDS)
+    # what the scenes of one fold alone light cannot be compared with those of the others
+    lit = np.sum([(every[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
     sizes = np.bincount(labels, minlength=classes)
     if len(every) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
         return None
     held = every[:, lit]
-    tails, pairs = _calibrate(held, np.asarray(labels), np.random.default_rng([seed, 12]))
+    tails, pairs = _calibrate(held, np.asarray(labels), folds, rng)
     model = ReadoutModel.fit(held)
 
     def spread_out(part: np.ndarray) -> Tensor:
@@ -89,13 +92,12 @@ def find_distribution(
 
 
 def _calibrate(
-    rates: np.ndarray, labels: np.ndarray, rng: np.random.Generator
+    rates: np.ndarray, labels: np.ndarray, folds: list[np.ndarray], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them.
 
     Each scene is compared with the model of the other folds.
     """
-    folds = np.array_split(rng.permutation(len(rates)), FOLDS)
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
     values = np.empty((2, len(COUNTS), len(rates)))
