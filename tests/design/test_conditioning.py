@@ -1,4 +1,4 @@
-"""Designs for a range of budgets, and masks of which the first ones do by themselves."""
+"""Designs for a range of budgets, and nested masks."""
 
 import math
 from dataclasses import replace

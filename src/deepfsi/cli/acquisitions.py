@@ -16,8 +16,8 @@ def camera_prepare(
     scenes: Annotated[
         Path,
         typer.Option(
-            help="text file with NAME or NAME,LABEL on each line, or the pictures themselves: a "
-            "folder, or one with a folder for each class"
+            help="text file with NAME or NAME,LABEL on each line; or a folder of the pictures, "
+            "with or without a folder for each class"
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
@@ -25,7 +25,9 @@ def camera_prepare(
     marker: options.Marker = None,
     exposure: Annotated[
         str | None,
-        typer.Option(help="total exposure, such as 0.01 or 10ms; the longest that fits if none"),
+        typer.Option(
+            help="total exposure, such as 0.01 or 10ms; the longest that fits unless given"
+        ),
     ] = None,
     settle: options.Settle = None,
     repeats: options.Repeats = None,
@@ -84,10 +86,12 @@ def camera_import(
     out: Annotated[Path, typer.Option("--out", "-o", help="photon file, .ptu, new")],
     channels: Annotated[
         list[int] | None,
-        typer.Option("--channel", help="channel of each detector, in order; all others if none"),
+        typer.Option(
+            "--channel", help="channel of each detector, in order; all others unless given"
+        ),
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="unit of the times, such as 1ps; the file's own if none")
+        str | None, typer.Option(help="unit of the times, such as 1ps; the file's own unless given")
     ] = None,
     as_json: options.Json = False,
 ) -> None:

@@ -118,7 +118,7 @@ def camera_count(
     repeats: options.Repeats = None,
     tolerance: Annotated[
         str | None,
-        typer.Option(help="by how much a marker may be off; 10us, or a tenth of a frame, if none"),
+        typer.Option(help="how far a marker may be off; 10us or a tenth of a frame unless given"),
     ] = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
@@ -215,7 +215,8 @@ def _drifted(drift: float) -> str:
 def camera_image(
     folder: options.Run,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="picture; picture.png in the folder if none")
+        Path | None,
+        typer.Option("--out", "-o", help="picture; picture.png in the folder unless given"),
     ] = None,
     as_json: options.Json = False,
 ) -> None:

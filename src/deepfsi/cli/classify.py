@@ -44,32 +44,39 @@ def camera_classify(
     background: Annotated[
         float | None,
         typer.Option(
-            help="table: counts of an input in one exposure without light; of the all-OFF frames "
-            "if none"
+            help="table: dark counts of an input in one exposure; those of the all-OFF frames "
+            "unless given"
         ),
     ] = None,
     settle: Annotated[
-        str | None, typer.Option(help="table: time after each marker that was not counted; 0")
+        str | None,
+        typer.Option(help="table: time after each marker without counting; 0 unless given"),
     ] = None,
     exposures: Annotated[
-        str | None, typer.Option(help="table: exposures are its rows or columns; by its shape")
+        str | None,
+        typer.Option(help="table: exposures are rows or columns; by its shape unless given"),
     ] = None,
     repeats: Annotated[
-        int, typer.Option(min=1, help="table: exposures of each scene, one after another")
+        int, typer.Option(min=1, help="table: number of consecutive exposures of each scene")
     ] = 1,
     gain: Annotated[
-        float | None, typer.Option(help="table of an analogue detector: counts for a unit of it")
+        float | None,
+        typer.Option(help="table of an analogue detector: counts that one unit stands for"),
     ] = None,
     read_noise: Annotated[
-        float | None, typer.Option(help="table of an analogue detector: counts rms of a value")
+        float | None,
+        typer.Option(help="table of an analogue detector: read noise of a value, counts rms"),
     ] = None,
     dead_time: Annotated[
-        str | None, typer.Option(help="table: dead time of the counter, to be corrected for")
+        str | None, typer.Option(help="table: correct for this dead time of the counter")
     ] = None,
     dead_time_model: options.DeadTimeModel = None,
     trust: options.Trust = False,
     force: Annotated[
-        bool, typer.Option("--force", help="classify counts that are not what it was trained for")
+        bool,
+        typer.Option(
+            "--force", help="classify even if the counts do not look like those of the training"
+        ),
     ] = False,
     as_json: options.Json = False,
 ) -> None:

@@ -87,7 +87,7 @@ def data_export(
     name: Annotated[str, typer.Argument(help="name, folder of images or .npz file")],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the pictures, new")],
     per_class: Annotated[int, typer.Option(min=1, help="test scenes of each class")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="draws them")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="seed of their choice")] = 0,
     size: options.Size = None,
     as_json: options.Json = False,
 ) -> None:

@@ -57,7 +57,7 @@ def export(
 
 def plan(
     context: typer.Context,
-    target: Annotated[str, typer.Option(help="accuracy to be reached, such as 0.95")],
+    target: Annotated[str, typer.Option(help="target accuracy, such as 0.95")],
     out: options.Folder = Path("runs/plan"),
     data: options.Data = "digits",
     size: options.Size = None,
@@ -68,7 +68,7 @@ def plan(
     ratios: Annotated[
         str | None,
         typer.Option(
-            help="readouts over pixels, m/N for one detector; 0.01,0.04,0.16 unless given"
+            help="readouts divided by pixels, m/N for one detector; 0.01,0.04,0.16 unless given"
         ),
     ] = None,
     masks: options.MaskCounts = None,

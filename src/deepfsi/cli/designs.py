@@ -41,9 +41,17 @@ def design(
     epochs: options.Epochs = None,
     balance: options.Balance = False,
     hold_out: Annotated[
-        int, typer.Option(help="last training scenes to leave out, for `deepfsi stop`")
+        int,
+        typer.Option(
+            help="number of last training scenes to leave out, which `deepfsi stop` needs"
+        ),
     ] = 0,
-    seed: Annotated[int, typer.Option(help="repeats exactly on one device")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            help="seed of the random numbers: the same one repeats the result exactly on one device"
+        ),
+    ] = 0,
     matrix: options.Matrix = None,
     view: options.View = None,
     device: options.Device = "auto",
@@ -99,11 +107,12 @@ def evaluate(
     sigma: options.Sigma = 1.0,
     dark: options.Dark = 0.0,
     first: Annotated[
-        int | None, typer.Option(help="show only so many masks of a nested design, the first ones")
+        int | None, typer.Option(help="use only this many first masks of a nested design")
     ] = None,
     draws: options.Draws = 3,
     ideal: Annotated[
-        bool, typer.Option("--ideal", help="say what the ideal observer of the counts reaches")
+        bool,
+        typer.Option("--ideal", help="also give the accuracy of the ideal observer of the counts"),
     ] = False,
     seed: options.NoiseSeed = 0,
     view: options.View = None,
@@ -171,15 +180,17 @@ def stop(
     hold_out: Annotated[
         int | None,
         typer.Option(
-            help="last training scenes that the training left out; as it was unless given"
+            help="number of last training scenes that the training left out; that of the design "
+            "unless given"
         ),
     ] = None,
     threshold: Annotated[
-        float | None, typer.Option(help="confidence above which to stop; chosen unless given")
+        float | None,
+        typer.Option(help="confidence above which to stop; chosen on left-out scenes unless given"),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="design file with this rule in it, for `camera live`"),
+        typer.Option("--out", "-o", help="write the design with this rule, for `camera live`"),
     ] = None,
     draws: options.Draws = 3,
     seed: options.NoiseSeed = 0,

@@ -31,25 +31,26 @@ def dmd_export(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the patterns, new")],
     size: Annotated[
-        str | None, typer.Option(help="cells of raster or hadamard, HEIGHTxWIDTH; 32x32 if none")
+        str | None,
+        typer.Option(help="cells of raster or hadamard, HEIGHTxWIDTH; 32x32 unless given"),
     ] = None,
     detectors: Annotated[
         int | None,
         typer.Option(
             min=1,
             max=64,
-            help="how many detectors see raster or hadamard, for `camera calibrate` to find which "
-            "cells each sees; 1 if none",
+            help="number of detectors during raster or hadamard, so that `camera calibrate` finds "
+            "the cells of each; 1 unless given",
         ),
     ] = None,
     device: Annotated[
         str, typer.Option(help="name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a TOML file")
     ] = "dlp7000",
     shortest: Annotated[
-        str | None, typer.Option(help="shortest picture time of the device; its own if none")
+        str | None, typer.Option(help="shortest picture time of the device; its own unless given")
     ] = None,
     settle: Annotated[
-        str | None, typer.Option(help="time for its mirrors to settle; its own if none")
+        str | None, typer.Option(help="time for its mirrors to settle; its own unless given")
     ] = None,
     dwell: Annotated[
         str, typer.Option(help="mean time of a frame on the device, such as 1ms or 44us")
@@ -57,13 +58,13 @@ def dmd_export(
     selection: Annotated[
         str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
     ] = "ordered",
-    seed: Annotated[int, typer.Option(min=0, help="of a random selection")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="seed of a random selection")] = 0,
     kind: Annotated[
         str | None,
         typer.Option(
             "--format",
             help="npy or raw (packed bits), png (one a frame), or planes (24 frames a picture, "
-            "with a pattern table); what the device takes if none",
+            "with a pattern table); what the device takes unless given",
         ),
     ] = None,
     as_json: options.Json = False,

@@ -24,7 +24,7 @@ PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed
 
 def camera_live(
     source: Annotated[
-        Path, typer.Argument(help="folder of patterns, or a design file, for a DLP7000")
+        Path, typer.Argument(help="folder of patterns; or a design file, shown on a DLP7000")
     ],
     scene: options.Scenes,
     exposure: Annotated[str, typer.Option(help="exposure of all looks, such as 0.01 or 10ms")],
@@ -48,13 +48,13 @@ def camera_live(
     ] = None,
     until: Annotated[
         float | None,
-        typer.Option(help="confidence above which an exposure stops; as the design has it if none"),
+        typer.Option(
+            help="confidence above which an exposure stops; that of the design's rule unless given"
+        ),
     ] = None,
     shortest_dwell: Annotated[
         str | None,
-        typer.Option(
-            help="frames below it are not shown; at least the device's, and the design's share"
-        ),
+        typer.Option(help="shortest frame to show; at least that of the device and of the design"),
     ] = None,
     photons: options.Budget = None,
     dead_time: options.DeadTime = None,

@@ -34,7 +34,9 @@ Size = Annotated[
 ]
 View = Annotated[
     Path | None,
-    typer.Option(help="folder of a camera's calibration: use what it sees of the scenes"),
+    typer.Option(
+        help="folder of a camera's calibration: train on the scenes as this camera sees them"
+    ),
 ]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda")]
 Workers = Annotated[
@@ -52,14 +54,12 @@ Matrix = Annotated[
 ]
 Balance = Annotated[
     bool,
-    typer.Option("--balance", help="weigh scenes in training so that every class counts alike"),
+    typer.Option("--balance", help="weight the training scenes so that all classes count equally"),
 ]
 Epochs = Annotated[int | None, typer.Option(help="training epochs")]
 TrainNoise = Annotated[
     str | None,
-    typer.Option(
-        help="noise of the training, if another: ml_gauss, poisson, gaussian, camera, none"
-    ),
+    typer.Option(help="noise in training, if different: ml_gauss, poisson, gaussian, camera, none"),
 ]
 
 # one design
@@ -72,7 +72,9 @@ PhotonRange = Annotated[
 ]
 Counts = Annotated[
     str | None,
-    typer.Option(help="instead of --photons: photons that the detectors are to count in the mean"),
+    typer.Option(
+        help="instead of --photons: expected number of detected photons, averaged over the scenes"
+    ),
 ]
 DesignFile = Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")]
 MaskCount = Annotated[str | None, typer.Option(help="number of masks, m")]
@@ -91,7 +93,7 @@ Dark = Annotated[
     float, typer.Option(help="dark counts of a detector in a whole exposure, for camera noise")
 ]
 Light = Annotated[
-    str, typer.Option(help="light constraint: column, equal-dwell, free-dwell or two-arm")
+    str, typer.Option(help="light law of the optics: column, equal-dwell, free-dwell or two-arm")
 ]
 Rails = Annotated[
     str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
@@ -99,43 +101,51 @@ Rails = Annotated[
 Detectors = Annotated[
     str,
     typer.Option(
-        help="detectors on parts of the device: ROWSxCOLUMNS, a number of bands, or a .npy map of "
-        "each pixel's detector, from 0"
+        help="detectors, each on its part of the device: ROWSxCOLUMNS, a number of spectral "
+        "bands, or a .npy map with each pixel's detector, from 0"
     ),
 ]
 Readout = Annotated[
     str | None,
     typer.Option(
-        help="what the network reads of two rails: both, or their difference; both for two-arm "
-        "unless given"
+        help="what the network reads of two rails: both, or their difference; by default both "
+        "for two-arm, else the difference"
     ),
 ]
 Nested = Annotated[
-    int, typer.Option(help="fewest masks, first ones, that must do by themselves; 0: all")
+    int,
+    typer.Option(
+        help="nested masks: smallest number of first masks from which the network must "
+        "classify; 0: always all"
+    ),
 ]
 Levels = Annotated[
-    int, typer.Option(help="grey levels of a cell, dark included, that masks are made of")
+    int,
+    typer.Option(
+        help="grey levels of the masks, dark included: 2 for ON and OFF; 0 for continuous values"
+    ),
 ]
 Looks = Annotated[
-    int, typer.Option(help="looks of an exposure: counts of each choose the dwells of the next")
+    int,
+    typer.Option(
+        help="parts (looks) of an exposure: the counts so far choose the dwells of the next part"
+    ),
 ]
 ShortestDwell = Annotated[
     str | None,
-    typer.Option(
-        help="shortest time of a frame that the device shows, such as 44us; with --exposure"
-    ),
+    typer.Option(help="shortest frame of the device, such as 44us; needs --exposure"),
 ]
 DesignExposure = Annotated[
-    str | None, typer.Option(help="time of an exposure, such as 10ms, for --shortest-dwell")
+    str | None, typer.Option(help="time of a whole exposure, such as 10ms; for --shortest-dwell")
 ]
 Classifier = Annotated[
     str, typer.Option(help="mlp, or module:factory of a torch module of your own")
 ]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="run the code that the design names as its classifier's")
+    bool, typer.Option("--trust", help="run the code of the classifier that the design names")
 ]
 Draws = Annotated[int, typer.Option(help="noise draws of each scene")]
-NoiseSeed = Annotated[int, typer.Option(help="of the noise")]
+NoiseSeed = Annotated[int, typer.Option(help="seed of the noise")]
 
 # many designs
 
@@ -150,13 +160,13 @@ Sigmas = Annotated[
 Darks = Annotated[
     float | None, typer.Option(help="dark counts of a detector in an exposure, camera noise")
 ]
-Lights = Annotated[str | None, typer.Option(help="light constraints")]
+Lights = Annotated[str | None, typer.Option(help="light laws, such as column,free-dwell")]
 RailsAxis = Annotated[str | None, typer.Option(help="dual, single")]
 DetectorsAxis = Annotated[
-    str | None, typer.Option(help="detectors on parts of the device: 1x1,2x2,map.npy")
+    str | None, typer.Option(help="detectors, each on its part of the device: 1x1,2x2,map.npy")
 ]
 ReadoutAxis = Annotated[
-    str | None, typer.Option(help="what is read of two rails: both, difference")
+    str | None, typer.Option(help="what the network reads of two rails: both, difference")
 ]
 Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
 
@@ -164,13 +174,15 @@ Trials = Annotated[int | None, typer.Option(help="training seeds for each point"
 # acquisitions
 
 Exposure = Annotated[
-    str | None, typer.Option(help="total exposure, such as 0.01 or 10ms; the recorded one if none")
+    str | None,
+    typer.Option(help="total exposure, such as 0.01 or 10ms; the recorded one unless given"),
 ]
 Settle = Annotated[
-    str | None, typer.Option(help="time for mirrors to settle in each frame; the device's if none")
+    str | None,
+    typer.Option(help="time for mirrors to settle in each frame; the device's unless given"),
 ]
 Repeats = Annotated[
-    int | None, typer.Option(min=1, help="exposures in one pass; as many as fit if none")
+    int | None, typer.Option(min=1, help="exposures in one pass; as many as fit unless given")
 ]
 Run = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
 Inputs = Annotated[
@@ -192,14 +204,14 @@ Marker = Annotated[
 DeadTime = Annotated[
     str | None,
     typer.Option(
-        help="dead time of the counter, such as 20ns, to be corrected for; that of the "
-        "calibration in the folder if none"
+        help="correct for this dead time of the counter, such as 20ns; that of the folder's "
+        "calibration unless given"
     ),
 ]
 DeadTimeModel = Annotated[
     str | None,
     typer.Option(
-        help="non-paralysable (a SPAD, a counter's electronics; if none), or paralysable (a "
+        help="non-paralysable (a SPAD, a counter's electronics; the default), or paralysable (a "
         "photomultiplier)"
     ),
 ]
@@ -278,15 +290,18 @@ def optional_seconds(option: str, text: str | None) -> float | None:
 
 
 Scenes = Annotated[
-    Path, typer.Option(help="image, folder of images, or one with a folder for each class")
+    Path, typer.Option(help="image, or folder of images, with or without a folder for each class")
 ]
 CameraSettings = Annotated[
     str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
 ]
-CameraSeed = Annotated[int, typer.Option(min=0, help="repeats exactly")]
+CameraSeed = Annotated[
+    int,
+    typer.Option(min=0, help="seed of the random numbers: the same one repeats the run exactly"),
+]
 LargeFile = Annotated[bool, typer.Option("--yes", help="write a large file without asking")]
 Budget = Annotated[
-    float | None, typer.Option(help="budget of an exposure; that of the all-ON frames if none")
+    float | None, typer.Option(help="budget of an exposure; that of the all-ON frames unless given")
 ]
 
 

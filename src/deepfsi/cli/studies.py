@@ -27,7 +27,9 @@ def compare(
     photons: Annotated[str | None, typer.Option(help="budgets, such as 1e3,1e4,1e5")] = None,
     ratios: Annotated[
         str | None,
-        typer.Option(help="readouts over pixels, m/N for one detector, such as 0.01,0.04,0.09"),
+        typer.Option(
+            help="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"
+        ),
     ] = None,
     masks: options.MaskCounts = None,
     noise: options.Noises = None,
@@ -95,7 +97,7 @@ def sweep(
     ray: options.Ray = None,
     device: options.Device = "auto",
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="say what it would cost here, and do nothing")
+        bool, typer.Option("--dry-run", help="estimate time and memory on this machine, and stop")
     ] = False,
     table: Annotated[
         Path | None, typer.Option(help="write all records as one table, .csv or .parquet")

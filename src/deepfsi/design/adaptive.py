@@ -1,13 +1,13 @@
-"""Exposures that look several times: what was counted decides how long each mask is shown next.
+"""Exposures of several looks: the counts so far choose how long each mask is shown next.
 
 One device shows the same masks in every look, each for its own share of the time (`free-dwell`).
 In the first look these *dwells* are the same for all scenes; a small network then chooses those of
-each further look from the counts so far. Masks that would tell what is already known get hardly
+each further look from the counts so far. Masks whose result is already known get hardly
 any time. Counts n of a look are Poisson counts given those before it, and its dwells d depend on
-these alone, so that the likelihood of a mask's rate r is a constant times r^Σn · e^(−rΣd): sums
-over the looks hold all that they say of the scene, and are what both networks are shown.
+these alone, so that the likelihood of a mask's rate r is a constant times r^Σn · e^(−rΣd): the sums
+over the looks are sufficient statistics of the scene, and both networks read these sums.
 
-The classifier learns to answer after every look, so that an exposure may end when it is sure.
+The classifier is trained to answer after every look, so that an exposure may end early.
 """
 
 from collections.abc import Callable, Iterator

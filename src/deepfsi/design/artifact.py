@@ -132,7 +132,7 @@ class Design:
 
     @property
     def fewest_masks(self) -> int:
-        """Fewest first masks that do by themselves."""
+        """Smallest number of first masks that can be classified alone."""
         return self.exposure.fewest_masks(self.masks)
 
     @property
@@ -358,7 +358,7 @@ class Design:
         fewest = self.fewest_masks
         if not fewest <= masks <= self.masks:
             raise InputError(
-                f"the first {masks} masks of this design do not do by themselves: give "
+                f"the first {masks} masks of this design cannot be classified alone: give "
                 f"{fewest} to {self.masks}"
                 + ("" if fewest < self.masks else ", or learn nested ones with `nested`")
             )

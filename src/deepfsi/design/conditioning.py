@@ -1,7 +1,7 @@
 """Conditioning inputs of the classifier: photon budget and number of masks shown.
 
-A design for a range of budgets, or one whose first masks do by themselves, must know which of these
-it has before it. So its classifier has two inputs more: the logarithm of the budget, mapped from
+The classifier of a design for a range of budgets, or with nested masks, must know the budget and
+the number of masks shown. So it has two inputs more: the logarithm of the budget, mapped from
 the range to -1 .. 1, and the share of masks shown. Features of masks not shown are 0.
 
 The first k masks, brought to what the whole sequence takes of the light constraint, see a scene as
@@ -42,7 +42,7 @@ class Conditioning(ExposureKind):
     masks : int
         m, of the whole sequence.
     nested : int
-        Fewest first masks that do by themselves; 0 if only all do.
+        Smallest number of first masks that can be classified alone; 0 if only all can.
     width : int
         Features of each mask.
     used : float
@@ -100,7 +100,7 @@ class Conditioning(ExposureKind):
         return chance
 
     def fewest_masks(self, masks: int) -> int:
-        """Fewest first masks, of m, that do by themselves."""
+        """Smallest number of first masks, of m, that can be classified alone."""
         return self.nested or masks
 
     def using(self, used: float) -> "Conditioning":

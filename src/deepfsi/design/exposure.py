@@ -83,7 +83,7 @@ class ExposureKind:
     network : Mlp, optional
         A network besides the classifier.
     width : int
-        Features of each mask, where its first masks do by themselves.
+        Features of each mask, for nested masks.
     """
 
     kind: str
@@ -186,7 +186,7 @@ class ExposureKind:
         )
 
     def fewest_masks(self, masks: int) -> int:
-        """Fewest first masks, of m, that do by themselves."""
+        """Smallest number of first masks, of m, that can be classified alone."""
         return masks
 
     def using(self, used: float) -> "ExposureKind":

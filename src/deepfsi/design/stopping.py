@@ -1,15 +1,15 @@
-"""Early stopping: masks in sequence, or looks, and an answer as soon as it is sure enough.
+"""Early stopping: an exposure ends as soon as the classifier is confident enough.
 
-After each mask of a nested design, from the fewest on that do by themselves, or after each look of
-a design of several, an exposure is classified with what has been counted so far. It stops where
-the confidence of the answer, the probability of the likeliest class, is above a threshold. Photons
-that a stopped exposure has taken are the first of those that the whole one takes: nothing is drawn
-again.
+After each mask of a nested design, from the smallest number that can be classified alone, or after
+each look of a design of several, an exposure is classified from the counts so far. It stops when
+the confidence, the probability of the most probable class, exceeds a threshold. A stopped exposure
+and the whole one share their random draws: the counts of the first are the first counts of the
+second.
 
-A network's own probabilities are rarely right, so each number of masks or looks has a temperature
+A network is often too confident, so each number of masks or looks has a temperature
 that divides the logits. It is fitted on scenes that were held out of the training. The threshold is
 chosen on the same scenes, of which each half has the temperatures of the other; the test scenes are
-read once.
+used once.
 """
 
 from collections.abc import Sequence
