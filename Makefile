@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 
 run: $(VENV)/installed
 	$(BIN)/deepfsi compare -o runs/digits
+	$(BIN)/deepfsi design --photons 1e4 --masks 16 --light free-dwell --rails single --looks 4 \
+	  --hold-out 287 -o runs/digits/looks.safetensors
+	$(BIN)/deepfsi page runs/digits/looks.safetensors -o runs/digits/page.html
 
 test: $(VENV)/installed
 	$(BIN)/ruff check .

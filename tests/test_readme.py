@@ -19,6 +19,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 LINES = {
     "README": 1,
     "docs/do/compare": 6,
+    "docs/do/page": 2,
     "docs/do/plan": 1,
     "docs/do/deploy": 2,
     "docs/do/cluster": 2,
@@ -54,7 +55,7 @@ def test_no_line_is_left_out():
     assert {page: len(lines(page)) for page in LINES} == LINES
     words = {line.split()[1] for page in LINES for line in lines(page)}
     assert words == {
-        *("compare", "design", "evaluate", "show", "stop", "plan", "export", "sweep"),
+        *("compare", "design", "evaluate", "show", "page", "stop", "plan", "export", "sweep"),
         *("reproduce", "report", "dmd", "camera", "data"),
     }
     for page in (ROOT / "docs/do").glob("*.md"):
@@ -114,6 +115,7 @@ def test_readme(run, tmp_path):
     ("page", "made"),
     [
         ("compare", ("runs/mnist/report.html", "masks.png", "patterns/manifest.json")),
+        ("page", ("looks.html",)),
         ("plan", ("runs/plan/plan.json",)),
         ("deploy", ("digits.onnx",)),
         ("cluster", ("runs/quick.csv",)),

@@ -94,6 +94,7 @@ OUTPUTS = [
 FILES = {
     "design --photons 1e3 --masks 2": ".safetensors",
     "show FILE": ".png",
+    "page FILE": ".html",
     "export FILE": ".onnx",
 }
 """Commands that write a file, and the end of its name."""
@@ -145,6 +146,7 @@ MISSING = [
     "evaluate none.safetensors --photons 1e3",
     "stop none.safetensors --photons 1e3",
     "show none.safetensors -o x.png",
+    "page none.safetensors -o x.html",
     "export none.safetensors",
     "dmd export none.safetensors -o patterns",
     "dmd check none",

@@ -16,7 +16,7 @@ from deepfsi.design.artifact import Design
 
 COMMANDS = [
     *("compare", "sweep", "reproduce", "report", "plan"),
-    *("design", "evaluate", "stop", "show", "export"),
+    *("design", "evaluate", "stop", "show", "page", "export"),
     *(f"data {name}" for name in ("list", "download", "check", "export")),
     *(f"dmd {name}" for name in ("export", "check", "devices")),
     *(f"camera {name}" for name in ("simulate", "count", "classify", "image")),

@@ -17,6 +17,7 @@ STEPS = {
     "-o one.safetensors",
     "evaluate": "one.safetensors --photons 1e3",
     "show": "one.safetensors -o masks.png",
+    "page": "one.safetensors -o page.html",
     "export": "one.safetensors",
     "stop": "looks.safetensors --photons 1e4 --hold-out 300 --draws 1",
     "compare": f"{TINY} -o runs/compare",

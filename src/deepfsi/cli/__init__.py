@@ -10,7 +10,7 @@ import typer
 import deepfsi
 from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd, live
 from deepfsi.cli.deploy import export, plan
-from deepfsi.cli.designs import design, evaluate, show, stop
+from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
@@ -41,7 +41,7 @@ def _start(
 
 
 _HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Design": (design, show, evaluate, stop, export),
+    "Design": (design, show, page, evaluate, stop, export),
     "Study": (compare, plan, sweep, reproduce, report),
 }
 for _heading, _commands in _HEADINGS.items():

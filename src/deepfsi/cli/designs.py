@@ -1,4 +1,4 @@
-"""Commands of one design: design, evaluate, stop, show."""
+"""Commands of one design: design, evaluate, stop, show, page."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -315,6 +315,44 @@ def show(
     common.draw("show", figure, out, as_json)
     if (memory := memory_of(made)) and not as_json:
         print(f"trained on: {memory.words}")
+
+
+def page(
+    file: Annotated[Path, typer.Argument(help="design file")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="the page, .html")],
+    data: options.TestData = None,
+    size: options.Size = None,
+    seed: options.NoiseSeed = 0,
+    as_json: options.Json = False,
+) -> None:
+    """Write a page on which anyone can expose a scene to a design and watch it answer.
+
+    One HTML file that needs no server: draw a scene, set the light, start an exposure. Its accuracy
+    is measured on the test scenes of the data that the design remembers.
+
+    Example: deepfsi page digits.safetensors -o digits.html
+    """
+    paths.check_design(file)
+    paths.check_file(out, (".html",))
+    common.check_data(data)
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.memory import data_of
+    from deepfsi.design.payload import check_playable, playable
+    from deepfsi.report.playground.page import write_page
+
+    made = Design.load(file)
+    check_playable(made)
+    scenes, notes = data_of(made, data, options.size_of(size))
+    with common.progress("page", quiet=as_json) as report:
+        payload = playable(made, scenes, seed=seed, report=report)
+    write_page(out, payload)
+    if as_json:
+        measured = {name: payload[name] for name in ("curve", "test", "rules")}
+        said = {"design": str(file), "page": str(out), "notes": notes, **measured}
+        common.print_json("page", said)
+        return
+    common.print_data(scenes, notes)
+    print(f"page to play with: {out}")
 
 
 def _worst(result: "Result", classes: Sequence[str]) -> str:

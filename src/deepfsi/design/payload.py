@@ -1,0 +1,206 @@
+"""A design as JSON for a page that plays it: what the page needs to expose a scene and classify it.
+
+Arrays are float32, every byte of them: first all lowest bytes, then the next ones, as the highest
+bytes of weights are much alike and shrink when deflated. That is written in base64.
+"""
+
+import base64
+import zlib
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from deepfsi.datasets import Dataset
+from deepfsi.design.adaptive import LARGEST_SCORE
+from deepfsi.design.artifact import Design
+from deepfsi.design.classifiers import Mlp
+from deepfsi.design.evaluation import check_data, evaluate
+from deepfsi.design.memory import memory_of
+from deepfsi.design.stopping import StoppingRule, stop
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.progress import SILENT, Report
+
+BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
+"""Budgets at which the accuracy is measured, the whole range of the page's slider."""
+
+SCENES = 30
+"""Test scenes in the page, of each class as many as can be."""
+
+UNKNOWN = 1e4
+"""Budget to begin with, photons, where a design does not say at which one it was learned."""
+
+LARGEST_SHORT = 2**16 - 1
+"""Largest 16-bit number, the highest level of a scene."""
+
+
+def playable(
+    design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Report = SILENT
+) -> dict[str, Any]:
+    """Payload of a page: JSON types only.
+
+    Parameters
+    ----------
+    design : Design
+    data : Dataset
+        Its test part is shown and measured; where an exposure may stop early, that is calibrated on
+        the training scenes that the design's training left out.
+    draws : int
+        Noise draws of each scene in the measured accuracy.
+    seed : int
+        Of the noise, and of the choice of scenes.
+    report : Report
+        Where to say how far it is.
+
+    Raises
+    ------
+    InputError
+        If a page cannot play the design, or the data does not fit it.
+    """
+    classifier = check_playable(design)
+    check_data(design, data)
+    budgets = sorted({*BUDGETS, *_trained(design)})
+    results = evaluate(design, data, budgets, draws=draws, seed=seed, report=report.part(0, 0.8))
+    rules = _rules(design, data, seed, report.part(0.8, 1))
+    low, high = _trained(design)
+    return {
+        **_optics(design),
+        "name": design.name,
+        "classes": design.classes,
+        "mean": pack(design.mean.cpu().numpy()),
+        "std": pack(design.std.cpu().numpy()),
+        "network": _layers(classifier),
+        "exposure": _exposure(design),
+        "budget": {"low": low, "high": high},
+        "rules": rules,
+        "scenes": _scenes(data, seed),
+        "curve": [
+            {name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")}
+            for each in results
+        ],
+        "test": {"images": results[0].images, "draws": draws, "covers": results[0].covers},
+        "data": {"name": data.name, "preprocessing": data.preprocessing},
+        "version": version("deepfsi"),
+    }
+
+
+def check_playable(design: Design) -> Mlp:
+    """Classifier of a design that a page can play; `InputError` for another design."""
+    if design.exposure.kind == "patches":
+        raise InputError(
+            "this design is of image patches, each with a detector of its own, and a page shows "
+            "one device: give a design of whole scenes"
+        )
+    if not isinstance(design.classifier, Mlp):
+        raise InputError(
+            "a page has no classifier of your own in it: give a design with the package's own, "
+            "which `classifier` mlp learns"
+        )
+    noise = design.info.get("job", {}).get("noise", "poisson")
+    if noise not in ("poisson", "ml_gauss"):
+        raise InputError(
+            f"this design is for {noise} noise, and a page draws photon counts: give a design for "
+            "poisson noise"
+        )
+    return design.classifier
+
+
+def pack(values: np.ndarray) -> dict[str, Any]:
+    """An array of float32, or of uint16, for JSON."""
+    kept = np.ascontiguousarray(values, "<u2" if values.dtype == np.uint16 else "<f4")
+    planes = kept.reshape(-1).view(np.uint8).reshape(-1, kept.itemsize).T
+    deflated = zlib.compress(planes.tobytes(), 9)
+    text = base64.b64encode(deflated).decode()
+    return {"shape": values.shape, "bytes": kept.itemsize, "planes": text}
+
+
+def _trained(design: Design) -> tuple[float, float]:
+    """Lowest and highest budget of the training; where nothing says it, the page's middle one."""
+    known = {**design.info.get("job", {}), **asdict(design.exposure.header())}
+    low = float(known.get("photons", UNKNOWN))
+    return low, low * known.get("span", 1.0)
+
+
+def _optics(design: Design) -> dict[str, Any]:
+    """Masks, light law and detectors.
+
+    Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|.
+    """
+    difference, total = (each.cpu().numpy() for each in constraints.combine(design.rails))
+    sums = None
+    if len(design.rails) == 2 and not np.array_equal(total, np.abs(difference)):
+        flat = np.ptp(total, axis=1).max() < constraints.SLACK * total.max()
+        sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
+    labels = design.detection.labels
+    return {
+        "image_shape": design.image_shape,
+        "summed_reflectance": design.summed_reflectance,
+        "light": design.light,
+        "rails": len(design.rails),
+        "readout": design.detection.readout,
+        "detectors": design.detection.count,
+        "labels": None if labels is None else labels.tolist(),
+        "matrix": pack(difference),
+        "total": sums,
+    }
+
+
+def _layers(network: Mlp) -> list[dict[str, Any]]:
+    return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
+
+
+def _exposure(design: Design) -> dict[str, Any]:
+    """Entry of the design file for its exposure, and the network that chooses dwells."""
+    network = design.exposure.network
+    chooser = None if network is None else _layers(network)
+    return {**asdict(design.exposure.header()), "largest_score": LARGEST_SCORE, "chooser": chooser}
+
+
+def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:
+    """Rules of when an exposure stops, each with the budget that it was calibrated at.
+
+    That which the design holds; else those of the lowest, middle and highest budget of its
+    training, where it can stop early and its training left scenes out.
+    """
+    try:
+        after, _ = design.exposure.stops(design.rails, design.light)
+    except InputError:
+        return []
+    low, high = _trained(design)
+    held = design.info.get("stopping")
+    if held is not None:
+        temperatures = tuple(held["temperatures"]) or (1.0,) * len(after)
+        own = StoppingRule(after, temperatures, held["threshold"])
+        return [{"photons": None, **asdict(own)}]
+    memory = memory_of(design)
+    if memory is None or not memory.held_out or not memory.is_of(data):
+        return []
+    budgets = sorted({low, (low * high) ** 0.5, high})
+    rules = []
+    for place, budget in enumerate(budgets):
+        found = stop(design, data, budget, draws=1, seed=seed)
+        rules.append({"photons": budget, **asdict(found.rule)})
+        report((place + 1) / len(budgets))
+    return rules
+
+
+def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
+    """Test scenes as levels of the range that training scenes have, of each class in turn."""
+    low, high = float(data.x_train.min()), float(data.x_train.max())
+    rng = np.random.default_rng(seed)
+    queues = [rng.permutation(np.flatnonzero(data.y_test == k)) for k in range(len(data.classes))]
+    turns = [queue[turn] for turn in range(SCENES) for queue in queues if turn < len(queue)]
+    rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
+    share = (data.x_test[rows] - low) / max(high - low, 1e-9)
+    levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
+    known = data.wavelengths
+    return {
+        "low": low,
+        "high": high,
+        "levels": pack(levels),
+        "labels": data.y_test[rows].tolist(),
+        "mean": pack(data.x_train.mean(axis=0)),
+        "wavelengths": None if known is None else np.nan_to_num(known, nan=-1).tolist(),
+    }

@@ -1,0 +1,290 @@
+// One exposure of a scene: frames, counts, answers, and the pictures to compare it with.
+
+import { Random, poisson, softmax } from "./numbers.js";
+
+const SLICES = 48; // parts of an exposure whose readouts all see light at once
+
+/** Frames of one device in their order: the readouts of each, and its share of the exposure. */
+function framesOf(model, dwell = null, look = 0) {
+  const frames = [];
+  const add = (mask, rails, share, scale) => {
+    const places = rails.flatMap((rail) =>
+      Array.from({ length: model.detectors }, (_, d) => model.place(rail, mask, d)),
+    );
+    if (share > 0) frames.push({ mask, rails, look, share, places, scale });
+  };
+  const lit = model.peaks.flat().filter((peak) => peak > 0).length;
+  for (let mask = 0; mask < model.masks; mask++) {
+    const peaks = model.peaks.map((rail) => rail[mask]);
+    if (model.light === "two-arm") {
+      const share = dwell ? dwell[mask] : model.entry(0, mask, 0) + model.entry(1, mask, 0);
+      add(mask, [0, 1], share, dwell ? share * model.dwells : 1);
+      continue;
+    }
+    peaks.forEach((peak, rail) => {
+      const chosen = dwell && dwell[model.eachRail ? 2 * mask + rail : mask];
+      const own = model.light === "equal-dwell" ? 1 / lit : peak;
+      add(mask, [rail], peak > 0 ? (chosen ?? own) : 0, dwell ? chosen * model.dwells : 1);
+    });
+  }
+  return frames;
+}
+
+/** Frames of masks that all see light at once: the exposure in slices. */
+function slicesOf(model) {
+  const places = Array.from({ length: model.readouts }, (_, place) => place);
+  const rails = model.peaks.map((_, rail) => rail);
+  const slice = { mask: null, rails, look: 0, share: 1 / SLICES, places, scale: 1 / SLICES };
+  return Array.from({ length: SLICES }, () => ({ ...slice }));
+}
+
+export class Exposure {
+  /** Draw an exposure. `until` is the rule that says where it could have stopped. */
+  constructor(model, scene, photons, seed) {
+    Object.assign(this, { model, scene, photons, seed, frames: [], decisions: [] });
+    this.together = model.light === "column";
+    this.rule = model.rule(photons);
+    this.answers = new Map();
+    const random = new Random(seed);
+    const rates = model.rates(scene).map((rate) => rate * photons);
+    const counts = new Float64Array(model.readouts);
+    const dwell = model.chooser ? new Array(model.dwells).fill(0) : null;
+    for (let look = 0; look < model.looks; look++) {
+      const chosen = dwell && model.choose(counts, photons, look, dwell);
+      const frames = this.together ? slicesOf(model) : framesOf(model, chosen, look);
+      for (const frame of frames) {
+        frame.counts = frame.places.map((place) => poisson(rates[place] * frame.scale, random));
+        frame.places.forEach((place, i) => (counts[place] += frame.counts[i]));
+        this.frames.push(frame);
+      }
+      if (dwell) chosen.forEach((each, place) => (dwell[place] += each));
+    }
+    let end = 0;
+    for (const frame of this.frames) {
+      frame.begin = end;
+      end += frame.share;
+      frame.end = end;
+    }
+    this.length = end;
+    this.findStop();
+  }
+
+  /** Counts, dwells and masks shown after so many frames. */
+  after(count) {
+    const { model } = this;
+    const counts = new Float64Array(model.readouts);
+    const scale = new Float64Array(model.readouts);
+    const dwell = model.chooser ? new Array(model.dwells).fill(0) : null;
+    this.frames.slice(0, count).forEach((frame) => {
+      frame.places.forEach((place, i) => {
+        counts[place] += frame.counts[i];
+        scale[place] += frame.scale;
+      });
+      if (!dwell) return;
+      for (const rail of model.eachRail ? frame.rails : [0]) {
+        dwell[model.eachRail ? 2 * frame.mask + rail : frame.mask] += frame.share;
+      }
+    });
+    const next = this.frames[count];
+    const shown = this.together || model.chooser || !next ? model.masks : next.mask;
+    return { counts, scale, dwell, shown };
+  }
+
+  /**
+   * Probabilities after so many frames. They are `sound` where the network learned to answer: at
+   * the end, after a look, and after enough of nested masks. Where all masks see light at once they
+   * are those of so much light.
+   */
+  answer(count) {
+    if (!this.answers.has(count)) this.answers.set(count, this.findAnswer(count));
+    return this.answers.get(count);
+  }
+
+  /** Find the answers after all frames up to one that the network has learned to answer after. */
+  answerAll(count) {
+    for (let at = 1; at <= count; at++) if (this.sound(at)) this.answer(at);
+  }
+
+  /** True after frames that the network has learned to answer after. */
+  sound(count) {
+    const { model, frames, together } = this;
+    const [last, next] = [frames[count - 1], frames[count]];
+    if (!next || together) return true;
+    if (model.chooser) return next.look > last.look;
+    return next.mask > last.mask && next.mask >= (model.exposure.nested || model.masks);
+  }
+
+  findAnswer(count) {
+    const { model, photons, frames } = this;
+    if (count === 0) return { chances: null, sound: false };
+    const { counts, dwell, shown } = this.after(count);
+    const light = this.together ? photons * frames[count - 1].end : photons;
+    let chances = model.classify(counts, light, shown, dwell);
+    const at = model.chooser ? frames[count - 1].look + 1 : shown;
+    if (this.rule) {
+      const known = this.rule.after.findIndex((each) => each >= at);
+      const temperature = this.rule.temperatures[Math.max(known, 0)];
+      chances = softmax(chances.map((each) => Math.log(Math.max(each, 1.1754944e-38)) / temperature));
+    }
+    return { chances, sound: this.sound(count), at };
+  }
+
+  /** Find the first frame after which the rule would have stopped. */
+  findStop() {
+    this.stop = null;
+    if (!this.rule) return;
+    for (let count = 1; count < this.frames.length && !this.stop; count++) {
+      if (!this.sound(count)) continue;
+      const { chances, at } = this.answer(count);
+      const { end } = this.frames[count - 1];
+      if (this.rule.after.includes(at) && Math.max(...chances) > this.rule.threshold) {
+        this.stop = { count, end, saved: 1 - end / this.length, chances, at };
+      }
+    }
+  }
+}
+
+/** Pictures that other cameras record with the same photons, at times 0 to 1 of the exposure. */
+export class Rivals {
+  constructor(model, scene, photons, seed) {
+    const light = Array.from(scene, (x) => (x * photons) / model.summed_reflectance);
+    this.scale = model.summed_reflectance / photons;
+    const raster = new Random(seed, 1);
+    this.raster = light.map((each) => poisson(each / light.length, raster) * light.length);
+    const impulse = new Random(seed, 2);
+    this.slices = 16;
+    this.impulse = [light.map(() => 0)];
+    for (let slice = 0; slice < this.slices; slice++) {
+      const before = this.impulse[slice];
+      this.impulse.push(light.map((each, i) => before[i] + poisson(each / this.slices, impulse)));
+    }
+  }
+
+  /** Reflectances of a raster scan, a pixel after the other; null where it has not been. */
+  rasterAt(time) {
+    const seen = Math.floor(time * this.raster.length + 1e-9);
+    return this.raster.map((each, i) => (i < seen ? each * this.scale : null));
+  }
+
+  /** Reflectances of a detector for each pixel, all the time. */
+  impulseAt(time) {
+    const slice = Math.floor(time * this.slices + 1e-9);
+    return this.impulse[slice].map((each) => (slice ? (each * this.scale * this.slices) / slice : null));
+  }
+}
+
+const DAMPING = 1e-6; // of the trace of the normal matrix, which damps what masks hardly see
+
+/** Solve a symmetric positive definite system in place (Cholesky). */
+function solve(matrix, size, right) {
+  for (let j = 0; j < size; j++) {
+    const row = j * size;
+    for (let i = j; i < size; i++) {
+      let sum = matrix[i * size + j];
+      for (let k = 0; k < j; k++) sum -= matrix[i * size + k] * matrix[row + k];
+      matrix[i * size + j] = i === j ? Math.sqrt(sum) : sum / matrix[row + j];
+    }
+  }
+  for (let i = 0; i < size; i++) {
+    for (let k = 0; k < i; k++) right[i] -= matrix[i * size + k] * right[k];
+    right[i] /= matrix[i * size + i];
+  }
+  for (let i = size - 1; i >= 0; i--) {
+    for (let k = i + 1; k < size; k++) right[i] -= matrix[k * size + i] * right[k];
+    right[i] /= matrix[i * size + i];
+  }
+  return right;
+}
+
+/** Least-squares pictures of counts: of all that explain them the one of smallest norm. */
+export class LeastSquares {
+  constructor(model) {
+    this.model = model;
+    this.parts = Array.from({ length: model.detectors }, (_, detector) => this.prepare(detector));
+  }
+
+  prepare(detector) {
+    const { model } = this;
+    const pixels = [];
+    for (let i = 0; i < model.pixels; i++) {
+      if (!model.labels || model.labels[i] === detector) pixels.push(i);
+    }
+    const rows = [];
+    for (let rail = 0; rail < model.rails; rail++) {
+      for (let mask = 0; mask < model.masks; mask++) {
+        if (!(model.peaks[rail][mask] > 0)) continue;
+        const values = Float64Array.from(pixels, (pixel) => model.entry(rail, mask, pixel));
+        rows.push({ place: model.place(rail, mask, detector), values });
+      }
+    }
+    return { pixels, rows, gram: null };
+  }
+
+  /** Products of the rows with each other, made when they are first needed. */
+  gram(part) {
+    if (part.gram) return part.gram;
+    const size = part.rows.length;
+    part.gram = new Float64Array(size * size);
+    for (let i = 0; i < size; i++) {
+      const a = part.rows[i].values;
+      for (let j = 0; j <= i; j++) {
+        const b = part.rows[j].values;
+        let sum = 0;
+        for (let k = 0; k < a.length; k++) sum += a[k] * b[k];
+        part.gram[i * size + j] = part.gram[j * size + i] = sum;
+      }
+    }
+    return part.gram;
+  }
+
+  /** Reflectances of counts; `scale` is the share of its light that each readout has had. */
+  picture(counts, scale, photons) {
+    const { model } = this;
+    const out = new Float64Array(model.pixels);
+    const unit = model.summed_reflectance / photons;
+    for (const part of this.parts) {
+      const weights = part.rows.map(({ place }) => scale[place]);
+      const read = part.rows.map(({ place }) => counts[place] * unit);
+      const wide = part.rows.length <= part.pixels.length;
+      const found = wide ? this.byRows(part, weights, read) : this.byPixels(part, weights, read);
+      part.pixels.forEach((pixel, i) => (out[pixel] = found[i]));
+    }
+    return out;
+  }
+
+  byRows(part, weights, read) {
+    const size = weights.length;
+    const normal = this.gram(part).map(
+      (value, i) => value * weights[Math.floor(i / size)] * weights[i % size],
+    );
+    const solved = solve(this.damp(normal, size), size, read);
+    const found = new Float64Array(part.pixels.length);
+    part.rows.forEach(({ values }, row) => {
+      const weight = weights[row] * solved[row];
+      if (weight) for (let i = 0; i < found.length; i++) found[i] += values[i] * weight;
+    });
+    return found;
+  }
+
+  byPixels(part, weights, read) {
+    const size = part.pixels.length;
+    const normal = new Float64Array(size * size);
+    const right = new Float64Array(size);
+    part.rows.forEach(({ values }, row) => {
+      for (let i = 0; i < size; i++) {
+        const weighted = values[i] * weights[row] ** 2;
+        if (!weighted) continue;
+        right[i] += values[i] * weights[row] * read[row];
+        for (let j = 0; j < size; j++) normal[i * size + j] += weighted * values[j];
+      }
+    });
+    return solve(this.damp(normal, size), size, right);
+  }
+
+  damp(normal, size) {
+    let trace = 0;
+    for (let i = 0; i < size; i++) trace += normal[i * size + i];
+    for (let i = 0; i < size; i++) normal[i * size + i] += DAMPING * trace || 1;
+    return normal;
+  }
+}

@@ -1,0 +1,177 @@
+// The design: what its masks count of a scene, and what its networks make of the counts.
+
+import { softmax, unpack } from "./numbers.js";
+
+/** Outputs of a network with rectified hidden layers. */
+function outputs(layers, inputs) {
+  let hidden = inputs;
+  layers.forEach(({ weight, bias }, place) => {
+    const [rows, columns] = weight.shape;
+    const next = new Float64Array(rows);
+    for (let row = 0; row < rows; row++) {
+      let sum = bias.values[row];
+      const start = row * columns;
+      for (let column = 0; column < columns; column++) {
+        sum += weight.values[start + column] * hidden[column];
+      }
+      next[row] = place < layers.length - 1 ? Math.max(sum, 0) : sum;
+    }
+    hidden = next;
+  });
+  return hidden;
+}
+
+/**
+ * Leave out frames shorter than the shortest dwell and give their time to the others, in
+ * proportion, so that as many are shown as can be.
+ */
+function shareOut(dwell, shortest) {
+  const total = dwell.reduce((a, b) => a + b, 0);
+  const order = [...dwell.keys()].sort((a, b) => dwell[b] - dwell[a] || a - b);
+  let sum = 0;
+  let kept = 0;
+  for (const place of order) {
+    sum += dwell[place];
+    if (dwell[place] * total < shortest * (1 - 1e-6) * sum) break;
+    kept += 1;
+  }
+  const shown = new Set(order.slice(0, Math.max(kept, 1)));
+  const light = [...shown].reduce((all, place) => all + dwell[place], 0);
+  return dwell.map((each, place) => (shown.has(place) ? (each * total) / light : 0));
+}
+
+export class Model {
+  /** The design of a payload, its arrays unpacked. */
+  static async load(payload) {
+    const layers = (packed) =>
+      Promise.all(
+        packed.map(async ({ weight, bias }) => ({
+          weight: await unpack(weight),
+          bias: await unpack(bias),
+        })),
+      );
+    const model = new Model();
+    Object.assign(model, payload);
+    model.matrix = (await unpack(payload.matrix)).values;
+    model.total = payload.total && (await unpack(payload.total)).values;
+    model.mean = (await unpack(payload.mean)).values;
+    model.std = (await unpack(payload.std)).values;
+    model.network = await layers(payload.network);
+    model.chooser = payload.exposure.chooser && (await layers(payload.exposure.chooser));
+    model.pixels = payload.image_shape.reduce((a, b) => a * b);
+    model.masks = model.matrix.length / model.pixels;
+    model.features = model.mean.length;
+    model.looks = payload.exposure.looks ?? 1;
+    model.eachRail = model.rails === 2 && model.light !== "two-arm";
+    model.dwells = model.masks * (model.eachRail ? 2 : 1);
+    model.peaks = model.findPeaks();
+    return model;
+  }
+
+  /** Share of a pixel's photons that a rail of a mask counts. */
+  entry(rail, mask, pixel) {
+    const place = mask * this.pixels + pixel;
+    const difference = this.matrix[place];
+    if (this.rails === 1) return difference;
+    const sum = this.total
+      ? this.total[this.total.length === this.masks ? mask : place]
+      : Math.abs(difference);
+    return Math.max((rail === 0 ? sum + difference : sum - difference) / 2, 0);
+  }
+
+  /** Largest entry of each frame, [rail][mask]. */
+  findPeaks() {
+    return Array.from({ length: this.rails }, (_, rail) =>
+      Array.from({ length: this.masks }, (_, mask) => {
+        let peak = 0;
+        for (let pixel = 0; pixel < this.pixels; pixel++) {
+          peak = Math.max(peak, this.entry(rail, mask, pixel));
+        }
+        return peak;
+      }),
+    );
+  }
+
+  /** Place of a readout among the counts: rail by rail, mask by mask, detector by detector. */
+  place(rail, mask, detector = 0) {
+    return (rail * this.masks + mask) * this.detectors + detector;
+  }
+
+  get readouts() {
+    return this.rails * this.masks * this.detectors;
+  }
+
+  /** Expected counts of a scene's reflectances for a budget of one photon. */
+  rates(scene) {
+    const rates = new Float64Array(this.readouts);
+    for (let rail = 0; rail < this.rails; rail++) {
+      for (let mask = 0; mask < this.masks; mask++) {
+        for (let pixel = 0; pixel < this.pixels; pixel++) {
+          const detector = this.labels ? this.labels[pixel] : 0;
+          rates[this.place(rail, mask, detector)] += this.entry(rail, mask, pixel) * scene[pixel];
+        }
+      }
+    }
+    return rates.map((rate) => rate / this.summed_reflectance);
+  }
+
+  /** Features that the networks read of counts. */
+  read(counts) {
+    const each = this.detectors;
+    const half = this.masks * each;
+    if (this.rails === 1) return counts;
+    if (this.readout === "difference") {
+      return Float64Array.from({ length: half }, (_, i) => counts[i] - counts[half + i]);
+    }
+    const features = new Float64Array(2 * half);
+    for (let i = 0; i < half; i++) {
+      const mask = Math.floor(i / each);
+      features[mask * each + i] = counts[i];
+      features[(mask + 1) * each + i] = counts[half + i];
+    }
+    return features;
+  }
+
+  /**
+   * Inputs of the classifier of counts so far. Features of masks that were not shown are 0, their
+   * mean over the training scenes; of several looks the dwells of the frames are inputs too.
+   */
+  inputs(counts, photons, shown = this.masks, dwell = null) {
+    const features = this.read(counts);
+    const width = this.features / this.masks;
+    const inputs = [];
+    for (let i = 0; i < this.features; i++) {
+      const relative = dwell ? dwell[Math.floor((i * this.dwells) / this.features)] * this.dwells : 1;
+      const scaled = (features[i] / photons - relative * this.mean[i]) / this.std[i];
+      inputs.push(i < shown * width ? scaled : 0);
+    }
+    if (dwell) for (const each of dwell) inputs.push((each * this.dwells) / 3);
+    if (this.exposure.kind !== "conditioned") return inputs;
+    const { photons: low, span, masks, used } = this.exposure;
+    while (inputs.length < masks * width) inputs.push(0);
+    const middle = Math.log(span) / 2;
+    inputs.push((Math.log(photons / (used * low)) - middle) / Math.max(middle, 1));
+    inputs.push(shown / masks);
+    return inputs;
+  }
+
+  /** Probabilities of the classes; parameters as of `inputs`. */
+  classify(counts, photons, shown = this.masks, dwell = null) {
+    return softmax(outputs(this.network, this.inputs(counts, photons, shown, dwell)));
+  }
+
+  /** Dwells of the frames of a look, from 0, shares of the exposure. */
+  choose(counts, photons, look, dwell) {
+    const inputs = [...this.inputs(counts, photons, this.masks, dwell), 1 - look / this.looks];
+    const bound = this.exposure.largest_score;
+    const scores = outputs(this.chooser, inputs).map((score) => bound * Math.tanh(score / bound));
+    const share = softmax(scores).map((each) => each / this.looks);
+    return shareOut(share, this.exposure.shortest);
+  }
+
+  /** The stopping rule whose budget is closest, or none. */
+  rule(photons) {
+    const far = ({ photons: own }) => (own === null ? 0 : Math.abs(Math.log(own / photons)));
+    return this.rules.length ? this.rules.reduce((a, b) => (far(b) < far(a) ? b : a)) : null;
+  }
+}

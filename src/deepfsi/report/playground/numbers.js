@@ -1,0 +1,97 @@
+// Random numbers, Poisson counts and packed arrays.
+
+/** Seeded numbers: xoshiro128** of Blackman and Vigna, its state filled by splitmix32. */
+export class Random {
+  constructor(seed, stream = 0) {
+    let mixed = (Math.imul(seed >>> 0, 0x9e3779b1) ^ Math.imul(stream + 1, 0x85ebca6b)) >>> 0;
+    mixed ^= Math.floor(seed / 2 ** 32);
+    this.state = Uint32Array.from({ length: 4 }, () => {
+      mixed = (mixed + 0x9e3779b9) >>> 0;
+      let z = Math.imul(mixed ^ (mixed >>> 16), 0x21f0aaad);
+      z = Math.imul(z ^ (z >>> 15), 0x735a2d97);
+      return z ^ (z >>> 15);
+    });
+  }
+
+  bits() {
+    const s = this.state;
+    const twisted = Math.imul(s[1], 5);
+    const result = Math.imul((twisted << 7) | (twisted >>> 25), 9);
+    const shifted = s[1] << 9;
+    s[2] ^= s[0];
+    s[3] ^= s[1];
+    s[1] ^= s[2];
+    s[0] ^= s[3];
+    s[2] ^= shifted;
+    s[3] = (s[3] << 11) | (s[3] >>> 21);
+    return result >>> 0;
+  }
+
+  /** Uniform in (0, 1), 53 bits. */
+  uniform() {
+    return ((this.bits() >>> 5) * 2 ** 26 + (this.bits() >>> 6) + 0.5) * 2 ** -53;
+  }
+}
+
+const FACTORIALS = [1, 1, 2, 6, 24, 120, 720, 5040, 40320, 362880];
+
+function logFactorial(k) {
+  if (k < 10) return Math.log(FACTORIALS[k]);
+  const inverse = 1 / k;
+  const series = inverse / 12 - inverse ** 3 / 360 + inverse ** 5 / 1260;
+  return (k + 0.5) * Math.log(k) - k + 0.5 * Math.log(2 * Math.PI) + series;
+}
+
+/**
+ * One Poisson count of any rate, exact: inversion at low rates, and above them Hörmann's
+ * transformed rejection PTRS (Insurance: Mathematics and Economics 12, 39, 1993).
+ */
+export function poisson(rate, random) {
+  if (!(rate > 0)) return 0;
+  if (rate < 10) {
+    let chance = Math.exp(-rate);
+    let rest = random.uniform();
+    let count = 0;
+    while (rest > chance && chance > 0) {
+      rest -= chance;
+      count += 1;
+      chance *= rate / count;
+    }
+    return count;
+  }
+  const b = 0.931 + 2.53 * Math.sqrt(rate);
+  const a = -0.059 + 0.02483 * b;
+  const inverse = 1.1239 + 1.1328 / (b - 3.4);
+  const sure = 0.9277 - 3.6224 / (b - 2);
+  for (;;) {
+    const u = random.uniform() - 0.5;
+    const v = random.uniform();
+    const us = 0.5 - Math.abs(u);
+    const count = Math.floor(((2 * a) / us + b) * u + rate + 0.43);
+    if (us >= 0.07 && v <= sure) return count;
+    if (count < 0 || (us < 0.013 && v > us)) continue;
+    const left = Math.log(v) + Math.log(inverse) - Math.log(a / (us * us) + b);
+    if (left <= count * Math.log(rate) - rate - logFactorial(count)) return count;
+  }
+}
+
+/** Array of the payload: base64 of deflated byte planes, the lowest bytes first. */
+export async function unpack({ shape, bytes, planes }) {
+  const packed = Uint8Array.from(atob(planes), (letter) => letter.charCodeAt(0));
+  const inflated = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const plane = new Uint8Array(await new Response(inflated).arrayBuffer());
+  const count = plane.length / bytes;
+  const whole = new Uint8Array(plane.length);
+  for (let byte = 0; byte < bytes; byte++) {
+    for (let i = 0; i < count; i++) whole[i * bytes + byte] = plane[byte * count + i];
+  }
+  const values = bytes === 2 ? new Uint16Array(whole.buffer) : new Float32Array(whole.buffer);
+  return { shape, values };
+}
+
+export function softmax(scores) {
+  const top = Math.max(...scores);
+  const powers = Array.from(scores, (score) => Math.exp(score - top));
+  const sum = powers.reduce((a, b) => a + b, 0);
+  return powers.map((power) => power / sum);
+}

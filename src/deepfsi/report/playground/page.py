@@ -1,0 +1,37 @@
+"""One HTML file of a design's payload and the scripts that play it, without a request."""
+
+import os
+import re
+from math import prod
+from pathlib import Path
+
+from markupsafe import Markup
+
+from deepfsi.files import write_atomically
+from deepfsi.report.playground.words import Payload, facts_of, masks_text, way_text
+from deepfsi.report.rendering import render
+
+SCRIPTS = ("numbers.js", "model.js", "exposure.js", "scene.js", "charts.js", "app.js")
+"""Modules of the page, each after those that it imports."""
+
+
+def write_page(path: str | os.PathLike[str], payload: Payload) -> Path:
+    """Write the page of a design, whole or not at all."""
+    page = render(
+        "playground/page.html.jinja",
+        payload=payload,
+        script=Markup(bundle()),
+        title=f"A class from few photons: {payload['data']['name']} through {masks_text(payload)}",
+        way=way_text(payload),
+        facts=facts_of(payload),
+        pixels=prod(payload["image_shape"]),
+    )
+    return write_atomically(path, page.encode())
+
+
+def bundle() -> str:
+    """The page's modules as one: without their imports of each other, and their exports."""
+    folder = Path(__file__).parent
+    every = "\n".join((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    alone = re.sub(r"^import [^;]*;\n", "", every, flags=re.MULTILINE)
+    return re.sub(r"^export ", "", alone, flags=re.MULTILINE)

@@ -1,0 +1,90 @@
+"""Words of a page for those who do not know the design: how it counts, and what it is."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from deepfsi.report.style import photons_text
+
+Payload = Mapping[str, Any]
+"""What `design.payload.playable` makes."""
+
+LIGHT = {
+    "column": "Column: optics split the light of each pixel among all masks. No single mirror "
+    "device can do that; the design shows what such optics would reach.",
+    "free-dwell": "Free dwell: one device shows one frame after another, each for a time of its "
+    "own.",
+    "equal-dwell": "Equal dwell: one device shows one frame after another, all for the same time.",
+    "two-arm": "Two arms: one device shows one mask after another. Each mirror sends its light to "
+    "one of two detectors, so that none is lost.",
+}
+"""Words for each light law."""
+
+RAILS = {
+    1: "Non-negative: each mask is one frame, and the network does any subtraction.",
+    2: "Signed: each mask has a positive and a negative rail, which are counted separately.",
+}
+"""Words for masks of so many rails."""
+
+
+def masks_text(payload: Payload) -> str:
+    """Number of masks."""
+    count = payload["matrix"]["shape"][0]
+    return "1 mask" if count == 1 else f"{count} masks"
+
+
+def way_text(payload: Payload) -> str:
+    """Sentences on the way in which the camera counts."""
+    light, looks = payload["light"], payload["exposure"].get("looks")
+    if light == "column":
+        return (
+            f"Its optics split the light of each pixel among {masks_text(payload)}, and detectors "
+            "count the photons that come through each."
+        )
+    many = payload["detectors"]
+    counting = "one detector counts" if many == 1 else f"{many} detectors count"
+    words = "A device of small mirrors shows one pattern, a mask, after another" + (
+        ". Each mirror sends its light to one of two detectors, which count single photons."
+        if light == "two-arm"
+        else f", and {counting} the photons that each lets through."
+    )
+    if looks:
+        words += (
+            f" It goes through its masks {looks} times, and each time it chooses from the counts "
+            "so far for how long to show each mask."
+        )
+    return words
+
+
+def facts_of(payload: Payload) -> list[tuple[str, str]]:
+    """Name and words of what is to be known about a design."""
+    budget, test, exposure = payload["budget"], payload["test"], payload["exposure"]
+    ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high"))
+    hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
+    several = f"{payload['detectors']}, each on its part of the scene."
+    facts = {
+        "Data": f"{payload['data']['name']}. {payload['data']['preprocessing']}",
+        "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
+        "Detectors": several if payload["detectors"] > 1 else "",
+        "Light law": LIGHT[payload["light"]],
+        "Learned for": f"{' to '.join(ends)} photons, under photon noise.",
+        "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
+        "Nested": f"The first {exposure['nested']} masks are enough for an answer."
+        if exposure.get("nested")
+        else "",
+        "Stopping": _stopping(payload),
+        "Accuracy": f"Share of {test['images']} test scenes that are classified rightly, with "
+        f"{test['draws']} noise draw{'s' if test['draws'] > 1 else ''} of each. The bars are 95 % "
+        f"intervals over {test['covers']}. Circles are measured; the line joins them.",
+    }
+    return [(name, words) for name, words in facts.items() if words]
+
+
+def _stopping(payload: Payload) -> str:
+    """Words for the rule by which an exposure stops, if there is one."""
+    if not payload["rules"]:
+        return "This design has no rule for stopping early."
+    return (
+        "An exposure may stop as soon as the probability of its answer is above a threshold. "
+        "Scenes that the training left out calibrate the probabilities and give the threshold, so "
+        "that the accuracy stays that of whole exposures."
+    )

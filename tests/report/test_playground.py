@@ -1,0 +1,483 @@
+"""The page to play with, in Chromium: its numbers are the package's, and everyone can use it."""
+
+import json
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from scipy import special
+from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.common.by import By
+
+from conftest import quick, synthetic
+from deepfsi.design.exposure import PatchExposure
+from deepfsi.design.live import loop_of
+from deepfsi.design.payload import check_playable, playable
+from deepfsi.errors import InputError
+from deepfsi.report.playground.page import write_page
+from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
+from shared.playground import KINDS, VECTORS, fits, large_design, read_counts
+
+WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
+AGREES = 1e-5
+"""Largest difference from the package's own numbers."""
+
+CLOSE = 1e-7
+"""Of float32 sums of some tens of shares."""
+
+
+@pytest.fixture(scope="module")
+def designs(digits):
+    """Give the designs, trained for a moment."""
+    kept, spectra = digits.hold_out(237), synthetic((24,))
+    return {
+        kind: quick(spectra if kind == "spectra" else kept, **settings)
+        for kind, settings in KINDS.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def pages(designs, digits, tmp_path_factory):
+    """Give the address of the page of each design."""
+    home = tmp_path_factory.mktemp("pages")
+    for kind, design in designs.items():
+        data = synthetic((24,)) if kind == "spectra" else digits
+        if kind == "looks":  # a rule that stops at once, where another would at a good training
+            design = replace(design, info={**design.info, "stopping": rule(design, 0.05)})
+        write_page(home / f"{kind}.html", playable(design, data))
+    return {kind: (home / f"{kind}.html").as_uri() for kind in designs}
+
+
+def rule(design, threshold):
+    return {"temperatures": [1.0] * design.exposure.looks, "threshold": threshold}
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Give a headless Chromium with a profile of its own."""
+    with chromium(tmp_path_factory.mktemp("profile")) as chrome:
+        chrome.set_script_timeout(60)
+        yield chrome
+
+
+@pytest.fixture
+def opened(browser, pages):
+    """Give a function that opens a page and waits for it."""
+
+    def open_page(kind, width=1280, scheme="light"):
+        look(browser, width, scheme)
+        for log in ("browser", "performance"):
+            browser.get_log(log)
+        browser.get(pages.get(kind, kind))
+        for _ in range(200):
+            if browser.execute_script("return window.playground !== undefined"):
+                break
+            time.sleep(0.05)
+        return browser
+
+    return open_page
+
+
+def ask(browser, body, **given):
+    """Value of a JavaScript function's body, with the page's parts and values by their names."""
+    names = ["page", "model", "Exposure", "LeastSquares", "Random", "poisson"]
+    head = f"const {{{', '.join(names)}}} = window.playground; const given = arguments[0];"
+    return browser.execute_script(head + body, given)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_classes_and_rates_are_those_of_the_design(opened, designs, digits, kind):
+    design, browser = designs[kind], opened(kind)
+    scenes, photons, rates, counts = read_counts(design, digits, kind)
+    dwell = asked = None
+    if design.exposure.looks > 1:
+        dwells = design.exposure.dwells
+        dwell = np.random.default_rng(1).dirichlet(np.ones(dwells.count), VECTORS)
+        asked, dwell = dwells.by_rail(dwell), dwell.tolist()
+    wanted = design.classify(counts.reshape(VECTORS, *design.counts_shape), photons, asked)
+    found, expected = ask(
+        browser,
+        "return [given.counts.map((c, i) => model.classify(c, given.photons[i], model.masks, "
+        "given.dwell && given.dwell[i])), given.scenes.map(x => [...model.rates(x)])]",
+        counts=counts.tolist(), photons=photons.tolist(), dwell=dwell, scenes=scenes.tolist(),
+    )  # fmt: skip
+    np.testing.assert_allclose(found, wanted, atol=AGREES, rtol=0)
+    np.testing.assert_allclose(expected, rates.reshape(VECTORS, -1), atol=CLOSE, rtol=1e-5)
+    assert np.ptp(wanted, axis=0).max() > 0.1  # answers differ
+
+
+@pytest.mark.parametrize("kind", ["looks", "looks-both"])
+def test_dwells_are_those_of_a_live_run(opened, designs, digits, kind):
+    design, browser = designs[kind], opened(kind)
+    loop = loop_of(design)
+    _, photons, _, counts = read_counts(design, digits, kind)
+    rng = np.random.default_rng(2)
+    dwell = rng.dirichlet(np.ones(loop.about.frames), VECTORS)
+    looks = rng.integers(0, loop.about.looks, VECTORS)
+    shape = (loop.about.rails, loop.about.masks, 1)
+    wanted = [
+        loop.choose(loop.inputs(loop.features(c.reshape(shape)) / phi, d), look)
+        for c, phi, d, look in zip(counts, photons, dwell, looks, strict=True)
+    ]
+    found = ask(
+        browser,
+        "return given.counts.map((c, i) => "
+        "model.choose(c, given.photons[i], given.looks[i], given.dwell[i]))",
+        counts=counts.tolist(), photons=photons.tolist(), dwell=dwell.tolist(),
+        looks=looks.tolist(),
+    )  # fmt: skip
+    np.testing.assert_allclose(found, wanted, atol=AGREES, rtol=0)
+    assert (np.ptp(wanted, axis=0) > 1e-3).all()  # they depend on the counts
+
+
+@pytest.mark.parametrize("kind", ["looks", "looks-both"])
+def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
+    """The package, given the counts that the page has drawn, asks for the same dwells."""
+    design, browser = designs[kind], opened(kind)
+    frames, chances, temperature = ask(
+        browser,
+        "const e = new Exposure(model, page.scene, 300, 5);"
+        "return [e.frames.map(f => [f.look, f.mask, f.rails[0], f.share, f.counts[0]]), "
+        "e.answer(e.frames.length).chances, e.rule.temperatures.at(-1)]",
+    )
+    told = iter(range(design.exposure.looks))
+
+    def show(dwell):
+        counts, shown = np.zeros(design.counts_shape), np.zeros(dwell.shape)
+        look = next(told)
+        for at, mask, rail, share, count in frames:
+            if at == look:
+                place = (rail, mask) if len(design.rails) == 2 else (mask,)
+                counts[place], shown[place] = count, share
+        np.testing.assert_allclose(shown, dwell, atol=AGREES, rtol=0)
+        return counts
+
+    wanted = special.softmax(np.log(design.classify_live(show, 300)) / temperature)
+    np.testing.assert_allclose(chances, wanted, atol=AGREES, rtol=0)
+    np.testing.assert_allclose(sum(frame[3] for frame in frames), 1, atol=AGREES)
+
+
+def test_answers_to_the_first_of_nested_masks_are_those_of_the_design(opened, designs, digits):
+    design, browser = designs["nested"], opened("nested")
+    _, photons, _, counts = read_counts(design, digits, "nested")
+    for shown in (3, 5, 9):
+        part = design.first(shown)
+        share = part.used / design.used
+        wanted = part.classify(counts[:, :shown], photons * share)
+        found = ask(
+            browser,
+            "return given.counts.map((c, i) => model.classify(c, given.photons[i], given.shown))",
+            counts=counts.tolist(), photons=photons.tolist(), shown=shown,
+        )  # fmt: skip
+        np.testing.assert_allclose(found, wanted, atol=AGREES, rtol=0)
+
+
+@pytest.mark.parametrize("rate", [0.01, 1, 10, 1e3, 1e6])
+def test_counts_have_poissons_law(opened, browser, rate):
+    if not browser.execute_script("return window.playground !== undefined"):
+        opened("column")
+    body = (
+        "const random = new Random(7);"
+        "return Array.from({ length: 40000 }, () => poisson(given.rate, random))"
+    )
+    counts = np.array(ask(browser, body, rate=rate))
+    assert fits(counts, rate) > 1e-3
+    wrong = rate + 15 * (rate / counts.size) ** 0.5
+    drawn = np.random.default_rng(0).poisson(wrong, counts.size)
+    assert fits(drawn, rate) < 1e-6  # the test sees a mean that is 15 standard errors off
+
+
+def test_a_seed_repeats_an_exposure(opened):
+    browser = opened("column")
+    body = "return given.seeds.map(s => new Exposure(model, page.scene, 1e3, s).frames[5].counts)"
+    first, again, other, far = ask(browser, body, seeds=[3, 3, 4, 3 + 2**32])
+    assert first == again
+    assert first != other
+    assert first != far
+    counts = "return page.exposure.frames.map(f => f.counts)"
+    before = ask(browser, counts)
+    browser.find_element(By.ID, "another").click()
+    assert browser.find_element(By.ID, "seed").get_property("value") == "2"
+    assert ask(browser, counts) != before
+    seed = browser.find_element(By.ID, "seed")
+    seed.send_keys(Keys.BACKSPACE, "1", Keys.TAB)
+    assert ask(browser, counts) == before
+
+
+@pytest.mark.parametrize("kind", ["column", "tiles", "looks-both"])
+def test_least_squares_pictures(opened, designs, digits, kind):
+    design, browser = designs[kind], opened(kind)
+    found, counts, scale = ask(
+        browser,
+        "const e = new Exposure(model, page.scene, 1e5, 1); const a = e.after(e.frames.length);"
+        "const p = new LeastSquares(model).picture(a.counts, a.scale, 1e5);"
+        "return [[...p], [...a.counts], [...a.scale]]",
+    )
+    rails = design.rails.double().numpy()
+    every = rails.reshape(-1, design.pixels)
+    labels = design.detection.labels
+    wanted = np.zeros(design.pixels)
+    for detector in range(design.detection.count):
+        own = np.full(design.pixels, True) if labels is None else labels.numpy() == detector
+        step = slice(detector, None, design.detection.count)
+        rows = every[:, own] * np.array(scale)[step, None]
+        unit = np.array(counts)[step] * design.summed_reflectance / 1e5
+        gram = rows @ rows.T
+        solved = np.linalg.solve(gram + 1e-6 * np.trace(gram) * np.eye(len(gram)), unit)
+        wanted[own] = rows.T @ solved
+    np.testing.assert_allclose(found, wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+def test_other_cameras_count_what_their_light_law_gives(opened):
+    raster, impulse, light = ask(
+        opened("column"),
+        "page.time = page.exposure.length; const { rivals } = page;"
+        "const mean = v => v.reduce((a, b) => a + b, 0) / v.length;"
+        "return [mean(rivals.rasterAt(1)), mean(rivals.impulseAt(1)), mean([...page.scene])]",
+    )
+    photons = 1e4 * light / 0.5  # about; a raster scan counts 1/64 of it
+    assert abs(impulse / light - 1) < 5 / photons**0.5
+    assert abs(raster / light - 1) < 5 / (photons / 64) ** 0.5
+    assert ask(opened("column"), "return page.rivals.rasterAt(0.5).filter(x => x === null).length")
+
+
+def scene(browser):
+    return np.array(ask(browser, "return [...page.scene]"))
+
+
+def test_drawing_with_the_mouse_changes_scene_and_answer(opened):
+    browser = opened("column")
+    browser.find_element(By.ID, "clear").click()
+    blank = scene(browser)
+    assert np.ptp(blank) == 0
+    pad = browser.find_element(By.ID, "scene")
+    before = ask(browser, "return page.exposure.answer(48).chances")
+    chain = ActionChains(browser, duration=20).move_to_element_with_offset(pad, 0, -80)
+    chain.click_and_hold().move_by_offset(0, 80).move_by_offset(0, 80).release().perform()
+    time.sleep(0.1)
+    drawn = scene(browser).reshape(8, 8)
+    assert drawn[2:6, 3:5].mean() > blank.max() + 0.2
+    np.testing.assert_allclose(drawn[:, :2], blank.max(), atol=1e-6)
+    low, high = ask(browser, "return [model.scenes.low, model.scenes.high]")
+    assert low - 1e-6 <= drawn.min() < drawn.max() <= high + 1e-6
+    assert ask(browser, "return page.exposure.answer(48).chances") != before
+    assert browser.find_element(By.ID, "scene-words").text == "Your own scene."
+    browser.find_element(By.ID, "fit").click()
+    moved = scene(browser)
+    assert not np.allclose(moved, drawn.ravel())
+    browser.find_element(By.ID, "invert").click()
+    np.testing.assert_allclose(scene(browser), low + high - moved, atol=0.005)
+
+
+def test_drawing_with_a_finger(opened):
+    browser = opened("spectra", 400)
+    pad = browser.find_element(By.ID, "scene")
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", pad)
+    box = browser.execute_script("return arguments[0].getBoundingClientRect().toJSON()", pad)
+    before = scene(browser)
+
+    def touch(kind, *points):
+        at = [{"x": box["left"] + x * box["width"], "y": box["top"] + y * box["height"]}
+              for x, y in points]  # fmt: skip
+        words = {"type": kind, "touchPoints": at}
+        browser.execute_cdp_cmd("Input.dispatchTouchEvent", words)
+
+    top = browser.execute_script("return scrollY")
+    touch("touchStart", (0.1, 0.5))
+    touch("touchMove", (0.5, 0.2))
+    touch("touchMove", (0.9, 0.5))
+    touch("touchEnd")
+    time.sleep(0.1)
+    assert browser.execute_script("return scrollY") == top
+    drawn = scene(browser)
+    assert drawn[12] > drawn[3]
+    assert drawn[12] > drawn[20]
+    assert drawn[0] == before[0]
+    assert browser.find_element(By.ID, "scene-words").text == "Your own scene."
+
+
+def test_a_picture_is_taken_as_the_camera_sees_it(opened, tmp_path):
+    browser = opened("column")
+    levels = np.zeros((40, 60), np.uint8)
+    levels[:, 30:] = 255
+    Image.fromarray(levels).save(tmp_path / "half.png")
+    browser.find_element(By.ID, "file").send_keys(str(tmp_path / "half.png"))
+    time.sleep(0.3)
+    taken = scene(browser).reshape(8, 8)
+    np.testing.assert_allclose(taken[:, :3], 0.3, atol=0.01)
+    np.testing.assert_allclose(taken[:, 5:], 1, atol=0.01)
+    (tmp_path / "none.png").write_text("no picture")
+    browser.find_element(By.ID, "file").send_keys(str(tmp_path / "none.png"))
+    time.sleep(0.3)
+    assert "give a PNG or JPEG" in browser.find_element(By.ID, "scene-words").text
+
+
+def test_all_is_done_with_the_keyboard_alone(opened):
+    browser = opened("column")
+    seen = []
+
+    def press(*keys):
+        ActionChains(browser).send_keys(*keys).perform()
+
+    def go(name):
+        for _ in range(80):
+            press(Keys.TAB)
+            active = browser.switch_to.active_element
+            name_now = active.get_attribute("id") or active.get_attribute("aria-label")
+            seen.append(name_now)
+            assert active.value_of_css_property("outline-style") != "none", name_now
+            if name_now == name:
+                return active
+        raise AssertionError((name, seen))
+
+    go("scene")
+    before = scene(browser)
+    ActionChains(browser).key_down(Keys.SHIFT).send_keys(4 * Keys.ARROW_LEFT).key_up(
+        Keys.SHIFT
+    ).perform()
+    time.sleep(0.1)
+    assert not np.allclose(scene(browser), before)
+    go("Test scene 2, class 0")
+    press(Keys.ENTER)
+    assert ask(browser, "return page.chosen") == 1
+    go("light")
+    photons = browser.find_element(By.ID, "photons").text
+    press(*(5 * [Keys.ARROW_RIGHT]))
+    assert browser.find_element(By.ID, "photons").text != photons
+    go("expose")
+    press(Keys.SPACE)
+    assert ask(browser, "return page.playing")
+    go("play")
+    press(Keys.SPACE)
+    assert not ask(browser, "return page.playing")
+    moment = ask(browser, "return page.time")
+    assert 0 <= moment < 1
+    go("step")
+    press(Keys.ENTER)
+    assert ask(browser, "return page.time") > moment
+    go("time")
+    press(Keys.END)
+    assert "finished" in browser.find_element(By.ID, "state").text
+    assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
+
+
+@pytest.mark.parametrize("kind", ["column", "looks", "nested", "spectra"])
+def test_an_exposure_is_watched_frame_by_frame(opened, kind):
+    browser = opened(kind)
+    said, bars = ask(
+        browser,
+        "page.time = 0; page.draw(); const [said, bars] = [[], []];"
+        "for (const frame of page.exposure.frames) {"
+        "  document.getElementById('step').click();"
+        "  said.push(document.getElementById('count-words').textContent);"
+        "  bars.push(!document.getElementById('answer').classList.contains('unsound'));"
+        "}"
+        "return [said, bars]",
+    )
+    counts = [int("".join(filter(str.isdigit, words))) for words in said]
+    assert counts == sorted(counts)
+    assert counts[-1] == ask(
+        browser, "return page.exposure.frames.flatMap(f => f.counts).reduce((a, b) => a + b)"
+    )
+    assert bars[-1]
+    assert sum(bars) == {"column": 48, "looks": 4, "nested": 7, "spectra": 1}[kind]
+    ended = browser.find_element(By.ID, "verdict").text
+    assert ended.startswith("Answer: ")
+    assert ("stopped after look 1 of 4" in ended) == (kind == "looks")
+    assert ("of the light" in ended) == (kind == "looks")
+
+
+def test_playing_ends_and_can_be_paused(opened):
+    browser = opened("nested")
+    browser.execute_script("document.getElementById('speed').value = '16'")
+    browser.find_element(By.ID, "expose").click()
+    for _ in range(200):
+        if "finished" in browser.find_element(By.ID, "state").text:
+            break
+        time.sleep(0.05)
+    assert browser.find_element(By.ID, "play").text == "Play"
+    assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
+
+
+def test_the_point_moves_along_the_measured_curve(opened):
+    browser = opened("column")
+    shown = []
+    for exponent in (1, 4, 7):
+        browser.execute_script(
+            "const l = document.getElementById('light'); l.value = arguments[0];"
+            "l.dispatchEvent(new Event('input'))", exponent
+        )  # fmt: skip
+        point = browser.find_element(By.CSS_SELECTOR, "#curve .here")
+        shown.append(tuple(float(point.get_attribute(name)) for name in ("cx", "cy")))
+    measured = browser.find_elements(By.CSS_SELECTOR, "#curve .measured")
+    places = [tuple(float(m.get_attribute(name)) for name in ("cx", "cy")) for m in measured]
+    assert len(measured) == len(browser.find_elements(By.CSS_SELECTOR, "#curve .interval")) == 13
+    np.testing.assert_allclose(shown, [places[0], places[6], places[12]], atol=0.5)
+    assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained-line")
+    opened("nested")
+    assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained")
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("kind", ["column", "looks", "spectra"])
+def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
+    browser = opened(kind, width, scheme)
+    ask(browser, "page.time = 0.4 * page.exposure.length; page.draw()")
+    assert browser.execute_script("return window.innerWidth") == width
+    assert browser.execute_script(OVERFLOW) <= 0
+    assert browser.execute_script(CUT) == []
+    contrasts = browser.execute_script(CONTRASTS)
+    assert {"H1", "text", "BUTTON", "FIGCAPTION", "SPAN"} <= {tag for _, tag, _ in contrasts}
+    assert contrasts[0][0] >= 4.5, contrasts[:5]
+    assert browser.get_log("browser") == []
+    assert [url for url in requests_of(browser) if not url.startswith("file:")] == []
+    assert len(requests_of(browser)) == 0
+
+
+def test_names_that_users_give_stay_text(opened, designs, digits, tmp_path):
+    name = "</script><img src=x onerror='window.harmed = true'>{{ 7 }}"
+    classes = (name, *designs["column"].classes[1:])
+    data = replace(digits, name=name, preprocessing=name, classes=classes)
+    design = replace(designs["column"], classes=classes)
+    page = write_page(tmp_path / "page.html", playable(design, data))
+    browser = opened(page.as_uri())
+    assert browser.execute_script("return window.harmed === undefined")
+    assert browser.execute_script("return document.images.length") == 0
+    assert name in browser.find_element(By.TAG_NAME, "h1").text
+    assert name in browser.find_element(By.ID, "answer").text
+    assert browser.get_log("browser") == []
+
+
+def test_the_page_of_a_large_design_is_small(tmp_path):
+    data = replace(synthetic((32, 32), scenes=100, classes=10), classes=tuple("0123456789"))
+    page = write_page(tmp_path / "page.html", playable(large_design(), data))
+    assert 1e6 < page.stat().st_size < 3e6
+
+
+def test_what_a_page_cannot_play_is_refused(designs, made):
+    good = made("deepfsi", "column", "dual")
+    with pytest.raises(InputError, match="own in it: give a design with the package's own"):
+        check_playable(replace(good, classifier=torch.nn.Linear(7, 10)))
+    other = replace(good, info={"job": {"noise": "shared.noises:photons"}})
+    with pytest.raises(InputError, match=r"for shared\.noises:photons noise"):
+        check_playable(other)
+    with pytest.raises(InputError, match="of image patches"):
+        check_playable(replace(good, exposure=PatchExposure(4)))
+    assert check_playable(good) is good.classifier
+
+
+def test_the_command_writes_a_page_and_says_where(done, refuse, designs, tmp_path):
+    file = designs["looks"].save(tmp_path / "looks.safetensors")
+    out = tmp_path / "looks.html"
+    assert done("page", file, "-o", out).splitlines()[-1] == f"page to play with: {out}"
+    text = out.read_text()
+    assert text.count("<script") == 3
+    told = json.loads(done("page", file, "-o", out, "--json"))
+    assert len(told["curve"]) == 13
+    assert told["rules"][0]["photons"] == 1e4
+    assert out.read_text() == text  # the same seed gives the same page
+    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "looks")

@@ -1,0 +1,66 @@
+"""Designs that the tests of the page play, counts of theirs, and a test of Poisson's law."""
+
+import numpy as np
+import torch
+from scipy import stats
+
+from conftest import generator, synthetic
+from deepfsi.datasets import Dataset
+from deepfsi.design.artifact import Design
+from deepfsi.design.classifiers import Mlp
+from deepfsi.optics import constraints
+from deepfsi.optics.detection import Detection
+
+VECTORS = 100
+ONE_ARM = {"light": "free-dwell", "rails": "single"}
+KINDS = {
+    "column": {"masks": 7},
+    "equal": {"masks": 5, "light": "equal-dwell"},
+    "arms": {"masks": 5, "light": "two-arm", "readout": "both"},
+    "tiles": {"masks": 3, "light": "free-dwell", "detectors": "2x2"},
+    "looks": {"masks": 8, "looks": 4, "shortest_dwell": 0.01, **ONE_ARM},
+    "looks-both": {"masks": 5, "looks": 3, "light": "free-dwell", "readout": "both"},
+    "nested": {"masks": 9, "nested": 3, "span": 1e3, "photons": 1e2, **ONE_ARM},
+    "spectra": {"masks": 5, "light": "free-dwell"},
+}
+"""Settings of the designs that are played."""
+
+
+def read_counts(design: Design, digits: Dataset, kind: str):
+    """Scenes, budgets, expected counts for one photon, and counts (V, rails · m · D)."""
+    rng = np.random.default_rng(0)
+    scenes = synthetic((24,), scenes=600).x_test if kind == "spectra" else digits.x_test
+    photons = 10 ** rng.uniform(1, 7, VECTORS)
+    rates = design.rates(design.scanner(), torch.from_numpy(scenes[:VECTORS])).numpy()
+    counts = rng.poisson(rates * photons[:, None, None]).astype(np.float32)
+    return scenes[:VECTORS], photons, rates, counts.reshape(VECTORS, -1)
+
+
+def fits(counts: np.ndarray, rate: float) -> float:
+    """P-value of counts (n,) under Poisson's law, in some 40 groups of like chance."""
+    edges = np.unique(stats.poisson.ppf(np.linspace(0, 1, 41)[1:-1], rate))
+    chances = np.diff([0, *stats.poisson.cdf(edges, rate), 1])
+    seen = np.bincount(np.searchsorted(edges, counts), minlength=len(chances))
+    kept = chances * len(counts) >= 5
+    rest = [(seen[~kept].sum(), chances[~kept].sum())] if (~kept).any() else []
+    groups = [*zip(seen[kept], chances[kept], strict=True), *rest]
+    observed, expected = np.array([each for each in groups if each[1] > 1e-12]).T
+    return stats.chisquare(observed, expected * len(counts)).pvalue
+
+
+def large_design() -> Design:
+    """A design of 96 signed masks of 32 × 32, both rails read by a 512-256 network."""
+    signs = torch.randn(96, 1024, generator=generator())
+    return Design(
+        name="deepfsi",
+        rails=constraints.fit(signs, "free-dwell"),
+        classifier=Mlp(192, 10, (512, 256), generator=generator()),
+        mean=torch.zeros(192),
+        std=torch.ones(192),
+        shares=torch.ones(192) / 192,
+        summed_reflectance=600.0,
+        light="free-dwell",
+        image_shape=(32, 32),
+        classes=tuple("0123456789"),
+        detection=Detection("both"),
+    )
