@@ -42,7 +42,8 @@ def closest(name: str, allowed: Iterable[str]) -> str:
     Returns
     -------
     str
-        ``"did you mean 'mnist'? Known: digits, mnist"``, or the list alone where nothing is close.
+        ``"did you mean 'mnist'? Known: digits, mnist"``, or ``"give one of digits, mnist"`` where
+        nothing is close.
 
     Examples
     --------
@@ -52,8 +53,10 @@ def closest(name: str, allowed: Iterable[str]) -> str:
     allowed = list(allowed)
     by_lower_case = {known.lower(): known for known in allowed}
     matches = get_close_matches(name.lower(), by_lower_case, n=1)
-    guess = f"did you mean '{by_lower_case[matches[0]]}'? " if matches else ""
-    return f"{guess}Known: {', '.join(allowed)}"
+    names = ", ".join(allowed)
+    if not matches:
+        return f"give one of {names}"
+    return f"did you mean '{by_lower_case[matches[0]]}'? Known: {names}"
 
 
 def check_known(what: str, name: str, known: Iterable[str]) -> None:

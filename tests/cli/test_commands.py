@@ -161,7 +161,9 @@ def test_a_plain_design_cannot_stop(refuse, design_file):
 def test_compare_writes_report_and_json(done, tmp_path):
     words = ["--designs", "pca,raster", "--photons", "1e3", "--masks", "4", "--trials", "1"]
     words += ["--epochs", 2, "--workers", 1, "-o", tmp_path]
-    assert "RS raster scan" in done("compare", *words)
+    printed = done("compare", *words)
+    assert "RS raster scan" in printed
+    assert "chosen on validation data" not in printed  # of one number of masks none is chosen
     assert "<svg" in (tmp_path / "report.html").read_text()
     told = json.loads(done("compare", *words, "--json"))
     assert told.pop("report") == str(tmp_path / "report.html")

@@ -20,7 +20,7 @@ def test_a_tuple_of_the_wrong_length(arrays):
     ("source", "parts"),
     [
         ("MNITS", ("unknown data set 'MNITS'", "did you mean 'mnist'?", "digits, mnist")),
-        ("zzzz", ("unknown data set 'zzzz'", "Known: digits, mnist, fashion-mnist")),
+        ("zzzz", ("unknown data set 'zzzz'", "give one of digits, mnist, fashion-mnist")),
         ("", ("unknown data set ''",)),
         ("no/such/folder", ("no folder and no file at 'no/such/folder'",)),
         ("scenes.npz", ("no folder and no file at 'scenes.npz'",)),
@@ -34,7 +34,7 @@ def test_unknown_source(source, parts, tmp_path, monkeypatch):
 
 def test_closest():
     assert closest("Hadamrad", ["raster", "hadamard"]).startswith("did you mean 'hadamard'? ")
-    assert closest("xyz", ["raster", "hadamard"]) == "Known: raster, hadamard"
+    assert closest("xyz", ["raster", "hadamard"]) == "give one of raster, hadamard"
 
 
 def test_size_is_for_folders_only(tmp_path):

@@ -355,7 +355,7 @@ def test_a_mutated_manifest_is_read_or_refused(tmp_path_factory, data):
         ({"s": 0}, "summed reflectance 0"),
         ({"selection": "order"}, "did you mean 'ordered'"),
         ({"selection": "random", "seed": -1}, "seed -1"),
-        ({"format": "bin"}, "Known: npy, raw, png"),
+        ({"format": "bin"}, "give one of npy, raw, png"),
         ({"device": find_device("3x3")}, "do not fit"),
         ({"image_shape": (16, 1, 1)}, "1 or 2 axes"),
         ({"image_shape": (16, 0)}, "1 or 2 axes"),
