@@ -40,7 +40,8 @@ BRIEFLY = {
 def lines(page: str) -> list[str]:
     """Command lines in the blocks of `sh` of a page."""
     blocks = re.findall(r"```sh\n(.*?)```", (ROOT / f"{page}.md").read_text(), flags=re.DOTALL)
-    return re.findall(r"^(?:\.venv/bin/)?(deepfsi .+)$", "".join(blocks), flags=re.MULTILINE)
+    whole = re.sub(r"\\\n\s*", "", "".join(blocks))
+    return re.findall(r"^(?:\.venv/bin/)?(deepfsi .+)$", whole, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))

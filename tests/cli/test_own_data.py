@@ -164,6 +164,7 @@ SMALL = {"32x32": "8x8", "dlp7000": "64x48", "[32, 32]": "[8, 8]", "[1e4, 1e5]":
 def of_docs(page, begin, end="```"):
     """Block of a page that begins so, with small sizes."""
     block = begin + page.split(begin, 1)[1].split(end, 1)[0]
+    block = block.replace("\\\n    ", "")
     for large, small in SMALL.items():
         block = block.replace(large, small)
     return block
