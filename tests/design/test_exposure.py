@@ -6,6 +6,7 @@ import torch
 
 from deepfsi.design.exposure import Exposure, cut
 from deepfsi.errors import InputError
+from deepfsi.optics import constraints
 
 
 def test_patches_are_the_blocks_of_the_image():
@@ -26,3 +27,22 @@ def test_an_exposure_says_what_it_has_seen():
     seen = Exposure(torch.tensor([2.0, 0.0]), torch.tensor([0.75, 0.25]))
     inputs = seen.inputs(torch.tensor([1.0, 2.0]), torch.tensor([0.5, 0.5]))
     assert inputs.tolist() == [1.0, -2.0, 0.5, pytest.approx(0.5 / 3)]
+
+
+@pytest.mark.parametrize(
+    ("light", "rails"), [("free-dwell", "single"), ("equal-dwell", "dual"), ("two-arm", "dual")]
+)
+def test_dwells_of_masks_share_the_exposure(made, light, rails):
+    design = made("deepfsi", light, rails)
+    dwells = design.exposure.mask_dwells(design.rails, light, design.mean, design.std)
+    assert dwells.shape == (design.masks,)
+    assert float(dwells.sum()) == pytest.approx(float(constraints.used(design.rails, light)[-1]))
+    if light != "equal-dwell":
+        brightest = design.rails.sum(dim=0).amax(dim=-1)
+        expected = brightest if light == "two-arm" else design.rails.amax(dim=-1).sum(dim=0)
+        torch.testing.assert_close(dwells, expected)
+
+
+def test_masks_of_split_light_have_no_dwells(made):
+    design = made("deepfsi", "column", "dual")
+    assert design.exposure.mask_dwells(design.rails, "column", design.mean, design.std) is None

@@ -111,3 +111,11 @@ def test_times_become_a_share_of_the_exposure():
     for given in ((None, "10ms"), ("44us", None), ("10ms", "10ms"), ("44", "10ms")):
         with pytest.raises(InputError, match="exposure"):
             options.dwell_settings(*given)
+
+
+def test_dwells_of_masks_are_those_of_the_first_look(looking):
+    first = dwells_of(looking)[0]
+    shown = looking.exposure.mask_dwells(looking.rails, looking.light, looking.mean, looking.std)
+    by_mask = first.reshape(-1, looking.masks).sum(axis=0)
+    np.testing.assert_allclose(shown.detach(), by_mask, rtol=1e-5, atol=1e-7)
+    assert by_mask.sum() == pytest.approx(1 / 3)

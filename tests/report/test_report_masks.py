@@ -5,6 +5,7 @@ import pytest
 
 from deepfsi.report.masks import masks_figure, signed, values_figure
 from deepfsi.report.style import svg
+from shared.figures import assert_legible
 
 
 def test_masks_have_a_symmetric_scale_and_one_colour_bar():
@@ -21,6 +22,54 @@ def test_masks_have_a_symmetric_scale_and_one_colour_bar():
     energy = [np.abs(image.get_array()).sum() for image in images]
     assert energy == sorted(energy, reverse=True)
     assert figure.get_suptitle() == "a $title$ as it is"
+
+
+def tiles_of(figure):
+    return [ax for ax in figure.axes if ax.get_visible() and ax.get_title(loc="left")]
+
+
+@pytest.mark.parametrize("shape", [(4, 6), (24,)])
+def test_masks_have_their_number_and_their_dwell(shape):
+    matrix = np.random.default_rng(1).normal(size=(14, 24))
+    dwells = np.arange(14) / 100
+    figure = masks_figure(matrix, shape, dwells=dwells)
+    assert_legible(figure)
+    brightest = np.argsort(-np.abs(matrix).sum(axis=1))[:12]
+    for ax, mask in zip(tiles_of(figure), brightest, strict=True):
+        dwell = f"dwell {mask:.2g} %"
+        if len(shape) == 2:
+            assert ax.get_title(loc="left") == f"mask {mask + 1}"
+            assert ax.get_xlabel() == dwell
+            drawn, finer = ax.images[0].get_array(), ax.images[0].get_array().shape[0] // 4
+            np.testing.assert_array_equal(drawn[::finer, ::finer].ravel(), matrix[mask])
+        else:
+            assert ax.get_title(loc="left") == f"mask {mask + 1}, {dwell}"
+
+
+def test_masks_that_are_not_negative_have_a_scale_from_zero():
+    matrix = np.random.default_rng(1).uniform(0, 0.3, (3, 24))
+    figure = masks_figure(matrix[None], (4, 6))
+    assert {ax.images[0].get_clim() for ax in tiles_of(figure)} == {(0, matrix.max())}
+    *_, bar = figure.axes
+    assert bar.get_xticklabels()[0].get_text() == "0"
+    curves = masks_figure(matrix, (24,))
+    assert curves.axes[0].get_ylim() == pytest.approx((0, 1.05 * matrix.max()))
+    heights, edges, _ = values_figure(matrix).axes[0].patches[0].get_data()
+    assert edges[0] == 0
+    assert heights.sum() == pytest.approx(1)
+
+
+def test_a_line_stands_between_the_parts_of_two_detectors():
+    matrix = np.random.default_rng(1).normal(size=(2, 24))
+    parts = np.kron(np.array([[0, 1], [2, 3]]), np.ones((2, 3), int))
+    figure = masks_figure(matrix, (4, 6), parts=parts.ravel())
+    for ax in tiles_of(figure):
+        finer = ax.images[0].get_array().shape[0] // 4
+        (lines,) = ax.collections
+        places = (np.array(lines.get_segments()) + 0.5) / finer
+        across = {tuple(map(tuple, each)) for each in places}
+        assert len(across) == 6 + 4
+        assert all(a[1] == b[1] == 2 or a[0] == b[0] == 3 for a, b in across)
 
 
 def test_rails_become_signed_masks():

@@ -294,7 +294,7 @@ def show(
     count: Annotated[int, typer.Option(help="at most this many masks")] = 24,
     as_json: options.Json = False,
 ) -> None:
-    """Draw the masks of a design.
+    """Draw the masks of a design, each with its number and its dwell.
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
@@ -308,10 +308,28 @@ def show(
         raise InputError(f"{count} masks cannot be drawn: give at least 1")
     made = Design.load(file)
     budget = made.info.get("job", {}).get("photons")
-    title = f"{made.name}, {common.size(made)}" + (
+    title = f"{made.name}, {common.size(made)}, {made.light}" + (
         f", {common.budget(budget)} photons" if budget else ""
     )
-    figure = masks_figure(made.matrix, made.mask_shape, title=title, count=count)
+    if count < made.masks:
+        title += f"; the {count} that count most photons"
+    dwells = made.exposure.mask_dwells(made.rails, made.light, made.mean, made.std)
+    if dwells is not None:
+        looks = made.exposure.looks
+        title += "\ndwell: share of the exposure" + (
+            f" in the first of {looks} looks, {1 / looks:.0%} of it each" if looks > 1 else ""
+        )
+    labels = made.detection.labels
+    if labels is not None:
+        title += "\nlines: parts of the device that one detector sees"
+    figure = masks_figure(
+        made.matrix,
+        made.mask_shape,
+        title,
+        count,
+        dwells=None if dwells is None else dwells.detach().cpu().numpy(),
+        parts=None if labels is None else labels.cpu().numpy(),
+    )
     common.draw("show", figure, out, as_json)
     if (memory := memory_of(made)) and not as_json:
         print(f"trained on: {memory.words}")

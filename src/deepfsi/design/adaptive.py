@@ -194,6 +194,16 @@ class AdaptiveDwells(ExposureKind):
         """Exposures after each look at a camera, parameters as for `ExposureKind.expose`."""
         return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
+    def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+        """Share (m,) of the exposure that each mask is shown in the first look."""
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            return torch.zeros_like(mean), dwell
+
+        first = next(self.expose_live(show, mean, std)).dwell
+        assert first is not None, "dwells are chosen"
+        return first.unflatten(-1, (rails.shape[-2], -1)).sum(dim=-1)
+
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         after = range(1, self.looks + 1)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from deepfsi.design.classifiers import Mlp
 from deepfsi.errors import InputError
+from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
 
 STRICT = ConfigDict(extra="forbid", strict=True)
@@ -202,6 +203,21 @@ class ExposureKind:
             "this design needs all its masks for an answer: learn nested ones with `nested`, or "
             "several looks with `looks`"
         )
+
+    def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells.
+
+        Of several looks those of the first, which are the same for every scene.
+
+        Parameters
+        ----------
+        rails, light, mean, std
+            Of the design.
+        """
+        if light == "column":
+            return None
+        shares = constraints.used(rails, light)
+        return torch.diff(shares, prepend=shares.new_zeros(1))
 
     def check_frames(self) -> None:
         """Raise `InputError` unless frames of one device, or one graph, can expose so."""

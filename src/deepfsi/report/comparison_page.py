@@ -15,15 +15,13 @@ from safetensors import SafetensorError, safe_open
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.report import accuracy
-from deepfsi.report.masks import masks_figure, peak, scale_figure, signed, values_figure
+from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
 from deepfsi.sweeps.results import Point, Results, read_results
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
-
-SCALE_WORDS = "Colour bar from blue at minus the peak over white at 0 to red at the peak."
 
 
 @dataclass(frozen=True)
@@ -102,9 +100,6 @@ def page_text(results: Results, designs: Path) -> str:
         covers=list(dict.fromkeys(p.covers for p in points)),
         learned=learned,
         learned_missing=not learned and any(p.learned for p in points),
-        scale=Markup(svg(scale_figure(), "scale", SCALE_WORDS))
-        if learned and len(data.image_shape) == 2
-        else None,
         masks_shown=MASKS_SHOWN,
         scene=scene_text(data.image_shape),
         optics=optics_text,
@@ -292,7 +287,7 @@ def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: s
         shown = f"all {masks} masks" if masks > 1 else "its one mask"
     pictures = (
         svg(
-            masks_figure(rails, shape, count=MASKS_SHOWN, bar=False),
+            masks_figure(rails, shape, count=MASKS_SHOWN),
             f"{name}-masks",
             f"Masks learned at {photons} photons, {shown}.",
         ),

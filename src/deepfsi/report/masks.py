@@ -1,17 +1,25 @@
 """Pictures of one design's masks, and the distribution of their values."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from deepfsi.report.style import COLOURS, DIVERGING, GRID, INK, MUTED, styled
+from deepfsi.report.style import (
+    COLOURS,
+    DIVERGING,
+    GREYS,
+    GRID,
+    INK,
+    MUTED,
+    SMALL,
+    plain_bar,
+    styled,
+)
 
 BAR_LABEL = "share of a pixel's photons, Mᵢⱼ"
 
@@ -37,17 +45,29 @@ def brightest(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
     return np.argsort(-total, kind="stable")[:count]
 
 
+def scale_of(rails_or_matrix: np.ndarray) -> ScalarMappable:
+    """Colours of masks: black at 0 to white at the peak; of signed ones, symmetric about white."""
+    matrix = signed(rails_or_matrix)
+    end = peak(matrix)
+    if matrix.min() < 0:
+        return ScalarMappable(Normalize(-end, end), DIVERGING)
+    return ScalarMappable(Normalize(0, end), GREYS)
+
+
 @styled
 def masks_figure(
     rails_or_matrix: np.ndarray,
     image_shape: tuple[int, ...],
-    title: str | None = None,
+    title: str = "",
     count: int = 12,
-    bar: bool = True,
+    *,
+    dwells: np.ndarray | None = None,
+    parts: np.ndarray | None = None,
 ) -> Figure:
     """Masks of one design, those that count most photons first: images, or curves for spectra.
 
-    The scale is symmetric, from −peak to peak with 0 neutral; the peak is the largest |M_ij|.
+    Above each mask stands its number, from 1 in the order in which masks are shown. The scale ends
+    at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
 
     Parameters
     ----------
@@ -55,108 +75,117 @@ def masks_figure(
         Shares of each pixel's photons.
     image_shape : tuple of int
         Two sides, or one for spectra.
-    title : str, optional
+    title : str
     count : int
         Masks to show at most.
-    bar : bool
-        Draw the colour bar (images only).
+    dwells : array, shape (m,), optional
+        Share of the exposure that each mask is shown, written below it.
+    parts : array, shape (N,), optional
+        Detector that sees each pixel; a line is drawn between two detectors.
     """
-    matrix = signed(rails_or_matrix)
-    chosen = brightest(rails_or_matrix, count)
-    end = peak(matrix)
+    matrix, chosen = signed(rails_or_matrix), brightest(rails_or_matrix, count)
     images = len(image_shape) == 2
     columns = 6 if images else min(3, len(chosen))
     rows = -(-len(chosen) // columns)
-    width = 5.0
-    tile, foot = (width / 6 * image_shape[0] / image_shape[1], 0.55 * bar) if images else (1.1, 0.3)
-    height = rows * tile + foot + (0.3 if title else 0)
+    tile = 0.95 * image_shape[0] / image_shape[1] if images else 1.1
+    line = 0.17 * (1 + (dwells is not None)) if images else 0.17
+    lines = title.count("\n") + 1 if title else 0
+    height = rows * (tile + line) + (0.6 if images else 0.3) + 0.18 * lines
     layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
-    figure = Figure(figsize=(width, height), layout=layout)
+    figure = Figure(figsize=(6.0, height), layout=layout)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    scale = scale_of(matrix)
     for place, ax in enumerate(grid.flat):
         if place >= len(chosen):
             ax.set_visible(False)
             continue
-        mask = matrix[chosen[place]]
+        number = chosen[place]
+        dwell = "" if dwells is None else f"dwell {_percent(float(dwells[number]))}"
         if images:
-            mask_axes(ax, mask.reshape(image_shape), end)
+            mask_axes(ax, matrix[number].reshape(image_shape), scale)
+            if parts is not None:
+                _draw_edges(ax, np.reshape(parts, image_shape))
+            ax.set_xlabel(dwell, fontsize=SMALL, labelpad=2)
         else:
-            ax.axhline(0, color=MUTED, linewidth=0.6)
-            ax.plot(np.arange(1, len(mask) + 1), mask, color=COLOURS["pca"], linewidth=1.1)
-            ax.set_ylim(-1.05 * end, 1.05 * end)
+            _curve_axes(ax, matrix[number], scale)
             ax.tick_params(labelbottom=place + columns >= len(chosen))
-    if not images:
+        words = [f"mask {number + 1}", *([dwell] if dwell and not images else [])]
+        ax.set_title(", ".join(words), fontsize=SMALL, fontweight="normal", pad=2)
+    if images:
+        _colour_bar(figure, scale, grid)
+    else:
         figure.supxlabel("band", fontsize=9)
-        figure.supylabel("Mᵢⱼ", fontsize=9)
+        figure.supylabel(BAR_LABEL.replace("pixel", "band"), fontsize=9)
     if title:
-        figure.suptitle(title, fontsize=10)
-    if bar and images:
-        _colour_bar(figure, end, ax=grid, aspect=32, shrink=0.7, pad=0.03)
+        figure.suptitle(title, fontsize=9, x=0.01, horizontalalignment="left")
     return figure
 
 
-def mask_axes(ax: Axes, mask: np.ndarray, end: float, colours: str = DIVERGING) -> None:
-    """Draw a mask as an image.
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
 
-    Parameters
-    ----------
-    ax : Axes
-    mask : array, shape (height, width)
-    end : float
-        End of the scale, which begins at −`end`.
-    colours : str
-        Name of a colour map.
-    """
-    finer = -(-128 // max(mask.shape))  # printers smooth pixels: leave them little to smooth
-    ax.imshow(
-        mask.repeat(finer, axis=0).repeat(finer, axis=1),
-        cmap=colours,
-        vmin=-end,
-        vmax=end,
-        interpolation="none",
-    )
+
+def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
+    """Draw a mask (height, width) as an image, with the colours of a scale."""
+    finer = _finer(mask.shape)
+    low, high = scale.get_clim()
+    image = mask.repeat(finer, axis=0).repeat(finer, axis=1)
+    ax.imshow(image, cmap=scale.cmap, vmin=low, vmax=high, interpolation="none")
     ax.set(xticks=[], yticks=[])
     ax.spines[:].set(visible=True, color=GRID)
 
 
-@styled
-def scale_figure() -> Figure:
-    """Draw the colour bar of masks alone, in parts of the peak."""
-    figure = Figure(figsize=(3.4, 0.62), layout="constrained")
-    bar = _colour_bar(figure, 1.0, cax=figure.subplots())
-    bar.set_ticks([-1, 0, 1], labels=["−peak", "0", "peak"])
-    return figure
+def _finer(shape: tuple[int, ...]) -> int:
+    """Drawn pixels for each of a mask: printers smooth pixels; leave them little to smooth."""
+    return -(-128 // max(shape))
 
 
-def _colour_bar(figure: Figure, end: float, **where: Any) -> Colorbar:
-    scale = ScalarMappable(Normalize(-end, end), DIVERGING)
-    bar = figure.colorbar(scale, orientation="horizontal", **where)
+def _curve_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
+    """Draw a mask for spectra as a curve over its bands."""
+    ax.axhline(0, color=MUTED, linewidth=0.6)
+    ax.plot(np.arange(1, len(mask) + 1), mask, color=COLOURS["pca"], linewidth=1.1)
+    low, high = scale.get_clim()
+    ax.set_ylim(1.05 * low, 1.05 * high)
+
+
+def _draw_edges(ax: Axes, parts: np.ndarray) -> None:
+    """Draw a line between two pixels that two detectors see."""
+    finer = _finer(parts.shape)
+    down, right = (np.argwhere(np.diff(parts, axis=axis)) for axis in (0, 1))
+    across = [[(x, y + 1), (x + 1, y + 1)] for y, x in down]
+    along = [[(x + 1, y), (x + 1, y + 1)] for y, x in right]
+    lines = finer * np.array(across + along, dtype=float) - 0.5
+    ax.add_collection(LineCollection(list(lines), colors=COLOURS["hadamard"], linewidths=0.8))
+
+
+def _colour_bar(figure: Figure, scale: ScalarMappable, axes: np.ndarray) -> None:
+    bar = figure.colorbar(scale, orientation="horizontal", ax=axes, aspect=40, shrink=0.7, pad=0.03)
     bar.set_label(BAR_LABEL)
-    bar.set_ticks([-end, -end / 2, 0, end / 2, end])
+    low, high = scale.get_clim()
+    bar.set_ticks(np.linspace(low, high, 5).tolist())
     bar.ax.xaxis.set_major_formatter(
         FuncFormatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
     )
-    bar.outline.set_edgecolor(MUTED)
-    return bar
+    plain_bar(bar)
 
 
 @styled
 def values_figure(rails_or_matrix: np.ndarray) -> Figure:
     """Shares of the values of rails (2 or 1, m, N) or masks (m, N) in bins, on a log scale."""
     values = signed(rails_or_matrix).ravel()
-    end = peak(values)
-    counts, edges = np.histogram(values, bins=51, range=(-end, end))
+    low, high = scale_of(values[None]).get_clim()
+    counts, edges = np.histogram(values, bins=51, range=(low, high))
     figure = Figure(figsize=(5.0, 1.5), layout="constrained")
     ax = figure.subplots()
     floor = 0.5 / values.size
     ax.stairs(counts / values.size, edges, baseline=floor, fill=True, color=MUTED)
     ax.set_yscale("log")
     ax.set_ylim(floor, 1.5)
-    ax.set_xlim(-end, end)
+    ax.set_xlim(low, high)
     ax.axvline(0, color=INK, linewidth=0.6)
     ax.yaxis.set_major_locator(LogLocator(numticks=4))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.set_xlabel("Mᵢⱼ")
+    ax.set_xlabel(BAR_LABEL)
     ax.set_ylabel("share of entries")
     return figure

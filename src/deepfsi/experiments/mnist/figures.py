@@ -211,11 +211,12 @@ def _tiles(
     left, top, tile, tall, gap = inches
     matrix = signed(row.under(noise))
     end, drawn = peak(matrix), []
+    scale = ScalarMappable(Normalize(-end, end), style.GREYS)
     for spot, index in enumerate(brightest(row.under(noise), count)):
         below, right = divmod(spot, ACROSS)
         corner = left + right * (tile + gap), top - below * (tall + gap) - tall
         drawn.append(_axes_at(figure, *corner, tile, tall))
-        mask_axes(drawn[-1], matrix[index].reshape(row.image_shape), end, style.GREYS)
+        mask_axes(drawn[-1], matrix[index].reshape(row.image_shape), scale)
     return end, drawn[0]
 
 

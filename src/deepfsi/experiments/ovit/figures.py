@@ -58,13 +58,14 @@ def patch_masks_figure(rows: Sequence[LearnedMasks]) -> Figure:
             y, x = (part * (side + 1) for part in divmod(place, across))
             sheet[y : y + side, x : x + side] = matrix[index].reshape(side, side)
         end = peak(matrix)
-        mask_axes(ax, sheet, end, GREYS)
+        scale = ScalarMappable(Normalize(-end, end), GREYS)
+        mask_axes(ax, sheet, scale)
         ax.spines[:].set_visible(False)
         ax.set_title(
             f"{power_text(row.photons)} photons: {len(shown)} of {len(matrix)} masks", fontsize=8
         )
         bar = figure.colorbar(
-            ScalarMappable(Normalize(-end, end), GREYS), ax=ax, location="bottom", pad=0.02,
+            scale, ax=ax, location="bottom", pad=0.02,
             aspect=28,
         )  # fmt: skip
         bar.set_ticks([-end, 0, end], labels=[f"−{end:.2g}", "0", f"{end:.2g}"])
