@@ -5,11 +5,14 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 
+from deepfsi.cli import app
 from deepfsi.datasets import idx
 
 ROOT = Path(__file__).parent.parent
@@ -61,6 +64,26 @@ def test_no_line_is_left_out():
     }
     for page in (ROOT / "docs/do").glob("*.md"):
         assert f"docs/do/{page.stem}" in LINES or "```sh\n" not in page.read_text()
+
+
+PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("[!_g]*/*.md")]
+"""Pages that people write."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_files_that_a_page_names_exist(page):
+    text = re.sub(r"\\\n\s*", "", page.read_text())
+    for line in re.findall(r"^(deepfsi .+)$|`(deepfsi [^`]+)`", text, flags=re.MULTILINE):
+        command: Any = typer.main.get_command(app)
+        words = " ".join(line).split("#")[0].split()[1:]
+        while words and words[0] in getattr(command, "commands", {}):
+            command = command.commands[words.pop(0)]
+        assert not getattr(command, "commands", {}) or not words or words[0][0] in "-C", line
+        known = {name for parameter in command.params for name in parameter.opts} | {"--help"}
+        given = {word.split("=")[0] for word in words if re.match("--?[a-z]", word)}
+        assert given <= known, line
+    for path in re.findall(r"\b(?:tests|benchmarks|docs)/[\w/]+\.(?:py|png|svg)\b", text):
+        assert (ROOT / path).is_file(), path
 
 
 @pytest.fixture
