@@ -195,7 +195,13 @@ class AdaptiveDwells(ExposureKind):
         return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
     def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
-        """Share (m,) of the exposure that each mask is shown in the first look."""
+        """Share (m,) of the exposure that each mask is shown in the first look.
+
+        Parameters
+        ----------
+        rails, light, mean, std
+            Of the design.
+        """
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             return torch.zeros_like(mean), dwell

@@ -86,39 +86,45 @@ def masks_figure(
     matrix, chosen = signed(rails_or_matrix), brightest(rails_or_matrix, count)
     images = len(image_shape) == 2
     columns = 6 if images else min(3, len(chosen))
-    rows = -(-len(chosen) // columns)
-    tile = 0.95 * image_shape[0] / image_shape[1] if images else 1.1
-    line = 0.17 * (1 + (dwells is not None)) if images else 0.17
-    lines = title.count("\n") + 1 if title else 0
-    height = rows * (tile + line) + (0.6 if images else 0.3) + 0.18 * lines
-    layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
-    figure = Figure(figsize=(6.0, height), layout=layout)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    figure, grid = _grid(len(chosen), columns, image_shape, dwells is not None, title)
     scale = scale_of(matrix)
-    for place, ax in enumerate(grid.flat):
-        if place >= len(chosen):
-            ax.set_visible(False)
-            continue
-        number = chosen[place]
+    for place, (ax, number) in enumerate(zip(grid.flat, chosen, strict=False)):
         dwell = "" if dwells is None else f"dwell {_percent(float(dwells[number]))}"
+        heading = f"mask {number + 1}"
         if images:
             mask_axes(ax, matrix[number].reshape(image_shape), scale)
-            if parts is not None:
-                _draw_edges(ax, np.reshape(parts, image_shape))
+            _draw_edges(ax, np.zeros(image_shape) if parts is None else parts.reshape(image_shape))
             ax.set_xlabel(dwell, fontsize=SMALL, labelpad=2)
         else:
             _curve_axes(ax, matrix[number], scale)
             ax.tick_params(labelbottom=place + columns >= len(chosen))
-        words = [f"mask {number + 1}", *([dwell] if dwell and not images else [])]
-        ax.set_title(", ".join(words), fontsize=SMALL, fontweight="normal", pad=2)
+            heading = ", ".join(filter(None, [heading, dwell]))
+        ax.set_title(heading, fontsize=SMALL, fontweight="normal", pad=2)
     if images:
         _colour_bar(figure, scale, grid)
     else:
         figure.supxlabel("band", fontsize=9)
         figure.supylabel(BAR_LABEL.replace("pixel", "band"), fontsize=9)
+    return figure
+
+
+def _grid(
+    count: int, columns: int, image_shape: tuple[int, ...], below: bool, title: str
+) -> tuple[Figure, np.ndarray]:
+    """Figure with a title and axes for masks, with words above each and perhaps below."""
+    images, rows = len(image_shape) == 2, -(-count // columns)
+    tile = 0.95 * image_shape[0] / image_shape[1] if images else 1.1
+    words = 0.17 * (1 + (images and below))
+    head = 0.18 * len(title.splitlines())
+    height = rows * (tile + words) + (0.6 if images else 0.3) + head
+    layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
+    figure = Figure(figsize=(6.0, height), layout=layout)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for ax in grid.flat[count:]:
+        ax.set_visible(False)
     if title:
         figure.suptitle(title, fontsize=9, x=0.01, horizontalalignment="left")
-    return figure
+    return figure, grid
 
 
 def _percent(share: float) -> str:
@@ -126,7 +132,15 @@ def _percent(share: float) -> str:
 
 
 def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
-    """Draw a mask (height, width) as an image, with the colours of a scale."""
+    """Draw a mask as an image.
+
+    Parameters
+    ----------
+    ax : Axes
+    mask : array, shape (height, width)
+    scale : ScalarMappable
+        Its colours.
+    """
     finer = _finer(mask.shape)
     low, high = scale.get_clim()
     image = mask.repeat(finer, axis=0).repeat(finer, axis=1)
@@ -154,7 +168,7 @@ def _draw_edges(ax: Axes, parts: np.ndarray) -> None:
     down, right = (np.argwhere(np.diff(parts, axis=axis)) for axis in (0, 1))
     across = [[(x, y + 1), (x + 1, y + 1)] for y, x in down]
     along = [[(x + 1, y), (x + 1, y + 1)] for y, x in right]
-    lines = finer * np.array(across + along, dtype=float) - 0.5
+    lines = finer * np.array(across + along, dtype=float).reshape(-1, 2, 2) - 0.5
     ax.add_collection(LineCollection(list(lines), colors=COLOURS["hadamard"], linewidths=0.8))
 
 
