@@ -27,6 +27,7 @@ extensions = [
     "commands",
     "formats",
     "links",
+    "messages",
     "modules",
 ]
 exclude_patterns = [

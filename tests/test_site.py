@@ -21,6 +21,7 @@ import check_site  # noqa: E402
 import commands  # noqa: E402
 import formats  # noqa: E402
 import links  # noqa: E402
+import messages  # noqa: E402
 import modules  # noqa: E402
 
 LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
@@ -115,6 +116,25 @@ def test_every_module_with_public_names_is_on_a_page():
     public = {name for name in every if not re.search(r"\.(_|cli|experiments)", name)}
     left_out = {name for name in public - listed if modules.names(import_module(name))}
     assert left_out == OF_THE_HOUSE
+
+
+def test_every_module_with_messages_is_explained_once():
+    page = (DOCS / "lookup/troubleshooting.md").read_text()
+    named = " ".join(re.findall(r"^```\{messages\} (.+)$", page, re.M)).split()
+    explained = [path for name in named for path in messages.modules(name)]
+    assert len(explained) == len(set(explained))
+    every = {path for path in messages.SOURCE.rglob("*.py") if messages.of_module(path)}
+    apart = {messages.SOURCE / "errors.py", messages.SOURCE / "hardware/drivers/protocols.py"}
+    assert every - set(explained) <= apart
+
+
+def test_messages_show_what_they_fill_in(tmp_path):
+    (tmp_path / "a.py").write_text(
+        'MOST = "at most 3"\nraise InputError(f"{path} has {len(x)} rows: give {MOST}, {self.b}")\n'
+        "raise ValueError(name)\n"
+    )
+    found = ["‹path› has ‹…› rows: give at most 3, ‹b›"]
+    assert messages.of_module(tmp_path / "a.py") == found
 
 
 def test_types_and_allowed_values_are_words():

@@ -1,0 +1,86 @@
+"""Error messages of the package, read from its source.
+
+The directive `messages` lists those of the modules that it names: every `InputError`, and every
+`ValueError` of a model's field. What a message fills in stands in ‹brackets›.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+from markdown import Made
+
+import deepfsi
+
+SOURCE = Path(deepfsi.__file__).parent
+ERRORS = ("InputError", "ValueError")
+
+
+def modules(name):
+    """Files of a module, or of all modules of a folder, by dotted name below the package."""
+    path = SOURCE / name.replace(".", "/")
+    return sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+
+
+def of_module(path):
+    """Messages of a file, each once, in their order; those without words of their own left out."""
+    tree = ast.parse(path.read_text())
+    constants = {
+        node.targets[0].id: node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
+    }
+    found = [
+        filled(node.args[0], constants)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in ERRORS
+        and node.args
+    ]
+    return [text for text in dict.fromkeys(found) if re.search(r"\w", re.sub("‹.*?›", "", text))]
+
+
+def filled(node, constants):
+    """Text of a message, with ‹name› for what is filled in."""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(filled(each, constants) for each in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return filled(node.left, constants) + filled(node.right, constants)
+    if isinstance(node, ast.FormattedValue):
+        return filled(node.value, constants)
+    if isinstance(node, ast.Name) and isinstance(constants.get(node.id), ast.Constant):
+        return str(constants[node.id].value)
+    if isinstance(node, ast.Name | ast.Attribute):
+        return f"‹{node.id if isinstance(node, ast.Name) else node.attr}›"
+    return "‹…›"
+
+
+def listed(names):
+    """List of the messages of modules."""
+    texts = [text for name in names for path in modules(name) for text in of_module(path)]
+    return "\n".join(f"- {shown(text)}" for text in texts)
+
+
+def shown(text):
+    """Message as an item of a list, on one line."""
+    return re.sub(r"([\\*_<>\[\]#`|$])", r"\\\1", " ".join(text.split()))
+
+
+class Messages(Made):
+    """The directive; its arguments are modules or folders."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def text(self):
+        """Markdown of the list."""
+        return f":::{{div}} messages\n{listed(self.arguments[0].split())}\n:::"
+
+
+def setup(app):
+    """Add the directive."""
+    app.add_directive("messages", Messages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
