@@ -1,7 +1,7 @@
 """Error messages of the package, read from its source.
 
-The directive `messages` lists those of the modules that it names: every `InputError`, and every
-`ValueError` of a model's field. What a message fills in stands in ‹brackets›.
+The directive `messages` lists those of the modules and folders that it names: every `InputError`,
+and every `ValueError` of a model's field. What a message fills in stands in ‹brackets›.
 """
 
 import ast
@@ -13,13 +13,20 @@ from markdown import Made
 import deepfsi
 
 SOURCE = Path(deepfsi.__file__).parent
+LISTED = re.compile(r"^```\{messages\} (.+)$", re.M)
 ERRORS = ("InputError", "ValueError")
 
 
-def modules(name):
-    """Files of a module, or of all modules of a folder, by dotted name below the package."""
-    path = SOURCE / name.replace(".", "/")
-    return sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+def assigned(page):
+    """Files that each name of a page stands for: of two that hold a file the closer one."""
+    named = [name for line in LISTED.findall(page) for name in line.split()]
+    found = {name: [] for name in named}
+    for path in sorted(SOURCE.rglob("*.py")):
+        dotted = ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+        holders = [name for name in named if f"{dotted}.".startswith(f"{name}.")]
+        if holders:
+            found[max(holders, key=len)].append(path)
+    return found
 
 
 def of_module(path):
@@ -58,9 +65,9 @@ def filled(node, constants):
     return "‹…›"
 
 
-def listed(names):
-    """List of the messages of modules."""
-    texts = [text for name in names for path in modules(name) for text in of_module(path)]
+def listed(files):
+    """List of the messages of files."""
+    texts = [text for path in files for text in of_module(path)]
     return "\n".join(f"- {shown(text)}" for text in texts)
 
 
@@ -77,7 +84,9 @@ class Messages(Made):
 
     def text(self):
         """Markdown of the list."""
-        return f":::{{div}} messages\n{listed(self.arguments[0].split())}\n:::"
+        files = assigned(Path(self.env.doc2path(self.env.docname)).read_text())
+        own = [path for name in self.arguments[0].split() for path in files[name]]
+        return f":::{{div}} messages\n{listed(own)}\n:::"
 
 
 def setup(app):
