@@ -48,9 +48,10 @@ def installed(tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-def test_a_wheel_of_the_sdist_compares_and_reproduces(installed, tmp_path):
+def test_a_wheel_of_the_sdist_compares_reproduces_and_writes_pages(installed, tmp_path):
     def run(*words: str) -> str:
-        command = [installed / "bin/deepfsi", *words, "--workers", "1", "--json"]
+        workers = [] if words[0] == "page" else ["--workers", "1"]
+        command = [installed / "bin/deepfsi", *words, *workers, "--json"]
         clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
         done = subprocess.run(command, cwd=tmp_path, env=clean, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -59,11 +60,15 @@ def test_a_wheel_of_the_sdist_compares_and_reproduces(installed, tmp_path):
     [package] = installed.glob("lib/*/site-packages/deepfsi")
     files = {each.relative_to(PACKAGE) for each in PACKAGE.rglob("*.*") if each.suffix != ".pyc"}
     assert {each.relative_to(package) for each in package.rglob("*.*")} >= files
+    assert (package / "py.typed").is_file()
     for name in ("mlgauss", "quantization"):
         recipe = package / f"experiments/recipes/{name}.toml"
         recipe.write_text(recipe.read_text().partition("[quick]")[0] + QUICK)
     run("compare", "--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
     assert (tmp_path / "runs/compare/report.html").is_file()
+    [design] = (tmp_path / "runs/compare/designs").glob("*.safetensors")
+    run("page", str(design), "-o", "page.html")
+    assert "</script>" in (tmp_path / "page.html").read_text(encoding="utf-8")
     claims = json.loads(run("reproduce", "quantization", "--quick", "-o", "runs/paper"))["claims"]
     assert set(claims) == {"quantization"}
     results = json.loads(run("sweep", "mlgauss", "--quick", "-o", "runs/paper"))
