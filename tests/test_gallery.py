@@ -46,8 +46,8 @@ def test_form(path):
     text = path.read_text()
     _, title, line, empty, *words = ast.get_docstring(ast.parse(text), clean=False).split("\n")
     assert (line, empty) == ("=" * len(title), "")
-    assert " ".join(words).count(". ") >= 1
-    assert text.endswith("plt.show()\n")
+    assert " ".join(words).count(".") >= 2
+    assert "\nplt.show()\n" in text
 
 
 def test_moving_picture_stands_alone():

@@ -1,0 +1,127 @@
+"""
+1. Your pictures as photons
+===========================
+
+This tutorial takes an hour. It goes from a folder of your own pictures to masks, a comparison,
+patterns for a micromirror device, and a decision about the light that you need.
+
+Every number on these pages was computed when the site was built, with small settings. Each page
+is a Python script that you can download at its end. Where a command line does the same, it is run
+too, and its output is shown.
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from sklearn.datasets import load_digits
+
+import deepfsi
+from deepfsi.datasets import write_pictures
+from deepfsi.report.style import STYLE, photons_text
+
+plt.rcParams.update(STYLE)
+
+# %%
+# A folder of pictures
+# --------------------
+#
+# Your data is a folder with one sub-folder for each class::
+#
+#     my-pictures/
+#       0/  0000.png  0010.png  ...
+#       1/  0001.png  0011.png  ...
+#
+# As a stand-in, 1797 handwritten digits of 8 × 8 pixels are written in this form. They train in
+# seconds. With a folder of your own, leave this step out.
+
+folder = tempfile.TemporaryDirectory()
+pictures = Path(folder.name) / "my-pictures"
+digits = load_digits()
+write_pictures(
+    {
+        f"{label}/{number:04d}.png": image / 16
+        for number, (image, label) in enumerate(zip(digits.images, digits.target, strict=True))
+    },
+    pictures,
+)
+
+data = deepfsi.load_dataset(pictures)
+print(data.preprocessing)
+print(len(data.x_train), "pictures to train with,", len(data.x_test), "to test with")
+
+# %%
+# A fifth of the pictures of each class is set aside for tests; no training ever sees it. Larger
+# pictures are averaged to the size that you want, ``load_dataset(pictures, size=(32, 32))``.
+# Pixel values become *reflectance*, 0 for black and 1 for white.
+
+# %%
+# The photon budget
+# -----------------
+#
+# A camera does not see reflectance; it counts photons. The **photon budget** Φ is the number of
+# photons that are expected to reach the coding device (the micromirrors) in one exposure, in the
+# mean over the training scenes. A pixel of reflectance x then receives λ = Φ x / s photons in the
+# mean, where s is the mean summed reflectance of the training scenes. Illumination is fixed: a
+# brighter scene sends more photons.
+
+brightness = float(data.x_train.sum(axis=1).mean())
+scene = data.x_test[0]
+for photons in (1e2, 1e4):
+    expected = deepfsi.photons_per_pixel(scene, photons, brightness)
+    print(f"budget {photons_text(photons)}: this scene sends {expected.sum():.0f} photons")
+
+# %%
+# Photons arrive at random. If λ are expected, the count is a Poisson number with mean λ and
+# standard deviation √λ: 100 photons are known to 10 %, 10 000 to 1 %. This *photon noise* belongs
+# to light itself, and no detector is without it.
+#
+# The same scene at four budgets, counted in two ways. *Impulse imaging* has a detector for every
+# pixel, and each counts for the whole exposure. A *raster scan* has one detector, and shows it one
+# pixel after another, each for 1/64 of the exposure.
+
+rng = np.random.default_rng(0)
+budgets = (1e2, 1e3, 1e4, 1e5)
+figure, axes = plt.subplots(2, 4, figsize=(6.4, 3.8), layout="constrained")
+for column, photons in zip(axes.T, budgets, strict=True):
+    expected = deepfsi.photons_per_pixel(scene, photons, brightness)
+    impulse, raster = rng.poisson(expected), rng.poisson(expected / data.pixels)
+    for ax, counts in zip(column, (impulse, raster), strict=True):
+        ax.imshow(counts.reshape(8, 8), cmap="gray", vmin=0)
+        ax.set(xticks=[], yticks=[], xlabel=f"counts: {counts.sum()}")
+    column[0].set_title(f"{photons_text(photons)} photons")
+axes[0, 0].set_ylabel("impulse imaging")
+axes[1, 0].set_ylabel("raster scan")
+figure.supxlabel("each picture from black to its own largest count", fontsize=9)
+folder.cleanup()
+plt.show()
+
+# %%
+# The raster scan throws away 63 of 64 photons, because the mirrors of all other pixels are OFF. A
+# *mask* that opens many mirrors at once counts more of the light. Which masks to open, for a given
+# question, is what the next page learns.
+#
+# Exercises
+# ---------
+#
+# **1.** How many photons does a raster scan of a 32 × 32 picture count, in the mean, at a budget of
+# 10⁴?
+#
+# .. dropdown:: Answer
+#
+#    10⁴ / 1024, about 10. Each pixel has 1/1024 of the exposure, so of each pixel's photons 1/1024
+#    are counted; the sum over pixels is Φ/N.
+#
+# **2.** Your scene sends 2 · 10⁶ photons per second to the device. How long is an exposure of 10⁴
+# photons?
+#
+# .. dropdown:: Answer
+#
+#    10⁴ / (2 · 10⁶ per second) = 5 ms. A budget is flux times time.
+#
+# **3.** A pixel expects 4 photons. How likely is it that none is counted?
+#
+# .. dropdown:: Answer
+#
+#    exp(−4), about 2 %. So a white pixel may look black, and a picture with few photons has holes.

@@ -1,0 +1,144 @@
+"""
+4. Onto a micromirror device
+============================
+
+The masks become frames of a real device, with a time for each. A virtual camera shows them and
+writes a photon file; the same commands then read the file of your own camera.
+"""
+
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from sklearn.datasets import load_digits
+
+from deepfsi.datasets import write_pictures
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.mirrors import unpack
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.report.style import STYLE
+
+plt.rcParams.update(STYLE)
+
+# %%
+# The folder of page 1 once more, and a function that runs a command line in it.
+
+folder = tempfile.TemporaryDirectory()
+work = Path(folder.name)
+digits = load_digits()
+named = enumerate(zip(digits.images, digits.target, strict=True))
+write_pictures(
+    {f"{label}/{number:04d}.png": image / 16 for number, (image, label) in named},
+    work / "my-pictures",
+)
+
+
+def run(line):
+    """Run a command line in the folder, and print it with its output."""
+    words = [sys.executable, "-m", *shlex.split(line)]
+    done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=True)
+    print(f"$ {line}\n{done.stdout}")
+
+
+# %%
+# Frames
+# ------
+#
+# A design of non-negative masks for one device, and its frames for a DLP7000 of 1024 × 768 mirrors.
+# ``--dwell`` is the mean time of a frame on the device.
+
+run(
+    "deepfsi design --data my-pictures --photons 1e4 --masks 8 --light free-dwell --rails single "
+    "--epochs 30 -o mine.safetensors"
+)
+run("deepfsi dmd export mine.safetensors --device dlp7000 --dwell 1ms -o frames")
+
+# %%
+# Frames with all mirrors ON and all OFF come first and last. They tell the light and the dark
+# counts of every exposure. *Cost in time* says what share of the clock counts no photons.
+#
+# The light constraint is now a timetable: each frame is counted for its **share** of the exposure,
+# and the shares sum to 1.
+
+patterns = read_patterns(work / "frames")
+manifest = patterns.manifest
+frames = [unpack(frame, manifest.device) for frame in read_frames(work / "frames")]
+figure, axes = plt.subplots(2, 4, figsize=(6.4, 3.6), layout="constrained")
+for ax, place, share in zip(axes.flat, manifest.shown, manifest.shares, strict=True):
+    ax.imshow(frames[place], cmap="gray", interpolation="antialiased")
+    ax.set(xticks=[], yticks=[], xlabel=f"{share:.1%} of the time")
+figure.suptitle("frames of the eight masks: white mirrors are ON", fontsize=9)
+plt.show()
+
+# %%
+# A recording
+# -----------
+#
+# Two test pictures of each class are put before a virtual camera with a single-photon avalanche
+# diode: 10⁷ photons per second on the device and 1 ms an exposure, so 10⁴ photons, as trained. Of
+# these the diode detects 73 %, and it is blind for 28.5 ns after each.
+
+run("deepfsi data export my-pictures --per-class 2 -o scenes")
+run(
+    "deepfsi camera simulate frames --scene scenes --flux 1e7 --exposure 1ms --repeats 1 "
+    "--camera spad -o run_0001"
+)
+
+# %%
+# In the laboratory, ``deepfsi camera prepare`` makes the folder instead, and your counter's own
+# ``photons.ptu`` is put into it. From here on everything is the same.
+
+run("deepfsi camera count run_0001 --dead-time 28.5ns")
+run("deepfsi camera classify mine.safetensors run_0001")
+
+# %%
+# ``classify`` names scenes whose counts do not look like those of the training: stray light, a
+# wrong mask order or another kind of scene show there, before you trust a class.
+#
+# The counts of one scene of each of three classes, with their standard deviations:
+
+counts = read_counts(work / "run_0001")
+signal, spread = counts.signal()[:, 0, 0], np.sqrt(counts.variance[:, 0, 0])
+figure, ax = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
+for number, (scene, marker, colour) in enumerate(
+    zip((0, 2, 14), "os^", ("#0072b2", "#d55e00", "#009e73"), strict=True)
+):
+    at = np.arange(1, 9) + 0.12 * (number - 1)
+    style = {"color": colour, "linestyle": "none", "marker": marker, "capsize": 2}
+    ax.errorbar(at, signal[scene], spread[scene], label=f"a {scene // 2}", **style)
+ax.set(xlabel="mask", ylabel="counts in 1 ms", xticks=range(1, 9), ylim=(0, 520))
+ax.legend(title="scene", ncols=3, loc="upper center")
+folder.cleanup()
+plt.show()
+
+# %%
+# Exercises
+# ---------
+#
+# **1.** The device shows no frame shorter than 44 µs. Does that limit an exposure of 1 ms?
+#
+# .. dropdown:: Answer
+#
+#    No. Every frame stays on the device for its picture time, and only a *gate* within it is
+#    counted; the gates together last 1 ms. The exposure may be shorter than the frames. What it
+#    costs is the time of the clock that is not counted.
+#
+# **2.** Your detector has an efficiency of 0.25. What is its budget, if 10⁵ photons reach the
+# device?
+#
+# .. dropdown:: Answer
+#
+#    2.5 · 10⁴. A photon that is not detected is the same as one that never came, so efficiency
+#    multiplies the budget. ``camera count`` finds the budget from the all-ON frames, efficiency
+#    included.
+#
+# **3.** Count the recording without ``--dead-time``. Which frames lose most?
+#
+# .. dropdown:: Answer
+#
+#    The brightest ones, the all-ON frames above all. The budget is then estimated too low, and the
+#    masks' counts look too large beside it.
