@@ -14,7 +14,7 @@ MASKS = ("110110111000", "001110011001", "010011100110", "111000010101")
 def text(x, y, words, colour=INK, anchor="middle"):
     """Words at a place."""
     where = f'x="{x}" y="{y}" text-anchor="{anchor}"'
-    return f'<text {where} fill="{colour}" font-size="14">{words}</text>'
+    return f'<text {where} fill="{colour}" font-size="15">{words}</text>'
 
 
 def beam(*points):
@@ -89,42 +89,42 @@ def camera(second):
     return "".join(parts)
 
 
-def timeline(times, words, note):
-    """Frames side by side, each as wide as its share of the exposure."""
-    x, parts = 470, [text(470, 48, "one exposure", SOFT, "start")]
+def timeline(times, law):
+    """Frames side by side, each as wide as its share of the exposure, and the law."""
+    x, parts = 24, [text(24, 322, "one exposure:", anchor="start")]
     for cells, share in zip(MASKS, times, strict=True):
-        wide = 250 * share
-        parts.append(mirrors(x + wide / 2 - 20, 84, cells, 10))
+        wide = 392 * share
+        parts.append(mirrors(x + wide / 2 - 24, 336, cells, 12))
         parts.append(
-            f'<rect x="{x}" y="128" width="{wide - 2}" height="22" fill="{BEAM}" stroke="{INK}"/>'
+            f'<rect x="{x}" y="380" width="{wide - 2}" height="22" fill="{BEAM}" stroke="{INK}"/>'
         )
         x += wide
-    parts.append(f'<path d="M470,168 h250 m-8,-5 l8,5 l-8,5" fill="none" stroke="{INK}"/>')
-    parts.append(text(720, 188, "time", SOFT, "end"))
-    parts += [text(470, 218 + 22 * i, line, anchor="start") for i, line in enumerate(words)]
-    return "".join([*parts, text(470, 70, note, SOFT, "start")])
+    parts.append(f'<path d="M24,416 h392 m-8,-5 l8,5 l-8,5" fill="none" stroke="{INK}"/>')
+    parts.append(text(416, 436, "time", SOFT, "end"))
+    parts += [text(24, 462 + 22 * i, line, anchor="start") for i, line in enumerate(law)]
+    return "".join(parts)
 
 
 def column():
     """One splitter for each readout, which all count at the same time."""
-    parts = [scene(50, 120), beam((76, 100), (150, 84), (150, 156), (76, 140))]
-    parts.append(beam((150, 84), (650, 84), (650, 156), (150, 156)))
-    for i, x in enumerate((250, 400, 550)):
-        parts.append(beam((x - 30, 130), (x + 30, 130), (x + 4, 228), (x - 4, 228)))
+    parts = [scene(40, 130), beam((66, 110), (100, 94), (100, 166), (66, 150))]
+    parts.append(beam((100, 94), (410, 94), (410, 166), (100, 166)))
+    for i, x in enumerate((160, 256, 352)):
+        parts.append(beam((x - 28, 134), (x + 28, 134), (x + 4, 240), (x - 4, 240)))
         parts.append(
-            f'<path d="M{x - 36},84 L{x + 36},156" stroke="{INK}" stroke-width="3" '
+            f'<path d="M{x - 36},94 L{x + 36},166" stroke="{INK}" stroke-width="3" '
             f'stroke-dasharray="9 3"/>'
         )
-        parts.append(lens(x, 190, 30, 90))
-        parts.append(detector(x, 230, -90, ON, f"readout {i + 1}", (62, 12)))
-        parts.append(mirrors(x - 28, 28, MASKS[i], 14, ("#ffffff", "#e8a33d")))
-        parts.append(text(x, 22, f"mask {i + 1}"))
-    law = "each splitter takes its own share of every pixel; all readouts count all the time"
+        parts.append(lens(x, 198, 28, 90))
+        parts.append(detector(x, 242, -90, ON, f"count {i + 1}", (0, 46)))
+        parts.append(mirrors(x - 28, 40, MASKS[i], 14, ("#ffffff", "#e8a33d")))
+        parts.append(text(x, 30, f"mask {i + 1}"))
+    law = ("each splitter takes its own share of every pixel;", "all detectors count all the time")
     parts += [
-        lens(150, 120, 46),
-        f'<rect x="650" y="92" width="14" height="56" fill="{INK}"/>',
-        text(664, 78, "the rest"),
-        text(360, 282, law),
+        lens(100, 130, 42),
+        f'<rect x="410" y="100" width="12" height="60" fill="{INK}"/>',
+        text(416, 184, "rest"),
+        *(text(24, 326 + 22 * i, line, anchor="start") for i, line in enumerate(law)),
     ]
     return "".join(parts)
 
@@ -132,12 +132,12 @@ def column():
 def tiles():
     """A device divided among four detectors."""
     parts = [
-        scene(),
-        beam((76, 130), (170, 108), (170, 192), (76, 170)),
-        beam((170, 108), (300, 112), (300, 188), (170, 192)),
-        lens(170, 150, 46),
-        f'<rect x="300" y="106" width="10" height="88" fill="{SOFT}" stroke="{INK}"/>',
-        text(305, 98, "DMD"),
+        scene(50, 90),
+        beam((76, 70), (170, 48), (170, 132), (76, 110)),
+        beam((170, 48), (400, 52), (400, 128), (170, 132)),
+        lens(170, 90, 46),
+        f'<rect x="400" y="46" width="10" height="88" fill="{SOFT}" stroke="{INK}"/>',
+        text(405, 36, "DMD"),
     ]
     colours = ("#e69f00", "#56b4e9", "#009e73", "#cc79a7")
     for row in range(4):
@@ -146,51 +146,55 @@ def tiles():
             lit = (row * 5 + col * 3) % 4 != 1
             fill = colours[tile] if lit else "#30363d"
             parts.append(
-                f'<rect x="{380 + 26 * col}" y="{98 + 26 * row}" width="26" height="26" '
+                f'<rect x="{60 + 28 * col}" y="{186 + 28 * row}" width="28" height="28" '
                 f'fill="{fill}" stroke="{INK}"/>'
             )
-    parts.append(f'<path d="M318,150 h48 m-8,-5 l8,5 l-8,5" fill="none" stroke="{INK}"/>')
-    parts.append(text(432, 226, "one frame, seen from the front"))
-    parts.append(f'<path d="M498,150 h48 m-8,-5 l8,5 l-8,5" fill="none" stroke="{INK}"/>')
+    parts.append(f'<path d="M192,242 h56 m-8,-5 l8,5 l-8,5" fill="none" stroke="{INK}"/>')
     for tile, colour in enumerate(colours):
-        x, y = 570 + 64 * (tile % 2), 104 + 56 * (tile // 2)
+        x, y = 276 + 64 * (tile % 2), 192 + 56 * (tile // 2)
         parts.append(
             f'<rect x="{x}" y="{y}" width="52" height="44" fill="{colour}" stroke="{INK}"/>'
             + text(x + 26, y + 28, str(tile + 1))
         )
-    parts.append(text(628, 226, "four detectors"))
-    parts.append(text(628, 90, "2 × 2 counts a frame", SOFT))
+    parts += [text(116, 324, "one frame on the DMD"), text(334, 324, "four detectors")]
     return "".join(parts)
 
 
-def write(name, about, body, height=300):
+def write(name, about, body, height):
     """Write one drawing on a white ground, which suits light and dark pages."""
     svg = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 740 {height}" width="740" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 440 {height}" width="440" '
         f'height="{height}" role="img" font-family="system-ui, sans-serif"><title>{about}</title>'
-        f'<rect width="740" height="{height}" rx="8" fill="#ffffff"/>{body}</svg>\n'
+        f'<rect width="440" height="{height}" rx="8" fill="#ffffff"/>{body}</svg>\n'
     )
     (Path(__file__).parent / f"light-{name}.svg").write_text(svg)
 
 
 if __name__ == "__main__":
-    free = ("the brightest pixel of frame f", "is counted for the time t_f;", "Σ t_f ≤ 1")
+    own = (0.4, 0.15, 0.28, 0.17)
     write(
         "free-dwell",
         "One DMD and one detector; each frame is shown for its own time",
-        camera(second=False) + timeline((0.4, 0.15, 0.28, 0.17), free, "frames, each its own time"),
+        camera(second=False)
+        + timeline(
+            own,
+            ("each frame is shown for its own share of the time;", "all shares sum to at most 1"),
+        ),
+        500,
     )
-    equal = ("F frames, each for 1/F", "of the exposure")
     write(
         "equal-dwell",
         "One DMD and one detector; all frames are shown for equal times",
-        camera(second=False) + timeline((0.25,) * 4, equal, "frames, equal times"),
+        camera(second=False)
+        + timeline((0.25,) * 4, ("each of F frames is shown", "for 1/F of the time")),
+        500,
     )
-    arms = ("what the ON detector does not get,", "the OFF detector gets", "in the same time")
     write(
         "two-arm",
         "One DMD with a detector on each of its two arms",
-        camera(second=True) + timeline((0.4, 0.15, 0.28, 0.17), arms, "frames, each its own time"),
+        camera(second=True)
+        + timeline(own, ("what the ON detector does not get,", "the OFF detector gets")),
+        500,
     )
-    write("column", "A splitter and a detector for each readout", column())
-    write("detectors", "A DMD whose four parts are each seen by a detector", tiles(), 250)
+    write("column", "A splitter and a detector for each readout", column(), 364)
+    write("detectors", "A DMD whose four parts are each seen by a detector", tiles(), 346)
