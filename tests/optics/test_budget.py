@@ -42,6 +42,12 @@ def test_a_brighter_scene_sends_more():
     assert photons == pytest.approx(300 * x / 0.45)
 
 
+@pytest.mark.parametrize("dark", [0, -1.0, float("nan")])
+def test_no_photons_come_from_scenes_without_light(dark):
+    with pytest.raises(InputError, match="give a number above 0"):
+        photons_per_pixel(np.ones(3), 1e4, dark)
+
+
 def test_arrays_and_tensors_agree(digits):
     light = summed_reflectance(digits.x_train)
     numbers = photons_per_pixel(digits.x_test, 1e5, light)
