@@ -1,6 +1,16 @@
 // The page: what the user does, and what is shown of it.
 
-import { accuracyAt, drawAnswer, drawCounts, drawCurve, drawHistory, photonsText } from "./charts.js";
+import {
+  accuracyAt,
+  chanceText,
+  drawAnswer,
+  drawCounts,
+  drawCurve,
+  drawDwells,
+  drawHistory,
+  photonsText,
+  places,
+} from "./charts.js";
 import { Exposure, LeastSquares, Rivals } from "./exposure.js";
 import { Model } from "./model.js";
 import { poisson, Random, unpack } from "./numbers.js";
@@ -10,8 +20,17 @@ const SHORTEST = 6; // seconds of a whole exposure on the page at speed 1
 const LONGEST = 14;
 const MOST_ROWS = 400; // of a least-squares picture that is renewed during an exposure
 const MOSAIC = 64; // masks shown side by side
+const CURVES = ["--pca", "--deepfsi", "--truncated-hadamard", "--control", "--hadamard", "--muted"];
 
 const $ = (id) => document.getElementById(id);
+const PLACES = [1, 2, 4, 6, 8, 10];
+
+/** Smallest round number that is not below a value. */
+function roundUp(value) {
+  const unit = 10 ** Math.floor(Math.log10(value));
+  return PLACES.find((place) => place * unit >= value) * unit;
+}
+
 const percent = (share) => `${(share * 100).toFixed(share < 0.1 ? 1 : 0)} %`;
 
 class Page {
@@ -24,9 +43,10 @@ class Page {
     const { low, high } = model.budget;
     $("light").value = Math.min(Math.max(Math.log10(Math.sqrt(low * high)), 1), 7);
     $("seed").value = 1;
+    $("mask").parentElement.classList.toggle("curves", this.spectrum);
     this.listThumbs();
     this.listen();
-    this.choose(0);
+    this.choose(Math.floor(scenes.length / 3));
   }
 
   get photons() {
@@ -47,7 +67,8 @@ class Page {
       button.setAttribute("aria-label", `Test scene ${place + 1}, class ${name}`);
       button.title = name;
       const canvas = document.createElement("canvas");
-      show(canvas, this.model, scene);
+      if (this.spectrum) plot(canvas, [{ values: scene, ink: colour("--ink") }], [this.model.scenes.low, this.model.scenes.high], [120, 56]);
+      else show(canvas, this.model, scene);
       button.append(canvas);
       button.addEventListener("click", () => this.choose(place));
       return button;
@@ -85,7 +106,8 @@ class Page {
     const { model, scene, photons, seed } = this;
     this.exposure = new Exposure(model, scene, photons, seed);
     this.rivals = new Rivals(model, scene, photons, seed);
-    this.most = Math.max(...this.byMask(this.exposure.after(this.exposure.frames.length).counts).flat(), 1);
+    const { counts } = this.exposure.after(this.exposure.frames.length);
+    this.most = roundUp(Math.max(...this.byMask(counts).flat(), 4));
     this.time = this.exposure.length;
     this.drawn = {};
     this.pad.draw(scene);
@@ -156,7 +178,10 @@ class Page {
         show($("squares"), model, picture ?? Array.from(this.scene, nothing));
       }
     }
-    if (drawn.frame !== shown || drawn.count === undefined) this.drawMask(shown);
+    if (drawn.frame !== shown || drawn.count === undefined) {
+      this.drawMask(shown);
+      if (!exposure.together) this.drawTimes(shown);
+    }
     this.drawn = { ...this.drawn, count, frame: shown };
   }
 
@@ -177,23 +202,23 @@ class Page {
     const { chances, sound } = exposure.answer(count);
     const top = drawAnswer($("answer"), model, chances, sound);
     drawHistory($("history"), exposure, count, top);
-    $("answer-words").textContent = this.about(sound, chances);
+    $("answer-words").textContent = this.about(chances);
     $("verdict").textContent = this.verdict(count, top, chances);
   }
 
-  about(sound, chances) {
+  about(chances) {
     const { exposure, model } = this;
     const { rule } = exposure;
     const judged = rule && rule.threshold < 1
       ? ` The dashed line is the confidence above which an exposure may stop${rule.photons ? `, calibrated at ${photonsText(rule.photons)} photons` : ""}.`
       : "";
     if (!chances) return `Nothing is counted yet.${judged}`;
-    if (exposure.together) return "All masks see light at once: this is the answer to the light so far." + judged;
-    if (sound) return "The network has learned to answer with so much counted." + judged;
-    const missing = model.chooser
-      ? "The network has learned to answer after each look; outlined bars are between two looks."
-      : "Outlined bars: masks not shown yet are taken as for a mean scene, which the network has not learned. Only filled bars count.";
-    return missing + judged;
+    if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
+    const dots = "Filled bars and dots are answers that the network has learned to give: ";
+    if (model.chooser) return `${dots}after each look. Outlined bars are between two looks.${judged}`;
+    const { nested } = model.exposure;
+    const when = nested ? `after mask ${nested} and each one behind it` : "after the last mask";
+    return `${dots}${when}. Outlined bars take masks that were not shown yet as for a mean scene.${judged}`;
   }
 
   verdict(count, top, chances) {
@@ -205,7 +230,7 @@ class Page {
     }
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
-    const answer = `Answer: ${name}${right}. Probability ${percent(chances[top])}.`;
+    const answer = `Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
     const { stop, rule } = exposure;
     if (stop) return `${answer} It could have stopped ${this.stopWords(stop)}`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;
@@ -219,13 +244,29 @@ class Page {
     return `after ${unit} ${stop.at} of ${all} with the answer ${name}, and saved ${percent(stop.saved)} of the light.`;
   }
 
+  drawTimes(frame) {
+    const { exposure, model } = this;
+    const look = frame ? frame.look : model.looks - 1;
+    drawDwells($("dwells"), exposure, look, frame);
+    if (!model.chooser) {
+      $("dwell-words").textContent = "Share of the exposure; the same for every scene.";
+      return;
+    }
+    $("h-dwells").textContent = `Time of each mask in look ${look + 1} of ${model.looks}`;
+    $("dwell-words").textContent = look
+      ? "Share of the exposure, chosen from the counts so far. Short lines: the look before."
+      : "Share of the exposure. The first look is the same for every scene.";
+  }
+
   drawMask(frame) {
     const { model } = this;
     const canvas = $("mask");
+    $("h-device").textContent = this.exposure.together || !frame ? "Masks" : "On the device now";
     if (this.exposure.together || !frame) {
       this.drawMosaic();
       return;
     }
+    this.mosaic = false;
     const { mask, rails, share } = frame;
     const [rail] = rails;
     const pattern = Array.from({ length: model.pixels }, (_, i) => model.entry(rail, mask, i));
@@ -234,9 +275,8 @@ class Page {
     const { high } = model.scenes;
     const passed = device.map((each, i) => each * this.scene[i]);
     if (this.spectrum) {
-      plot(canvas, [{ values: device, ink: colour(rail ? "--minus" : "--plus"), steps: true }], [0, 1]);
+      plot(canvas, [{ values: device, ink: colour(rail ? "--deepfsi" : "--pca"), steps: true }], [0, 1]);
       plot($("through"), [{ values: passed, ink: colour("--ink") }], [0, high]);
-      canvas.parentElement.classList.add("curves");
     } else {
       paint(canvas, model.image_shape, (i) => device[i]);
       paint($("through"), model.image_shape, (i) => passed[i] / high);
@@ -245,30 +285,35 @@ class Page {
     canvas.classList.toggle("rail-minus", rail === 1);
     canvas.classList.toggle("rail-plus", rail === 0);
     const which = rails.length > 1 ? ", both arms" : model.rails === 2 ? [", positive rail", ", negative rail"][rail] : "";
+    const [one, other] = this.spectrum ? ["Above", "Below"] : ["Left", "Right"];
+    const arms = this.spectrum ? "High goes to the one detector, low to the other. " : "White goes to the one detector, black to the other. ";
+    const all = this.spectrum ? "" : "White goes to the detector. ";
     $("mask-words").textContent =
-      `Left: mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / this.exposure.length)} of the exposure. ` +
-      (rails.length > 1 ? "White goes to the one detector, black to the other. " : "White goes to the detector. ") +
-      "Right: the light that gets there.";
+      `${one}: mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / this.exposure.length)} of the exposure. ` +
+      (rails.length > 1 ? arms : all) + `${other}: the light that gets there.`;
   }
 
   /** All masks side by side: as they are used at once, or before and after an exposure. */
   drawMosaic() {
     const { model } = this;
+    if (this.mosaic) return;
+    this.mosaic = true;
     const canvas = $("mask");
-    const count = Math.min(model.masks, MOSAIC);
+    const count = Math.min(model.masks, this.spectrum ? CURVES.length : MOSAIC);
     canvas.classList.remove("rail-plus", "rail-minus");
     const value = (mask, i) => model.matrix[mask * model.pixels + i];
     const peaks = Array.from({ length: count }, (_, mask) => Math.max(model.peaks[0][mask], model.peaks[1]?.[mask] ?? 0));
     if (this.spectrum) {
-      const curves = Array.from({ length: Math.min(count, 6) }, (_, mask) => ({
+      const curves = places(count).map((mask) => ({
         values: Array.from({ length: model.pixels }, (_, i) => value(mask, i) / peaks[mask]),
-        ink: colour(["--pca", "--deepfsi", "--truncated-hadamard", "--control", "--hadamard", "--muted"][mask]),
+        ink: colour(CURVES[mask]),
       }));
       plot(canvas, curves, [model.rails === 2 ? -1 : 0, 1]);
     } else {
       const [height, width] = model.image_shape;
       const columns = Math.ceil(Math.sqrt(count));
       const rows = Math.ceil(count / columns);
+      const dwells = places(count).map((mask) => model.entry(0, mask, 0) + (model.rails > 1 ? model.entry(1, mask, 0) : 0));
       const gap = Math.max(1, Math.round(width / 12));
       const size = [rows * (height + gap) - gap, columns * (width + gap) - gap];
       paint(canvas, size, (at) => {
@@ -278,13 +323,15 @@ class Page {
         if (mask >= count || row >= height || column >= width) return UNLIT;
         const share = value(mask, row * width + column) / peaks[mask];
         if (model.rails === 1) return share;
+        if (model.light === "two-arm") return (1 + value(mask, row * width + column) / dwells[mask]) / 2;
         const bright = share > 0 ? [86, 180, 255] : [255, 125, 59];
         return bright.map((each) => each * Math.abs(share));
       });
     }
     if ($("through")) $("through").hidden = true;
     const some = count < model.masks ? `The first ${count} of ${model.masks} masks` : `All ${model.masks} masks`;
-    const signs = model.rails === 2 ? " Blue is counted by the positive rail, orange by the negative one." : " White is counted, black is not.";
+    const dual = model.light === "two-arm" ? " White goes to the one detector, black to the other." : " Blue is counted by the positive rail, orange by the negative one.";
+    const signs = model.rails === 2 ? dual : " White is counted, black is not.";
     $("mask-words").textContent = `${some}, each to its own brightest value.${this.spectrum ? "" : signs}`;
   }
 
@@ -356,7 +403,7 @@ class Page {
     }
     if (!this.spectrum) this.listenForPictures(on);
     const again = () => {
-      this.drawn = {};
+      this.mosaic = false;
       this.listThumbs();
       this.renew();
     };

@@ -23,6 +23,9 @@ function begin(holder, height) {
 export const photonsText = (photons) =>
   Number(photons.toPrecision(3)).toLocaleString("en").replaceAll(",", " ");
 
+/** A probability in percent, with one digit but at 100 %. */
+export const chanceText = (chance) => `${(chance * 100).toFixed(chance < 0.9995 ? 1 : 0)} %`;
+
 const power = (exponent) =>
   `10${[...String(exponent)].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]).join("")}`;
 
@@ -48,7 +51,6 @@ export function drawCurve(holder, model, photons) {
   }
   const chance = 1 / classes.length;
   add("path", { class: "axis", d: `M${left} ${y(chance)}H${right}`, "stroke-dasharray": "3 3" });
-  add("text", { x: right, y: y(chance) - 4, "text-anchor": "end" }, "guessing");
   for (let exponent = 1; exponent <= 7; exponent++) {
     add("text", { x: x(10 ** exponent), y: height - 6, "text-anchor": "middle" }, power(exponent));
   }
@@ -57,6 +59,8 @@ export function drawCurve(holder, model, photons) {
   else add("path", { class: "trained-line", d: `M${low} ${top}V${bottom}` });
   const middle = (low + high) / 2;
   const anchor = middle > (left + right) / 2 ? "end" : "start";
+  const free = anchor === "end" ? { x: left + 4 } : { x: right, "text-anchor": "end" };
+  add("text", { ...free, y: y(chance) - 4 }, "guessing");
   const beside = high > low ? 0 : anchor === "end" ? -5 : 5;
   add("text", { class: "strong", x: (anchor === "end" ? high : low) + beside, y: bottom - 26, "text-anchor": anchor }, "learned for");
   const line = curve.map((point) => `${x(point.photons)} ${y(point.accuracy)}`).join("L");
@@ -70,88 +74,149 @@ export function drawCurve(holder, model, photons) {
   add("circle", { class: "here", cx: x(photons), cy: y(here), r: 7 });
 }
 
-/** Counts of each mask as bars: the positive rail upward, the negative one downward. */
+/** Bars of the masks, the second rail downward: their paths, and where each mask is. */
+function bars(values, { left, right, zero, reach, most, root = false }) {
+  const scale = (value) => (root ? Math.sqrt(value / most) : value / most) * reach;
+  const step = (right - left) / values[0].length;
+  const wide = Math.max(step * 0.75, 0.6);
+  const start = (mask) => left + mask * step + (step - wide) / 2;
+  const path = (rail, masks) =>
+    masks
+      .map((mask) => {
+        const tall = scale(values[rail][mask]);
+        return `M${start(mask)} ${zero}h${wide}v${rail ? tall : -tall}h${-wide}z`;
+      })
+      .join("");
+  return { path, start, wide, scale, middle: (mask) => left + (mask + 0.5) * step };
+}
+
+/** Whole numbers from 0. */
+export const places = (count) => Array.from({ length: count }, (_, place) => place);
+
+/**
+ * Counts of each mask as bars: the positive rail upward, the negative one downward. Where dwells
+ * are chosen counts differ much, and heights are their square roots.
+ */
 export function drawCounts(holder, model, counts, most, now) {
   const height = 230;
   const { width, add } = begin(holder, height);
-  const [left, right, top] = [50, width - 4, 14];
+  const [left, right, top] = [50, width - 4, 16];
   const dual = model.rails === 2;
-  const zero = dual ? height / 2 : height - 22;
-  const reach = (dual ? zero : zero) - top;
-  const scale = reach / Math.max(most, 1);
-  const step = (right - left) / model.masks;
-  const bar = Math.max(step * 0.75, 0.6);
-  for (let rail = 0; rail < model.rails; rail++) {
-    let path = "";
-    for (let mask = 0; mask < model.masks; mask++) {
-      const tall = counts[rail][mask] * scale;
-      const start = left + mask * step + (step - bar) / 2;
-      path += `M${start} ${zero}h${bar}v${rail ? tall : -tall}h${-bar}z`;
+  const zero = dual ? height / 2 : height - 32;
+  const root = model.looks > 1;
+  const chart = bars(counts, { left, right, zero, reach: zero - top, most, root });
+  counts.forEach((_, rail) => {
+    add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, places(model.masks)) });
+  });
+  add("path", { class: "axis", d: `M${left} ${zero}H${right}` });
+  for (const share of root ? [1 / 4, 1] : [1 / 2, 1]) {
+    const rise = chart.scale(most * share);
+    for (const y of dual ? [zero - rise, zero + rise] : [zero - rise]) {
+      add("path", { class: "axis", d: `M${left} ${y}H${right}` });
+      add("text", { x: left - 6, y: y + 4, "text-anchor": "end" }, photonsText(most * share));
     }
-    add("path", { class: rail ? "minus" : "plus", d: path });
+  }
+  add("text", { x: left - 6, y: zero + 4, "text-anchor": "end" }, "0");
+  const names = model.light === "two-arm" ? ["one detector", "the other"] : ["positive rail", "negative rail"];
+  if (dual) {
+    add("text", { x: left, y: 10, class: "strong" }, names[0]);
+    add("text", { x: left, y: height - 2, class: "strong" }, names[1]);
+  }
+  const low = dual ? height - 2 : height - 4;
+  if (!dual) add("text", { x: left, y: low }, "mask 1");
+  add("text", { x: right, y: low, "text-anchor": "end" }, `mask ${model.masks}`);
+  if (now !== null) add("path", { class: "now", d: `M${chart.middle(now)} ${zero + 2}l5 8h-10z` });
+}
+
+/** Time of each frame of a look, with that of the look before as a line. */
+export function drawDwells(holder, exposure, look, now) {
+  const { model } = exposure;
+  const height = 110;
+  const { width, add } = begin(holder, height);
+  const rails = model.eachRail ? 2 : 1;
+  const shares = (which) => {
+    const found = Array.from({ length: rails }, () => new Array(model.masks).fill(0));
+    exposure.frames.forEach((frame) => {
+      if (frame.look === which) found[rails === 2 ? frame.rails[0] : 0][frame.mask] = frame.share;
+    });
+    return found;
+  };
+  const own = shares(look);
+  const most = Math.max(...exposure.frames.map((frame) => frame.share));
+  const [left, right, top] = [44, width - 4, 8];
+  const zero = rails === 2 ? height / 2 : height - 18;
+  const chart = bars(own, { left, right, zero, reach: zero - top, most });
+  own.forEach((_, rail) => {
+    const lit = places(model.masks).filter((mask) => !now || mask === now.mask);
+    add("path", { class: `${rail ? "minus" : "plus"} dim`, d: chart.path(rail, places(model.masks)) });
+    const isNow = !now || rails === 1 || now.rails[0] === rail;
+    if (isNow) add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, lit) });
+  });
+  if (look > 0) {
+    const marks = shares(look - 1).flatMap((each, rail) =>
+      each.map((share, mask) => {
+        const y = zero - chart.scale(share) * (rail ? -1 : 1);
+        return `M${chart.start(mask)} ${y}h${chart.wide}`;
+      }),
+    );
+    add("path", { class: "before", d: marks.join("") });
   }
   add("path", { class: "axis", d: `M${left} ${zero}H${right}` });
-  add("text", { x: left - 6, y: top + 4, "text-anchor": "end" }, photonsText(most));
+  const percent = (most / exposure.length) * 100;
+  add("text", { x: left - 6, y: top + 6, "text-anchor": "end" }, `${Number(percent.toPrecision(2))} %`);
   add("text", { x: left - 6, y: zero + 4, "text-anchor": "end" }, "0");
-  if (dual) {
-    add("text", { x: left - 6, y: height - top + 4, "text-anchor": "end" }, photonsText(most));
-    add("text", { x: left, y: 10, class: "strong" }, "positive rail");
-    add("text", { x: left, y: height - 3, class: "strong" }, "negative rail");
-  } else {
-    add("text", { x: left, y: height - 4 }, "mask 1");
-    add("text", { x: right, y: height - 4, "text-anchor": "end" }, `mask ${model.masks}`);
-  }
-  if (now === null) return;
-  const middle = left + (now + 0.5) * step;
-  const tip = dual ? zero : zero + 3;
-  add("path", { class: "now", d: `M${middle} ${tip}l5 8h-10z` });
 }
 
 /** Probabilities of the classes over the exposure, as far as it is shown. */
 export function drawHistory(holder, exposure, count, top) {
   const height = 150;
   const { width, add } = begin(holder, height);
-  const [left, right, upper, bottom] = [42, width - 8, 16, height - 32];
-  const x = (time) => left + (time / exposure.length) * (right - left);
+  const [left, right, upper, bottom] = [50, width - 8, 10, height - 22];
+  const across = (time) => left + (time / exposure.length) * (right - left);
   const y = (value) => bottom - value * (bottom - upper);
   for (const share of [0, 0.5, 1]) {
     add("path", { class: "axis", d: `M${left} ${y(share)}H${right}` });
     add("text", { x: left - 6, y: y(share) + 4, "text-anchor": "end" }, `${share * 100} %`);
   }
-  add("text", { x: left, y: height - 16 }, "start");
-  add("text", { x: right, y: height - 16, "text-anchor": "end" }, "end of the exposure");
+  add("text", { x: left, y: height - 4 }, "start");
+  add("text", { x: right, y: height - 4, "text-anchor": "end" }, "end of the exposure");
   const known = [...exposure.answers].filter(([at, { chances }]) => chances && at <= count);
   known.sort(([a], [b]) => a - b);
   const time = (at) => exposure.frames[at - 1].end;
   exposure.model.classes.forEach((_, place) => {
     if (place === top || !known.length) return;
-    const points = known.map(([at, { chances }]) => `${x(time(at))} ${y(chances[place])}`);
+    const points = known.map(([at, { chances }]) => `${across(time(at))} ${y(chances[place])}`);
     add("path", { class: "class-line", d: `M${points.join("L")}` });
   });
   if (known.length && top !== null) {
-    const points = known.map(([at, { chances }]) => `${x(time(at))} ${y(chances[top])}`);
+    const points = known.map(([at, { chances }]) => `${across(time(at))} ${y(chances[top])}`);
     add("path", { class: "class-line top", d: `M${points.join("L")}` });
+    const dots = exposure.together ? [] : known.filter(([, { sound }]) => sound);
+    for (const [at, { chances }] of dots) {
+      add("circle", { class: "dot", cx: across(time(at)), cy: y(chances[top]), r: 3.5 });
+    }
   }
   const { rule, stop } = exposure;
   if (rule && rule.threshold < 1) {
     add("path", { class: "threshold", d: `M${left} ${y(rule.threshold)}H${right}` });
   }
   if (!stop || count < stop.count) return;
-  const at = x(stop.end);
+  const at = across(stop.end);
   add("path", { class: "stop-line", d: `M${at} ${upper}V${bottom + 6}` });
   const anchor = at > (left + right) / 2 ? "end" : "start";
   const words = `could stop: ${Math.round(stop.saved * 100)} % saved`;
-  add("text", { class: "strong", x: at, y: height - 2, "text-anchor": anchor }, words);
+  const x = at + (anchor === "end" ? -6 : 6);
+  add("text", { class: "strong halo", x, y: y(0.5) + 4, "text-anchor": anchor }, words);
 }
 
 /** Bars of the classes' probabilities, the ten likeliest where there are many. */
 export function drawAnswer(list, model, chances, sound) {
-  const places = model.classes.map((_, place) => place);
-  const many = places.length > 12;
-  if (many && chances) places.sort((a, b) => chances[b] - chances[a]);
+  const order = places(model.classes.length);
+  const many = order.length > 12;
+  if (many && chances) order.sort((a, b) => chances[b] - chances[a]);
   const top = chances ? chances.indexOf(Math.max(...chances)) : null;
   list.classList.toggle("unsound", !sound);
-  const rows = places.slice(0, many ? 10 : undefined).map((place) => {
+  const rows = order.slice(0, many ? 10 : undefined).map((place) => {
     const row = document.createElement("li");
     if (place === top) row.className = "top";
     const [name, track, value] = ["name", "track", "value"].map((kind) => {
@@ -166,7 +231,7 @@ export function drawAnswer(list, model, chances, sound) {
       fill.style.width = `${chances[place] * 100}%`;
       track.append(fill);
     }
-    value.textContent = chances ? `${(chances[place] * 100).toFixed(1)} %` : "";
+    value.textContent = chances ? chanceText(chances[place]) : "";
     row.append(name, track, value);
     return row;
   });

@@ -8,13 +8,16 @@ function outputs(layers, inputs) {
   layers.forEach(({ weight, bias }, place) => {
     const [rows, columns] = weight.shape;
     const next = new Float64Array(rows);
+    const weights = weight.values;
+    const before = Float64Array.from(hidden);
+    const last = place === layers.length - 1;
     for (let row = 0; row < rows; row++) {
       let sum = bias.values[row];
       const start = row * columns;
       for (let column = 0; column < columns; column++) {
-        sum += weight.values[start + column] * hidden[column];
+        sum += weights[start + column] * before[column];
       }
-      next[row] = place < layers.length - 1 ? Math.max(sum, 0) : sum;
+      next[row] = last || sum > 0 ? sum : 0;
     }
     hidden = next;
   });
@@ -64,31 +67,35 @@ export class Model {
     model.looks = payload.exposure.looks ?? 1;
     model.eachRail = model.rails === 2 && model.light !== "two-arm";
     model.dwells = model.masks * (model.eachRail ? 2 : 1);
+    model.frames = model.findFrames();
     model.peaks = model.findPeaks();
     return model;
   }
 
+  /** Frames of all masks, rail by rail: shares of each pixel's photons. */
+  findFrames() {
+    const { masks, matrix, pixels, total } = this;
+    return Array.from({ length: this.rails * masks }, (_, place) => {
+      const [rail, mask] = [Math.floor(place / masks), place % masks];
+      return Float64Array.from({ length: pixels }, (_, pixel) => {
+        const at = mask * pixels + pixel;
+        if (this.rails === 1) return matrix[at];
+        const sum = total ? total[total.length === masks ? mask : at] : Math.abs(matrix[at]);
+        return Math.max((rail === 0 ? sum + matrix[at] : sum - matrix[at]) / 2, 0);
+      });
+    });
+  }
+
   /** Share of a pixel's photons that a rail of a mask counts. */
   entry(rail, mask, pixel) {
-    const place = mask * this.pixels + pixel;
-    const difference = this.matrix[place];
-    if (this.rails === 1) return difference;
-    const sum = this.total
-      ? this.total[this.total.length === this.masks ? mask : place]
-      : Math.abs(difference);
-    return Math.max((rail === 0 ? sum + difference : sum - difference) / 2, 0);
+    return this.frames[rail * this.masks + mask][pixel];
   }
 
   /** Largest entry of each frame, [rail][mask]. */
   findPeaks() {
+    const peaks = this.frames.map((frame) => frame.reduce((a, b) => Math.max(a, b), 0));
     return Array.from({ length: this.rails }, (_, rail) =>
-      Array.from({ length: this.masks }, (_, mask) => {
-        let peak = 0;
-        for (let pixel = 0; pixel < this.pixels; pixel++) {
-          peak = Math.max(peak, this.entry(rail, mask, pixel));
-        }
-        return peak;
-      }),
+      peaks.slice(rail * this.masks, (rail + 1) * this.masks),
     );
   }
 
@@ -104,14 +111,12 @@ export class Model {
   /** Expected counts of a scene's reflectances for a budget of one photon. */
   rates(scene) {
     const rates = new Float64Array(this.readouts);
-    for (let rail = 0; rail < this.rails; rail++) {
-      for (let mask = 0; mask < this.masks; mask++) {
-        for (let pixel = 0; pixel < this.pixels; pixel++) {
-          const detector = this.labels ? this.labels[pixel] : 0;
-          rates[this.place(rail, mask, detector)] += this.entry(rail, mask, pixel) * scene[pixel];
-        }
+    this.frames.forEach((frame, place) => {
+      const first = place * this.detectors;
+      for (let pixel = 0; pixel < this.pixels; pixel++) {
+        rates[this.labels ? first + this.labels[pixel] : first] += frame[pixel] * scene[pixel];
       }
-    }
+    });
     return rates.map((rate) => rate / this.summed_reflectance);
   }
 

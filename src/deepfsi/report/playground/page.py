@@ -8,7 +8,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from deepfsi.files import write_atomically
-from deepfsi.report.playground.words import Payload, facts_of, masks_text, way_text
+from deepfsi.report.playground.words import Payload, detectors_of, facts_of, masks_text, way_text
 from deepfsi.report.rendering import render
 
 SCRIPTS = ("numbers.js", "model.js", "exposure.js", "scene.js", "charts.js", "app.js")
@@ -25,8 +25,16 @@ def write_page(path: str | os.PathLike[str], payload: Payload) -> Path:
         way=way_text(payload),
         facts=facts_of(payload),
         pixels=prod(payload["image_shape"]),
+        detectors=detectors_of(payload),
+        bands=_bands(payload),
     )
     return write_atomically(path, page.encode())
+
+
+def _bands(payload: Payload) -> tuple[int, int] | None:
+    """Shortest and longest wavelength of a spectrum, nm, where its bands are known."""
+    known = [each for each in payload["scenes"]["wavelengths"] or [] if each > 0]
+    return (round(min(known)), round(max(known))) if known else None
 
 
 def bundle() -> str:

@@ -315,7 +315,7 @@ export class CurvePad {
     const curves = [{ values: [...scene], ink: colour("--ink") }];
     if (this.canvas.matches(":focus-visible")) {
       const mark = [...scene].map((value, i) => (Math.abs(i - this.band) < 1 ? value : null));
-      curves.push({ values: mark, ink: colour("--minus"), steps: true });
+      curves.push({ values: mark, ink: colour("--deepfsi"), steps: true });
     }
     plot(this.canvas, curves, [low, high], [900, 300]);
   }

@@ -32,6 +32,15 @@ def masks_text(payload: Payload) -> str:
     return "1 mask" if count == 1 else f"{count} masks"
 
 
+def detectors_of(payload: Payload) -> int:
+    """Number of detectors: on two arms one each, and one for each rail of each mask under column.
+
+    The law `column` divides the light, and what is divided is counted at the same time.
+    """
+    readouts = {"two-arm": 2, "column": payload["rails"] * payload["matrix"]["shape"][0]}
+    return int(payload["detectors"] * readouts.get(payload["light"], 1))
+
+
 def way_text(payload: Payload) -> str:
     """Sentences on the way in which the camera counts."""
     light, looks = payload["light"], payload["exposure"].get("looks")
@@ -66,7 +75,8 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
         "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
         "Detectors": several if payload["detectors"] > 1 else "",
         "Light law": LIGHT[payload["light"]],
-        "Learned for": f"{' to '.join(ends)} photons, under photon noise.",
+        "Learned for": f"{' to '.join(ends)} photons.",
+        "Noise": "Exact Poisson counts. There are no dark counts, no dead time and no stray light.",
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
         "Nested": f"The first {exposure['nested']} masks are enough for an answer."
         if exposure.get("nested")
