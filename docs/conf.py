@@ -29,6 +29,7 @@ extensions = [
     "links",
     "messages",
     "modules",
+    "playable",
 ]
 exclude_patterns = [
     "_build",
@@ -78,3 +79,8 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+
+def setup(app):
+    """Add the setting of a quick build: modules are not listed, and no page to play is made."""
+    app.add_config_value("quick", False, "env")

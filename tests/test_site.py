@@ -33,13 +33,13 @@ MODELS = re.findall(r"^```\{fields\} (\S+)$", (DOCS / "lookup/formats.md").read_
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Site built from a copy of the pages: no script is run, modules are not listed."""
+    """Site built from a copy of the pages: no script is run, no module listed."""
     home = tmp_path_factory.mktemp("site")
     shutil.copytree(DOCS, home / "docs", ignore=shutil.ignore_patterns("_build", "generated"))
     for path in ROOT.glob("*.md"):
         shutil.copy(path, home)
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "html"]
-    quick = ["-D", "plot_gallery=0", "-D", "modules_left_out=1"]
+    quick = ["-D", "plot_gallery=0", "-D", "quick=1"]
     done = subprocess.run([*command, *quick], cwd=home, capture_output=True, text=True)
     assert not done.returncode, done.stderr
     return home / "html"

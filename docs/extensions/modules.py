@@ -71,7 +71,7 @@ class Modules(Made):
 
     def text(self):
         """Markdown of the sections; none where they are left out, for a quick build."""
-        if self.config.modules_left_out:
+        if self.config.quick:
             return ""
         paths = [path for folder in self.arguments[0].split() for path in under(folder)]
         return "\n\n".join(filter(None, map(section, paths)))
@@ -79,7 +79,6 @@ class Modules(Made):
 
 def setup(app):
     """Add the directive, and read docstrings before numpydoc does."""
-    app.add_config_value("modules_left_out", False, "env")
     app.connect("autodoc-process-docstring", as_text, priority=400)
     app.add_directive("modules", Modules)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
