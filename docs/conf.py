@@ -8,6 +8,8 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
+from matplotlib import get_data_path
+
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
 
@@ -66,7 +68,7 @@ sphinx_gallery_conf = {
 html_theme = "pydata_sphinx_theme"
 html_title = "DeepFSI"
 html_context = {"default_mode": "auto"}
-html_static_path = ["static"]
+html_static_path = ["static", f"{get_data_path()}/fonts/ttf/STIXGeneral.ttf"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_show_sourcelink = False
