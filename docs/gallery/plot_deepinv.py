@@ -64,3 +64,5 @@ axes[0, 0].set_ylabel("scene")
 for row, photons in zip(axes[1:], budgets, strict=True):
     row[0].set_ylabel(f"{photons_text(photons)} photons")
 plt.show()
+
+# sphinx_gallery_thumbnail_path = 'figures/deepinv.png'

@@ -38,7 +38,7 @@ write_pictures(
 
 def run(line):
     """Run a command line in the folder, and print it with its output."""
-    words = [sys.executable, "-m", *shlex.split(line)]
+    words = [sys.executable, "-m", *shlex.split(line.replace("\\\n", ""))]
     done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=True)
     print(f"$ {line}\n{done.stdout}")
 
@@ -51,8 +51,9 @@ def run(line):
 # page explains it). On the command line it is
 
 run(
-    "deepfsi design --data my-pictures --photons 1e4 --masks 8 --light free-dwell --rails dual "
-    "--epochs 30 -o mine.safetensors"
+    r"""deepfsi design --data my-pictures --photons 1e4 --masks 8 \
+    --light free-dwell --rails dual --epochs 30 \
+    -o mine.safetensors"""
 )
 
 # %%

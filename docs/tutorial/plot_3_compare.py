@@ -38,7 +38,7 @@ write_pictures(
 
 def run(line):
     """Run a command line in the folder, and print it with its output."""
-    words = [sys.executable, "-m", *shlex.split(line)]
+    words = [sys.executable, "-m", *shlex.split(line.replace("\\\n", ""))]
     done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=True)
     print(f"$ {line}\n{done.stdout}")
 
@@ -51,8 +51,10 @@ def run(line):
 # (``--trials 3``), with other initial weights and another order of the pictures.
 
 run(
-    "deepfsi compare --data my-pictures --designs raster,pca,deepfsi --photons 1e2,1e3,1e4 "
-    "--masks 8 --light free-dwell --rails single --trials 3 --epochs 12 --workers 1 -o runs/mine"
+    r"""deepfsi compare --data my-pictures \
+    --designs raster,pca,deepfsi --photons 1e2,1e3,1e4 \
+    --masks 8 --light free-dwell --rails single --trials 3 \
+    --epochs 12 --workers 1 -o runs/mine"""
 )
 
 # %%

@@ -39,7 +39,7 @@ write_pictures(
 
 def run(line):
     """Run a command line in the folder, and print it with its output."""
-    words = [sys.executable, "-m", *shlex.split(line)]
+    words = [sys.executable, "-m", *shlex.split(line.replace("\\\n", ""))]
     done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=True)
     print(f"$ {line}\n{done.stdout}")
 
@@ -52,10 +52,14 @@ def run(line):
 # ``--dwell`` is the mean time of a frame on the device.
 
 run(
-    "deepfsi design --data my-pictures --photons 1e4 --masks 8 --light free-dwell --rails single "
-    "--epochs 30 -o mine.safetensors"
+    r"""deepfsi design --data my-pictures --photons 1e4 --masks 8 \
+    --light free-dwell --rails single --epochs 30 \
+    -o mine.safetensors"""
 )
-run("deepfsi dmd export mine.safetensors --device dlp7000 --dwell 1ms -o frames")
+run(
+    r"""deepfsi dmd export mine.safetensors --device dlp7000 \
+    --dwell 1ms -o frames"""
+)
 
 # %%
 # Frames with all mirrors ON and all OFF come first and last. They tell the light and the dark
@@ -84,8 +88,8 @@ plt.show()
 
 run("deepfsi data export my-pictures --per-class 2 -o scenes")
 run(
-    "deepfsi camera simulate frames --scene scenes --flux 1e7 --exposure 1ms --repeats 1 "
-    "--camera spad -o run_0001"
+    r"""deepfsi camera simulate frames --scene scenes --flux 1e7 \
+    --exposure 1ms --repeats 1 --camera spad -o run_0001"""
 )
 
 # %%

@@ -39,7 +39,7 @@ write_pictures(
 
 def run(line):
     """Run a command line in the folder, and print it with its output."""
-    words = [sys.executable, "-m", *shlex.split(line)]
+    words = [sys.executable, "-m", *shlex.split(line.replace("\\\n", ""))]
     done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=True)
     print(f"$ {line}\n{done.stdout}")
 
@@ -52,8 +52,10 @@ def run(line):
 # its curve meets the target.
 
 run(
-    "deepfsi plan --data my-pictures --target 0.8 --designs pca,deepfsi --photons 1e2,1e3,1e4 "
-    "--masks 8 --light free-dwell --rails single --trials 1 --epochs 15 --workers 1 -o plan"
+    r"""deepfsi plan --data my-pictures --target 0.8 \
+    --designs pca,deepfsi --photons 1e2,1e3,1e4 --masks 8 \
+    --light free-dwell --rails single --trials 1 --epochs 15 \
+    --workers 1 -o plan"""
 )
 
 # %%
@@ -104,8 +106,9 @@ for flux in (1e5, 1e6, 1e7):
 # pictures that the training left out (``--hold-out``).
 
 run(
-    "deepfsi design --data my-pictures --photons 1e4 --masks 12 --nested 2 --light equal-dwell "
-    "--rails single --hold-out 300 --epochs 40 -o nested.safetensors"
+    r"""deepfsi design --data my-pictures --photons 1e4 --masks 12 \
+    --nested 2 --light equal-dwell --rails single \
+    --hold-out 300 --epochs 40 -o nested.safetensors"""
 )
 run("deepfsi stop nested.safetensors --photons 1e4")
 
