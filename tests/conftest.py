@@ -45,7 +45,7 @@ OPTICS = [
     for rails in ("dual", "single")
     if (light, rails) != ("two-arm", "single")
 ]
-"""Every light constraint with the rails it can have."""
+"""Every light law with the rails it can have."""
 
 
 def _possible(design: str, light: str, rails: str) -> bool:

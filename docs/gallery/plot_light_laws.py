@@ -2,7 +2,7 @@
 What one real device costs
 ==========================
 
-A light constraint says what masks may do with the photons. The paper's, ``column``, splits each
+A light law says what masks may do with the photons. The paper's, ``column``, splits each
 pixel's light among all readouts; one micromirror device shows masks one after another.
 """
 

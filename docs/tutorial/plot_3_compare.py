@@ -104,7 +104,7 @@ plt.show()
 # What your optics allow
 # ----------------------
 #
-# A **light constraint** says what masks may do with the photons, because optics cannot use a photon
+# A **light law** says what masks may do with the photons, because optics cannot use a photon
 # twice. Choose the one that your hardware realises:
 #
 # ``column``

@@ -65,7 +65,7 @@ run(
 # Frames with all mirrors ON and all OFF come first and last. They tell the light and the dark
 # counts of every exposure. *Cost in time* says what share of the clock counts no photons.
 #
-# The light constraint is now a timetable: each frame is counted for its **share** of the exposure,
+# The light law is now a timetable: each frame is counted for its **share** of the exposure,
 # and the shares sum to 1.
 
 patterns = read_patterns(work / "frames")

@@ -1,4 +1,4 @@
-"""The paper's claims as laws, over all designs and all light constraints at once."""
+"""The paper's claims as laws, over all designs and all light laws at once."""
 
 from dataclasses import replace
 

@@ -85,7 +85,7 @@ A mask that is never shown is never learned, and the scores would not come back 
 """
 
 LOOKING = ("free-dwell", "two-arm")
-"""Light constraints under which dwells can be chosen."""
+"""Light laws under which dwells can be chosen."""
 
 
 def expose(

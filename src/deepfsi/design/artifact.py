@@ -50,7 +50,7 @@ class Design:
     summed_reflectance : float
         s, the training scenes' mean summed reflectance; λ = Φ x / s.
     light : str
-        Light constraint that the rails obey.
+        Light law that the rails obey.
     image_shape : tuple of int
     classes : tuple of str
     exposure : ExposureKind
@@ -137,7 +137,7 @@ class Design:
 
     @property
     def used(self) -> float:
-        """Share of the light constraint that the masks take within the whole sequence."""
+        """Share of the light law that the masks take within the whole sequence."""
         return self.exposure.used
 
     def scanner(

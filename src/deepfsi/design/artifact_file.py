@@ -114,7 +114,7 @@ class Header(BaseModel):
     name : str
         Which design, such as deepfsi.
     light : str
-        Light constraint that the rails obey.
+        Light law that the rails obey.
     summed_reflectance : float
         s, the training scenes' mean summed reflectance: λ = Φ x / s.
     image_shape : tuple of int

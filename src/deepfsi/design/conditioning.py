@@ -4,7 +4,7 @@ The classifier of a design for a range of budgets, or with nested masks, must kn
 the number of masks shown. So it has two inputs more: the logarithm of the budget, mapped from
 the range to -1 .. 1, and the share of masks shown. Features of masks not shown are 0.
 
-The first k masks, brought to what the whole sequence takes of the light constraint, see a scene as
+The first k masks, brought to what the whole sequence takes of the light law, see a scene as
 they do within the sequence at a budget that is larger by the inverse of their share of it,
 `used` (`constraints.used`). So one number stands for both, the conditioning budget Φ / used.
 """
@@ -46,7 +46,7 @@ class Conditioning(ExposureKind):
     width : int
         Features of each mask.
     used : float
-        Share of the light constraint that the masks take within the whole sequence.
+        Share of the light law that the masks take within the whole sequence.
     """
 
     photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -104,7 +104,7 @@ class Conditioning(ExposureKind):
         return self.nested or masks
 
     def using(self, used: float) -> "Conditioning":
-        """The kind for masks that take another share of the light constraint, see `used`."""
+        """The kind for masks that take another share of the light law, see `used`."""
         return replace(self, used=used)
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:

@@ -80,7 +80,7 @@ class ExposureKind:
     looks : int
         K, number of looks.
     used : float
-        Share of the light constraint that the masks take within the whole sequence.
+        Share of the light law that the masks take within the whole sequence.
     network : Mlp, optional
         A network besides the classifier.
     width : int
@@ -191,7 +191,7 @@ class ExposureKind:
         return masks
 
     def using(self, used: float) -> "ExposureKind":
-        """The kind for masks that take another share of the light constraint, see `used`."""
+        """The kind for masks that take another share of the light law, see `used`."""
         return self
 
     def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:

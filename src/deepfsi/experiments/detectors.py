@@ -45,7 +45,7 @@ REFERENCE = {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2,
 """Line of impulse imaging."""
 
 OWN_PAPER = (
-    "Not in the paper, whose light constraint lets every mask see each pixel for the whole "
+    "Not in the paper, whose light law lets every mask see each pixel for the whole "
     "exposure, as a detector for each pixel would. One device with one detector shares the "
     "exposure among its frames."
 )

@@ -1,1 +1,1 @@
-"""Light and masks: photon budgets, noise, light constraints, sensing matrices and the scanner."""
+"""Light and masks: photon budgets, noise, light laws, sensing matrices and the scanner."""

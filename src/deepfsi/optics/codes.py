@@ -1,7 +1,7 @@
-"""The named designs: which sensing matrix each of them means, before any light constraint.
+"""The named designs: which sensing matrix each of them means, before any light law.
 
 Matrices are numpy arrays (m, N), one mask a row, signed unless the design has one rail. Their scale
-is arbitrary here (`constraints.fit` brings it to a light constraint) but for `impulse` and
+is arbitrary here (`constraints.fit` brings it to a light law) but for `impulse` and
 `raster`, whose scale is what defines them.
 """
 

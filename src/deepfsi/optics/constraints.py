@@ -1,4 +1,4 @@
-"""Light constraints: what a set of masks may do with a pixel's photons, and what realises it.
+"""Light laws: what a set of masks may do with a pixel's photons, and what realises it.
 
     column       max_j Σ_i |M_ij| ≤ 1            optics that split each pixel's light (paper)
     equal-dwell  M⁺_ij, M⁻_ij ≤ 1/F              one DMD, one detector, equal times for F frames
@@ -19,7 +19,7 @@ from torch import Tensor
 from deepfsi.errors import InputError, check_known
 
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
-"""Name of a light constraint."""
+"""Name of a light law."""
 
 Rails = Literal["dual", "single"]
 """Rails of each mask: positive and negative part, or one non-negative frame."""
@@ -30,7 +30,7 @@ SLACK = 1e-5
 
 def check_light(light: str, rails: str) -> None:
     """Raise `InputError` unless the constraint exists and can be had with these rails."""
-    check_known("light constraint", light, get_args(Light))
+    check_known("light law", light, get_args(Light))
     check_known("rails", rails, get_args(Rails))
     if light == "two-arm" and rails == "single":
         raise InputError(
@@ -67,7 +67,7 @@ def frames(rails: Tensor) -> Tensor:
 
 
 def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
-    """Rails (2 or 1, m, N) of a matrix at a light constraint, using as much light as it allows.
+    """Rails (2 or 1, m, N) of a matrix at a light law, using as much light as it allows.
 
     `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
     `two-arm` each mask's own peak.

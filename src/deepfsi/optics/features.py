@@ -271,7 +271,7 @@ def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Ten
     Parameters
     ----------
     used : tensor, shape (R or 1, m)
-        Share of the light constraint that the first masks take, from `constraints.used`.
+        Share of the light law that the first masks take, from `constraints.used`.
     span : float
         Highest budget over the lowest.
     chances : tensor, shape (m,)

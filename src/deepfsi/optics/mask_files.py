@@ -40,7 +40,7 @@ def read_matrix(source: str) -> np.ndarray:
     array, shape (m, N)
         Shares of each pixel's photons. Grey levels (images, and arrays of bool, uint8 or uint16)
         have no scale of their own: they become 0 to 1 and then 1/m of that, each mask shown for an
-        equal part of the time, which every light constraint allows. Other numbers stay.
+        equal part of the time, which every light law allows. Other numbers stay.
 
     Raises
     ------

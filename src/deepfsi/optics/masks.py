@@ -1,4 +1,4 @@
-"""Masks as modules: fixed ones, and learned ones that cannot break their light constraint."""
+"""Masks as modules: fixed ones, and learned ones that cannot break their light law."""
 
 from typing import Any
 

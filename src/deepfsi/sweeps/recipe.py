@@ -181,7 +181,7 @@ class Recipe(BaseModel):
         allow_inf_nan=False,
         description="dark counts of a detector in an exposure, under camera noise",
     )
-    light: Filled[Light] = Field(("column",), description="light constraints")
+    light: Filled[Light] = Field(("column",), description="light laws")
     rails: Filled[Rails] = Field(
         ("dual",), description="dual: signed masks of two frames each; single: non-negative masks"
     )

@@ -199,7 +199,7 @@ class Job(BaseModel):
     dark: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="dark counts of a detector in an exposure"
     )
-    light: Light = Field("column", description="light constraint")
+    light: Light = Field("column", description="light law")
     rails: Rails = Field("dual", description="signed masks, or non-negative ones")
     detectors: str | tuple[int, ...] = Field(
         "1x1",

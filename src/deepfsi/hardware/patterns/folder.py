@@ -300,7 +300,7 @@ def _digest(manifest: str | bytes) -> str:
 def _check_design(design: DesignRails) -> None:
     """Raise `InputError` unless the rails can be shown."""
     rails, light, pixels = design.rails, design.light, math.prod(design.image_shape)
-    check_known("light constraint", light, get_args(sequence.Light))
+    check_known("light law", light, get_args(sequence.Light))
     if rails.ndim != 3 or len(rails) not in (1, 2) or not rails.size or rails.shape[2] != pixels:
         raise InputError(
             f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"

@@ -6,7 +6,7 @@ dark; on two arms one frame serves both rails. A frame is brought to its own pea
 
     share · exposure,    share = the frame's peak in the sensing matrix,
 
-within the longer *picture time* for which the device holds it. So every light constraint that one
+within the longer *picture time* for which the device holds it. So every light law that one
 device can realise is shown in the same way, at full contrast, and the realised matrix is
 share · k / K. The shares sum to at most 1: the budget Φ of an exposure is the flux on the device
 times the exposure, whatever time mirrors take to settle.
@@ -36,7 +36,7 @@ SHARES_SLACK = 1e-4
 """Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
 
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
-"""Light constraint of a design; `optics.constraints` has their laws."""
+"""Light law of a design; `optics.constraints` has their laws."""
 
 Role = Literal["mask", "on", "off"]
 """Content of a frame: a mask, or a sentinel of all mirrors ON or OFF."""
@@ -242,7 +242,7 @@ class Manifest(BaseModel):
     image_shape : tuple of int
         Rows and columns of the masks, or values of a spectrum.
     light : str
-        Light constraint of the design.
+        Light law of the design.
     readout : {"difference", "both"}
         What the network reads of two rails.
     selection : {"ordered", "random"}
@@ -309,7 +309,7 @@ class Manifest(BaseModel):
             raise ValueError("a frame shows a rail that does not exist")
         if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
-        check_known("light constraint", self.light, get_args(Light))
+        check_known("light law", self.light, get_args(Light))
         if self.two_arm != (self.light == "two-arm") or not seen:
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
