@@ -54,12 +54,13 @@ def rows(found):
 
 
 def meanings(found):
-    """Meaning of each field that the docstring describes."""
-    parts = NumpyDocString(inspect.cleandoc(found.__doc__))
+    """Meaning of each field that the docstrings of a model and its bases describe."""
     told = {}
-    for each in (*parts["Parameters"], *parts["Attributes"]):
-        names = each.name or each.type
-        told |= {name.strip(): " ".join(each.desc) for name in names.split(",") if each.desc}
+    for base in reversed(found.__mro__):
+        parts = NumpyDocString(inspect.cleandoc(base.__doc__ or ""))
+        for each in (*parts["Parameters"], *parts["Attributes"]):
+            names = each.name or each.type
+            told |= {name.strip(): " ".join(each.desc) for name in names.split(",") if each.desc}
     return told
 
 

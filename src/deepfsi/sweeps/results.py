@@ -56,6 +56,14 @@ class Point(Frozen):
         Detectors on parts of the device: ROWSxCOLUMNS, bands of a spectrum, or a map's name.
     readout : {"difference", "both", ""}
         What the network reads of two rails; empty of a single one.
+    light, rails : str
+        Light constraint, and signed or non-negative masks.
+    design, variant : str
+        Name of the design, and which of several training settings, in words.
+    masks : int
+        Number of masks, m.
+    trials : int
+        Trainings with different seeds that are averaged.
     label, title : str
         Short and long name of the design.
     specific, learned : bool
@@ -136,6 +144,18 @@ class Data(Frozen):
 
     Attributes
     ----------
+    name, hash : str
+        Name, and content hash of scenes and labels.
+    image_shape : tuple of int
+        Rows and columns of a scene, or bands of a spectrum.
+    classes : tuple of str
+        Names of the classes.
+    train, validation, test : int
+        Number of scenes trained on, held out, and tested on.
+    preprocessing : str
+        Steps from the data's own values to reflectance.
+    mean_reflectance : float
+        Of a pixel of the training scenes.
     commonest : float
         Share of the test scenes that are of their commonest class: the accuracy of guessing it.
     """
@@ -153,7 +173,19 @@ class Data(Frozen):
 
 
 class Provenance(Frozen):
-    """Versions, device and times (s) behind a comparison."""
+    """Versions, device and times behind a comparison.
+
+    Attributes
+    ----------
+    deepfsi, torch, numpy, python : str
+        Versions.
+    device : str
+        That trained: a processor or a GPU.
+    finished : str
+        Date and time.
+    seconds, training_seconds : float
+        Time of the comparison, and of its trainings together.
+    """
 
     deepfsi: str
     torch: str
@@ -170,6 +202,16 @@ class Results(Frozen):
 
     Attributes
     ----------
+    title : str
+        Of the report.
+    command : str
+        That made it.
+    data : Data
+        Data set.
+    provenance : Provenance
+        Versions, device and times.
+    points : tuple of Point
+        One for each setting.
     recipe : dict
         Its settings.
     chosen_on : {"validation", "nothing"}

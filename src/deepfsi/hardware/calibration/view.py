@@ -55,6 +55,8 @@ class Calibration(BaseModel):
 
     Attributes
     ----------
+    deepfsi : str
+        Version of the package that wrote it.
     homography : 3 x 3 numbers
         Display → device, unit squares, (across, down, 1).
     residual : float
