@@ -86,6 +86,8 @@ def main(words: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("page", type=Path, nargs="?")
     given = parser.parse_args(words).page
+    if given and not given.is_file():
+        parser.error(f"no page at {given}")
     with tempfile.TemporaryDirectory() as folder:
         page = given or large_page(Path(folder) / "page.html")
         classification, renewal = measure(page)

@@ -470,6 +470,16 @@ def test_what_a_page_cannot_play_is_refused(designs, made):
     assert check_playable(good) is good.classifier
 
 
+def test_a_design_that_does_not_say_what_it_was_learned_for(designs, digits):
+    """Nothing is marked then; a budget beyond the slider is not measured."""
+    unknown = playable(replace(designs["column"], info={}), digits)
+    assert unknown["budget"] is None
+    assert unknown["rules"] == []
+    far = playable(replace(designs["column"], info={"job": {"photons": 1e8}}), digits)
+    assert far["budget"] == {"low": 1e8, "high": 1e8}
+    assert len(far["curve"]) == len(unknown["curve"]) == 13
+
+
 def test_the_command_writes_a_page_and_says_where(done, refuse, designs, tmp_path):
     file = designs["looks"].save(tmp_path / "looks.safetensors")
     out = tmp_path / "looks.html"

@@ -336,7 +336,9 @@ def show(
 
 
 def page(
-    file: Annotated[Path, typer.Argument(help="design file")],
+    file: Annotated[
+        Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="the page, .html")],
     data: options.TestData = None,
     size: options.Size = None,
@@ -353,12 +355,11 @@ def page(
     paths.check_design(file)
     paths.check_file(out, (".html",))
     common.check_data(data)
-    from deepfsi.design.artifact import Design
     from deepfsi.design.memory import data_of
     from deepfsi.design.payload import check_playable, playable
     from deepfsi.report.playground.page import write_page
 
-    made = Design.load(file)
+    made = common.open_design(file)
     check_playable(made)
     scenes, notes = data_of(made, data, options.size_of(size))
     with common.progress("page", quiet=as_json) as report:

@@ -29,9 +29,6 @@ BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 SCENES = 30
 """Test scenes in the page, of each class as many as can be."""
 
-UNKNOWN = 1e4
-"""Budget to begin with, photons, where a design does not say at which one it was learned."""
-
 LARGEST_SHORT = 2**16 - 1
 """Largest 16-bit number, the highest level of a scene."""
 
@@ -61,10 +58,11 @@ def playable(
     """
     classifier = check_playable(design)
     check_data(design, data)
-    budgets = sorted({*BUDGETS, *_trained(design)})
+    trained = _trained(design)
+    inside = [each for each in trained or () if BUDGETS[0] <= each <= BUDGETS[-1]]
+    budgets = sorted({*BUDGETS, *inside})
     results = evaluate(design, data, budgets, draws=draws, seed=seed, report=report.part(0, 0.8))
     rules = _rules(design, data, seed, report.part(0.8, 1))
-    low, high = _trained(design)
     return {
         **_optics(design),
         "name": design.name,
@@ -73,7 +71,7 @@ def playable(
         "std": pack(design.std.cpu().numpy()),
         "network": _layers(classifier),
         "exposure": _exposure(design),
-        "budget": {"low": low, "high": high},
+        "budget": trained and {"low": trained[0], "high": trained[1]},
         "rules": rules,
         "scenes": _scenes(data, seed),
         "curve": [
@@ -116,10 +114,12 @@ def pack(values: np.ndarray) -> dict[str, Any]:
     return {"shape": values.shape, "bytes": kept.itemsize, "planes": text}
 
 
-def _trained(design: Design) -> tuple[float, float]:
-    """Lowest and highest budget of the training; where nothing says it, the page's middle one."""
+def _trained(design: Design) -> tuple[float, float] | None:
+    """Lowest and highest budget of the training; None for a design that does not say."""
     known = {**design.info.get("job", {}), **asdict(design.exposure.header())}
-    low = float(known.get("photons", UNKNOWN))
+    if "photons" not in known:
+        return None
+    low = float(known["photons"])
     return low, low * known.get("span", 1.0)
 
 
@@ -168,15 +168,15 @@ def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dic
         after, _ = design.exposure.stops(design.rails, design.light)
     except InputError:
         return []
-    low, high = _trained(design)
     held = design.info.get("stopping")
     if held is not None:
         temperatures = tuple(held["temperatures"]) or (1.0,) * len(after)
         own = StoppingRule(after, temperatures, held["threshold"])
         return [{"photons": None, **asdict(own)}]
-    memory = memory_of(design)
-    if memory is None or not memory.held_out or not memory.is_of(data):
+    memory, trained = memory_of(design), _trained(design)
+    if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
         return []
+    low, high = trained
     budgets = sorted({low, (low * high) ** 0.5, high})
     rules = []
     for place, budget in enumerate(budgets):

@@ -40,7 +40,7 @@ class Page {
     this.squares = new LeastSquares(model);
     const Pad = this.spectrum ? CurvePad : ImagePad;
     this.pad = new Pad($("scene"), model, scenes, () => this.drew());
-    const { low, high } = model.budget;
+    const { low, high } = model.budget ?? { low: 1e4, high: 1e4 };
     $("light").value = Math.min(Math.max(Math.log10(Math.sqrt(low * high)), 1), 7);
     $("seed").value = 1;
     $("mask").parentElement.classList.toggle("curves", this.spectrum);
@@ -456,4 +456,7 @@ async function start() {
   Object.assign(window, { playground: { page, model, Exposure, LeastSquares, Random, poisson } });
 }
 
-start();
+start().catch((error) => {
+  $("trouble").hidden = false;
+  throw error;
+});

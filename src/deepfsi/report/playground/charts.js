@@ -38,6 +38,22 @@ export function accuracyAt(curve, photons) {
   return before.accuracy + share * (after.accuracy - before.accuracy);
 }
 
+/** Mark the budget that a design was learned for, and name the line of guessing beside it. */
+function drawTrained(add, budget, { x, y, left, right, top, bottom, chance }) {
+  const within = (value) => Math.min(Math.max(x(value), left), right);
+  const [low, high] = budget ? [within(budget.low), within(budget.high)] : [left, left];
+  const anchor = (low + high) / 2 > (left + right) / 2 ? "end" : "start";
+  const free = anchor === "end" ? { x: left + 4 } : { x: right, "text-anchor": "end" };
+  add("text", { ...free, y: y(chance) - 4 }, "guessing");
+  if (!budget || x(budget.low) > right || x(budget.high) < left) return;
+  const [width, height] = [high - low, bottom - top];
+  if (width > 0) add("rect", { class: "trained", x: low, y: top, width, height });
+  else add("path", { class: "trained-line", d: `M${low} ${top}V${bottom}` });
+  const beside = width > 0 ? 0 : anchor === "end" ? -5 : 5;
+  const at = (anchor === "end" ? high : low) + beside;
+  add("text", { class: "strong", x: at, y: bottom - 26, "text-anchor": anchor }, "learned for");
+}
+
 export function drawCurve(holder, model, photons) {
   const { curve, budget, classes } = model;
   const height = 210;
@@ -54,15 +70,7 @@ export function drawCurve(holder, model, photons) {
   for (let exponent = 1; exponent <= 7; exponent++) {
     add("text", { x: x(10 ** exponent), y: height - 6, "text-anchor": "middle" }, power(exponent));
   }
-  const [low, high] = [x(budget.low), x(budget.high)];
-  if (high > low) add("rect", { class: "trained", x: low, y: top, width: high - low, height: bottom - top });
-  else add("path", { class: "trained-line", d: `M${low} ${top}V${bottom}` });
-  const middle = (low + high) / 2;
-  const anchor = middle > (left + right) / 2 ? "end" : "start";
-  const free = anchor === "end" ? { x: left + 4 } : { x: right, "text-anchor": "end" };
-  add("text", { ...free, y: y(chance) - 4 }, "guessing");
-  const beside = high > low ? 0 : anchor === "end" ? -5 : 5;
-  add("text", { class: "strong", x: (anchor === "end" ? high : low) + beside, y: bottom - 26, "text-anchor": anchor }, "learned for");
+  drawTrained(add, budget, { x, y, left, right, top, bottom, chance });
   const line = curve.map((point) => `${x(point.photons)} ${y(point.accuracy)}`).join("L");
   add("path", { class: "curve-line", d: `M${line}` });
   for (const point of curve) {

@@ -178,23 +178,29 @@ export class Rivals {
 
 const DAMPING = 1e-6; // of the trace of the normal matrix, which damps what masks hardly see
 
-/** Solve a symmetric positive definite system in place (Cholesky). */
-function solve(matrix, size, right) {
+/** Cholesky factor, in place, of a symmetric positive definite matrix. */
+function factorise(matrix, size) {
   for (let j = 0; j < size; j++) {
     const row = j * size;
     for (let i = j; i < size; i++) {
-      let sum = matrix[i * size + j];
-      for (let k = 0; k < j; k++) sum -= matrix[i * size + k] * matrix[row + k];
-      matrix[i * size + j] = i === j ? Math.sqrt(sum) : sum / matrix[row + j];
+      const other = i * size;
+      let sum = matrix[other + j];
+      for (let k = 0; k < j; k++) sum -= matrix[other + k] * matrix[row + k];
+      matrix[other + j] = i === j ? Math.sqrt(sum) : sum / matrix[row + j];
     }
   }
+  return matrix;
+}
+
+/** Solve for a right side, in place, with a Cholesky factor. */
+function substitute(factor, size, right) {
   for (let i = 0; i < size; i++) {
-    for (let k = 0; k < i; k++) right[i] -= matrix[i * size + k] * right[k];
-    right[i] /= matrix[i * size + i];
+    for (let k = 0; k < i; k++) right[i] -= factor[i * size + k] * right[k];
+    right[i] /= factor[i * size + i];
   }
   for (let i = size - 1; i >= 0; i--) {
-    for (let k = i + 1; k < size; k++) right[i] -= matrix[k * size + i] * right[k];
-    right[i] /= matrix[i * size + i];
+    for (let k = i + 1; k < size; k++) right[i] -= factor[k * size + i] * right[k];
+    right[i] /= factor[i * size + i];
   }
   return right;
 }
@@ -220,7 +226,7 @@ export class LeastSquares {
         rows.push({ place: model.place(rail, mask, detector), values });
       }
     }
-    return { pixels, rows, gram: null };
+    return { pixels, rows, gram: null, factor: null };
   }
 
   /** Products of the rows with each other, made when they are first needed. */
@@ -248,40 +254,56 @@ export class LeastSquares {
     for (const part of this.parts) {
       const weights = part.rows.map(({ place }) => scale[place]);
       const read = part.rows.map(({ place }) => counts[place] * unit);
-      const wide = part.rows.length <= part.pixels.length;
-      const found = wide ? this.byRows(part, weights, read) : this.byPixels(part, weights, read);
+      const even = weights.length > 0 && weights.every((weight) => weight === weights[0]);
+      // of readouts with as much light each, one factor serves all exposures
+      const found = even
+        ? this.solve(part, null, read.map((each) => each / weights[0]))
+        : this.solve(part, weights, read);
       part.pixels.forEach((pixel, i) => (out[pixel] = found[i]));
     }
     return out;
   }
 
-  byRows(part, weights, read) {
-    const size = weights.length;
-    const normal = this.gram(part).map(
-      (value, i) => value * weights[Math.floor(i / size)] * weights[i % size],
-    );
-    const solved = solve(this.damp(normal, size), size, read);
-    const found = new Float64Array(part.pixels.length);
-    part.rows.forEach(({ values }, row) => {
-      const weight = weights[row] * solved[row];
-      if (weight) for (let i = 0; i < found.length; i++) found[i] += values[i] * weight;
-    });
-    return found;
+  solve(part, weights, read) {
+    const weight = weights ?? part.rows.map(() => 1);
+    const wide = part.rows.length <= part.pixels.length;
+    const size = wide ? part.rows.length : part.pixels.length;
+    const normal = () => (wide ? this.ofRows(part, weight) : this.ofPixels(part, weight));
+    const make = () => factorise(this.damp(normal(), size), size);
+    const factor = weights ? make() : (part.factor ??= make());
+    if (!wide) return substitute(factor, size, this.project(part, weight, read));
+    return this.project(part, weight, substitute(factor, size, read));
   }
 
-  byPixels(part, weights, read) {
+  /** Sum of the rows, each times its weight and a value. */
+  project(part, weights, values) {
+    const sum = new Float64Array(part.pixels.length);
+    part.rows.forEach((row, at) => {
+      const factor = weights[at] * values[at];
+      if (factor) for (let i = 0; i < sum.length; i++) sum[i] += row.values[i] * factor;
+    });
+    return sum;
+  }
+
+  ofRows(part, weights) {
+    const size = weights.length;
+    return this.gram(part).map(
+      (value, i) => value * weights[Math.floor(i / size)] * weights[i % size],
+    );
+  }
+
+  ofPixels(part, weights) {
     const size = part.pixels.length;
     const normal = new Float64Array(size * size);
-    const right = new Float64Array(size);
     part.rows.forEach(({ values }, row) => {
       for (let i = 0; i < size; i++) {
         const weighted = values[i] * weights[row] ** 2;
         if (!weighted) continue;
-        right[i] += values[i] * weights[row] * read[row];
-        for (let j = 0; j < size; j++) normal[i * size + j] += weighted * values[j];
+        const start = i * size;
+        for (let j = 0; j < size; j++) normal[start + j] += weighted * values[j];
       }
     });
-    return solve(this.damp(normal, size), size, right);
+    return normal;
   }
 
   damp(normal, size) {

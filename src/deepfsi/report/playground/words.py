@@ -67,7 +67,7 @@ def way_text(payload: Payload) -> str:
 def facts_of(payload: Payload) -> list[tuple[str, str]]:
     """Name and words of what is to be known about a design."""
     budget, test, exposure = payload["budget"], payload["test"], payload["exposure"]
-    ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high"))
+    ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high")) if budget else ()
     hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
     several = f"{payload['detectors']}, each on its part of the scene."
     facts = {
@@ -75,7 +75,7 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
         "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
         "Detectors": several if payload["detectors"] > 1 else "",
         "Light law": LIGHT[payload["light"]],
-        "Learned for": f"{' to '.join(ends)} photons.",
+        "Learned for": f"{' to '.join(ends)} photons." if ends else "",
         "Noise": "Exact Poisson counts. There are no dark counts, no dead time and no stray light.",
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
         "Nested": f"The first {exposure['nested']} masks are enough for an answer."
