@@ -59,6 +59,7 @@ sphinx_gallery_conf = {
     "filename_pattern": "/plot_" if find_spec("deepinv") else "/plot_(?!deepinv)",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
+    "reset_modules": ("matplotlib", "quiet.silence"),
     "parallel": True,
     "show_memory": False,
     "download_all_examples": False,

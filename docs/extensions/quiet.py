@@ -1,0 +1,8 @@
+"""Scripts of the gallery say nothing of their progress on the page: it depends on the machine."""
+
+
+def silence(gallery_conf, script):
+    """Put off the first line of progress, before and after each script."""
+    from deepfsi import progress
+
+    progress.FIRST_LINE_SECONDS = 1e6
