@@ -21,7 +21,7 @@ from deepfsi.report.section import Claim, Picture, Section, Table
 from deepfsi.report.study_page import write_study
 from deepfsi.report.style import COLOURS
 from deepfsi.sweeps.results import read_results, write_results
-from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look
+from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, chromium, look
 from shared.pages import example
 from shared.results import a_point, make_results, some_results, with_all
 
@@ -91,6 +91,8 @@ def test_nothing_is_cut_blocked_or_hard_to_read(opened, width, scheme):
     contrasts = opened.execute_script(CONTRASTS)
     assert {"H1", "TD", "text", "BUTTON", "FIGCAPTION"} <= {tag for _, tag, _ in contrasts}
     assert contrasts[0][0] >= 4.5, contrasts[:5]
+    sizes = opened.execute_script(SIZES)
+    assert sizes[0][0] >= 11.99, sizes[:5]
     dark = opened.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert (dark == "rgb(255, 255, 255)") == (scheme == "light")
     assert opened.get_log("browser") == []
@@ -108,6 +110,8 @@ def test_the_checks_see_faults(opened):
     assert "far" in cut[0]
     assert "some words" in cut[1]
     assert opened.execute_script(CONTRASTS)[0][2] == "far"
+    opened.execute_script("document.querySelector('svg.plot').style.width = '90px'")
+    assert opened.execute_script(SIZES)[0][0] < 6
     assert "Content Security Policy" in opened.get_log("browser")[0]["message"]
 
 
@@ -175,6 +179,28 @@ def test_names_that_users_give_stay_text_wherever_they_stand(browser, tmp_path, 
         assert text.count(name) > 6
         assert name in drawn
         assert browser.get_log("browser") == []
+
+
+def test_a_figure_wider_than_the_page_scrolls_by_keys(opened):
+    look(opened, 400)
+    opened.refresh()
+    script = "return arguments[0].scrollWidth > arguments[0].clientWidth + 1"
+    wide = 0
+    for box in opened.find_elements(By.CSS_SELECTOR, ".drawing"):
+        reaches = opened.execute_script(script, box)
+        assert (box.get_attribute("tabindex") == "0") == reaches
+        wide += reaches
+    assert wide > 0
+
+
+def test_an_abbreviation_leads_to_what_it_means(opened):
+    first = opened.find_element(By.CSS_SELECTOR, "a.term")
+    first.send_keys(Keys.ENTER)
+    name = opened.current_url.rpartition("#term-")[2]
+    assert first.text == name
+    term = opened.find_element(By.ID, f"term-{name}")
+    assert name in term.text
+    assert first.find_element(By.TAG_NAME, "abbr").get_attribute("title")
 
 
 def test_a_click_and_a_key_sort_numbers(opened):

@@ -4,12 +4,14 @@ import json
 import re
 
 import pytest
+from markupsafe import escape
 
 from deepfsi.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure, count_figure
-from deepfsi.report.comparison_page import build, summary
+from deepfsi.report.comparison_page import build, opened, summary
+from deepfsi.report.terms import DESIGNS, LAWS
 from deepfsi.sweeps.results import write_results
-from shared.pages import assert_whole, run_without_torch, words_of
+from shared.pages import assert_explained, assert_headed, assert_whole, run_without_torch, words_of
 from shared.results import make_results, with_all
 
 
@@ -86,7 +88,65 @@ def test_sections_come_in_order(tmp_path):
         "All results",
         "How to repeat it",
         "Provenance",
+        "Terms and abbreviations",
     ]
+
+
+def test_a_page_opens_with_what_is_compared(tmp_path):
+    results = make_results(tmp_path)
+    text = opened(results)
+    assert text.count(". ") == 2
+    assert "compares 5 designs" in text
+    assert "360 test scenes of digits" in text
+    assert "light law (here column)" in text
+    assert "cover seeds of training (t over 3 trials); impulse imaging" in text
+    assert "which is the most accurate here, is a bound and no option" in text
+    assert "a detector for each of the 24 pixels" in text
+    page = page_of(tmp_path)
+    assert page.index(text[:40]) < page.index('<svg class="sketch"') < page.index("<h2")
+    single = results.with_points(p for p in results.points if p.design != "impulse")
+    assert "impulse" not in opened(single)
+    low = [
+        p.model_copy(update={"accuracy": 0.1}) if p.design == "impulse" else p
+        for p in results.points
+    ]
+    assert "; impulse imaging is a bound and no option" in opened(results.with_points(low))
+
+
+def test_each_design_and_light_law_of_the_page_is_a_term(tmp_path):
+    results = make_results(tmp_path, lights=("column", "two-arm"))
+    text = words_of(page_of(tmp_path)).partition("Terms and abbreviations")[2]
+    for point in results.points:
+        assert f"{point.title} ({point.label}) {escape(DESIGNS[point.design])}" in text
+        assert f"{point.light} , {escape(LAWS[point.light])}" in text
+    assert "free-dwell" not in text
+
+
+def test_provenance_says_what_was_not_set(tmp_path):
+    recipe = {"size": None, "ratios": [], "balance": False, "lr": 5e-3, "name": ""}
+    make_results(tmp_path, recipe=recipe)
+    page = page_of(tmp_path)
+    assert "None" not in words_of(page)
+    for name, value in {
+        "size": "not set",
+        "ratios": "not set",
+        "balance": "no",
+        "lr": "0.005",
+    }.items():
+        assert f"<dt>{name}</dt><dd>{value}</dd>" in page
+
+
+def test_one_budget_has_a_column_for_each_number(tmp_path):
+    results = make_results(tmp_path, budgets=(1e3,))
+    page = page_of(tmp_path)
+    (head,) = re.findall(r'<thead><tr><th scope="col">(design at.*?)</tr></thead>', page)
+    assert words_of(head).split() == [
+        *("design", "at", "1000", "photons"),
+        *("accuracy", "balanced", "accuracy", "lowest", "class", "masks", "counts"),
+    ]
+    for point in (p for p in results.points if p.best):
+        assert f"<td>{point.masks}</td><td>{point.counts:g}</td>" in page
+    assert "Beside them: how the values" in page
 
 
 def test_summary_follows_the_numbers(tmp_path):
@@ -140,6 +200,8 @@ def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
 def test_small_and_odd_comparisons_make_a_page(tmp_path, case):
     results = make_results(tmp_path, **case)
     page = page_of(tmp_path)
+    assert_headed(page)
+    assert_explained(page)
     assert ("<h2>Learned masks" in page) == any(p.learned for p in results.points)
     several = len({p.masks for p in results.points if p.design in ("pca", "deepfsi")}) > 1
     assert ("<h2>Accuracy and number of masks" in page) == several

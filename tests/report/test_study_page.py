@@ -4,9 +4,18 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.report.section import Section, Table
+from deepfsi.report.section import Claim, Section, Table
 from deepfsi.report.study_page import Shown, columns, write_study
-from shared.pages import SCRIPT, assert_whole, example, run_without_torch, words_of
+from deepfsi.report.terms import ABBREVIATIONS
+from shared.pages import (
+    SCRIPT,
+    assert_explained,
+    assert_headed,
+    assert_whole,
+    example,
+    run_without_torch,
+    words_of,
+)
 
 
 def page_of(folder, sections) -> str:
@@ -53,6 +62,20 @@ def test_claims_are_counted(tmp_path):
     quiet = words_of(page_of(tmp_path, [section()]))
     assert "1 experiment. Each experiment" in quiet
     assert "claim" not in quiet.lower()
+
+
+def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
+    words = "PN: DFSI is above FSI and HB (AGN, RMSE 0.1); CGs and USERS are no such words"
+    claim = Claim(words, True, "II − RS", "TH")
+    table = Table("of CG", ("design",), (("DFSI",),))
+    page = page_of(
+        tmp_path, [*example(tmp_path), section(found=words, claims=(claim,), tables=(table,))]
+    )
+    assert_headed(page)
+    assert_explained(page)
+    assert '<abbr title="' + ABBREVIATIONS["PN"] in page
+    assert "CGs and USERS" in page
+    assert page.index("This page tests how well") < page.index('class="sketch"') < page.index("<h2")
 
 
 def test_markup_is_text(tmp_path):

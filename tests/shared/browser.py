@@ -34,15 +34,26 @@ CUT = """
 const page = document.documentElement.clientWidth;
 const outside = box => box.left < -0.5 || box.right > page + 0.5;
 const name = e => `${e.tagName} ${e.className.baseVal ?? e.className} ${e.textContent.trim()}`;
+const inside = getComputedStyle(document.body).maxWidth === "none"
+  ? ".scroll table" : ".scroll table, .drawing svg";  // on paper nothing scrolls
 const cut = [...document.querySelectorAll("body *")].filter(e => {
   const box = e.getBoundingClientRect(), style = getComputedStyle(e);
   if (!box.width || !box.height) return false;
   const hides = ["hidden", "clip"].includes(style.overflowX) && e.scrollWidth > e.clientWidth;
   return !(e instanceof SVGElement) && hides
-    || (e.matches("svg, text") || !(e instanceof SVGElement) && !e.closest(".scroll table"))
-    && outside(box);
+    || (e.matches("svg, text") || !(e instanceof SVGElement)) && !e.closest(inside) && outside(box);
 });
 return cut.map(name).map(text => text.slice(0, 80));
+"""
+
+# Sizes of every text as it is shown, pixels, the smallest first.
+SIZES = """
+const written = e => [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim());
+const shown = e => e.getClientRects().length && written(e);
+return [...document.querySelectorAll("body *:not(script)")].filter(shown).map(e => {
+  const scale = e instanceof SVGElement ? Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b) : 1;
+  return [scale * parseFloat(getComputedStyle(e).fontSize), e.tagName, e.textContent.trim()];
+}).sort((a, b) => a[0] - b[0]);
 """
 
 # The contrast of every text with what lies behind it (WCAG 2), the lowest first. Markers that stand

@@ -1,5 +1,6 @@
 """Pages of reports: a study to write, and what a reader and a parser see of a page."""
 
+import itertools
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import numpy as np
 from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.masks import masks_figure, values_figure
 from deepfsi.report.section import Claim, Picture, Section, Table
+from deepfsi.report.terms import ABBREVIATIONS
 from shared.results import make_results
 
 SCRIPT = "<script>window.harmed = true</script>"
@@ -59,6 +61,30 @@ def assert_whole(page, files=frozenset()):
         assert address[0] != "#" or address[1:] in parser.ids
     assert files <= set(parser.addresses)
     assert not re.search(r"https?:|//fonts|@import", page)
+
+
+def assert_headed(page):
+    """One h1, and no heading more than one level below the one before it."""
+    levels = [int(level) for level in re.findall(r"<h([1-6])\b", page)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(below <= above + 1 for above, below in itertools.pairwise(levels)), levels
+
+
+def assert_explained(page):
+    """Abbreviations are marked in words, and listed also where only a figure has them."""
+    body = page[page.index("<body") :]
+    words = re.sub(r"<(svg|script|abbr|pre|dl)\b.*?</\1>", " ", body, flags=re.DOTALL)
+    bare = set(re.findall(r"(?<![\w-])[A-Z]{2,}(?!\w)", re.sub(r"<[^>]*>", " ", words)))
+    assert not bare & set(ABBREVIATIONS), bare
+    figures = " ".join(re.findall(r"<text[^>]*>([^<]*)<", body))
+    drawn = {name for name in ABBREVIATIONS if re.search(rf"\b{name}\b", figures)}
+    marked = set(re.findall(r'<abbr title="[^"]{9,}">([^<]*)</abbr>', body))
+    assert marked <= set(ABBREVIATIONS)
+    for name in drawn | marked:
+        assert body.count(f'id="term-{name}"') == 1
+    for name in marked:
+        assert f'href="#term-{name}"' in body
 
 
 def run_without_torch(code, folder):

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
 from deepfsi.report import style
 from deepfsi.sweeps.results import Results
@@ -188,12 +188,14 @@ def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
     bar = Line2D([], [], color=style.MUTED, markersize=9, linestyle="none", marker="|")
     keys.append((bar, "95 % interval"))
     keys += [(Line2D([], [], linestyle="none"), word) for word in words if word]
+    inches = [0.5 + 0.072 * len(name) for _, name in keys]
+    fit = int(figure.get_figwidth() / max(inches))
     figure.legend(
         *zip(*keys, strict=True),
         loc="outside lower center",
-        ncols=len(keys) if figure.get_figwidth() > 7 else 3,
+        ncols=len(keys) if sum(inches) < figure.get_figwidth() else max(1, fit),
         frameon=False,
-        fontsize=style.SMALL,
+        fontsize=9,
         handlelength=1.0,
         columnspacing=1.2,
     )
@@ -205,7 +207,8 @@ def _ranking_figure(
     """Accuracies at one budget: a line for each series, a panel for each noise."""
     names = figure_names(points, axes)
     high = 0.26 * len(names) + 1.3
-    figure = Figure(figsize=(5.4 * len(panels), high), layout="constrained")
+    wide = 2.5 + 0.075 * max(map(len, names.values()))
+    figure = Figure(figsize=(wide * len(panels), high), layout="constrained")
     for ax, noise in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         groups = series([p for p in points if getattr(p, "noise", noise) == noise], axes)
         rows = sorted(groups.items(), key=lambda row: row[1][0].accuracy)
@@ -224,12 +227,13 @@ def _ranking_figure(
         ax.set_yticks(range(len(rows)), [names[key] for key, _ in rows])
         ax.set_ylim(-0.6, len(rows) - 0.4)
         ax.set_xlim(0, top)
+        ax.xaxis.set_major_locator(MultipleLocator(top / 4))
         ax.set_xlabel(style.ACCURACY_AXIS)
         ax.grid(axis="x")
         ax.axvline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)))
         ax.annotate(
             "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
-            textcoords="offset points", color=style.MUTED, fontsize=style.SMALL,
+            textcoords="offset points", color=style.MUTED,
         )  # fmt: skip
         if len(panels) > 1:
             ax.set_title(style.noise_text(noise), pad=14)

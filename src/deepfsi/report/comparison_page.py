@@ -4,7 +4,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
+from deepfsi.report.terms import DESIGNS
 from deepfsi.sweeps.results import Point, Results, read_results
 
 MASKS_SHOWN = 12
@@ -91,12 +92,14 @@ def page_text(results: Results, designs: Path) -> str:
     return render(
         "page.html.jinja",
         results=results,
+        opened=opened(results),
         summary=[summary(results, noise) for noise in accuracy.noises(results)],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
         counts=list(count_panels(results)),
         tables=[best_table(results, noise) for noise in accuracy.noises(results)],
-        designs_shown={p.label: p.title for p in points},
+        designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
+        lights=sorted({p.light for p in points}),
         covers=list(dict.fromkeys(p.covers for p in points)),
         learned=learned,
         learned_missing=not learned and any(p.learned for p in points),
@@ -109,6 +112,41 @@ def page_text(results: Results, designs: Path) -> str:
             ("Made with", list(flat(results.provenance.as_dict()))),
         ],
     )
+
+
+def opened(results: Results) -> str:
+    """Say in three sentences what is compared, what the light is, and what intervals cover."""
+    points, pixels = results.points, int(np.prod(results.data.image_shape))
+    designs = len({p.design for p in points})
+    many = f"{designs} designs, ways to choose the masks of a camera," if designs > 1 else "masks"
+    laws = listed(sorted({p.light for p in points}))
+    text = (
+        f"This page compares {many} by the share of {results.data.test} test scenes of "
+        f"{results.data.name} that a trained network classifies correctly from the photon counts. "
+        "A photon budget Φ is the mean number of photons that reach the coding device in one "
+        f"exposure; masks share them under a light law (here {laws}), and the photons of a mask "
+        "are counted on one rail or, where it has negative entries, on two. "
+    )
+    covers = "; ".join(dict.fromkeys(p.covers for p in points))
+    text += f"The bars are 95 % intervals, which cover {covers}"
+    if any(p.design == "impulse" for p in points):
+        first = most_accurate(points)
+        wins = ", which is the most accurate here," if first == "impulse" else ""
+        text += (
+            f"; impulse imaging{wins} is a bound and no option, because it needs a detector for "
+            f"each of the {pixels} pixels"
+        )
+    return text + "."
+
+
+def most_accurate(points: Iterable[Point]) -> str:
+    """Design that is the most accurate at most budgets."""
+    at: dict[tuple[str, float], Point] = {}
+    for point in points:
+        place = point.noise, point.photons
+        at[place] = max(at.get(place, point), point, key=lambda p: p.accuracy)
+    winners = [point.design for point in at.values()]
+    return max(winners, key=winners.count)
 
 
 def optics_text(point: Point) -> str:

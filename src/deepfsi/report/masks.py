@@ -16,8 +16,6 @@ from deepfsi.report.style import (
     GRID,
     INK,
     MUTED,
-    SMALL,
-    plain_bar,
     styled,
 )
 
@@ -94,12 +92,12 @@ def masks_figure(
         if images:
             mask_axes(ax, matrix[number].reshape(image_shape), scale)
             _draw_edges(ax, np.zeros(image_shape) if parts is None else parts.reshape(image_shape))
-            ax.set_xlabel(dwell, fontsize=SMALL, labelpad=2)
+            ax.set_xlabel(dwell, fontsize=9, labelpad=2)
         else:
             _curve_axes(ax, matrix[number], scale)
             ax.tick_params(labelbottom=place + columns >= len(chosen))
             heading = ", ".join(filter(None, [heading, dwell]))
-        ax.set_title(heading, fontsize=SMALL, fontweight="normal", pad=2)
+        ax.set_title(heading, fontsize=9, fontweight="normal", pad=2)
     if images:
         _colour_bar(figure, scale, grid)
     else:
@@ -113,12 +111,12 @@ def _grid(
 ) -> tuple[Figure, np.ndarray]:
     """Figure with a title and axes for masks, with words above each and perhaps below."""
     images, rows = len(image_shape) == 2, -(-count // columns)
-    tile = 0.95 * image_shape[0] / image_shape[1] if images else 1.1
-    words = 0.17 * (1 + (images and below))
+    tile = 0.85 * image_shape[0] / image_shape[1] if images else 1.1
+    words = 0.19 * (1 + (images and below))
     head = 0.18 * len(title.splitlines())
     height = rows * (tile + words) + (0.6 if images else 0.3) + head
     layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
-    figure = Figure(figsize=(6.0, height), layout=layout)
+    figure = Figure(figsize=(5.4, height), layout=layout)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for ax in grid.flat[count:]:
         ax.set_visible(False)
@@ -180,7 +178,7 @@ def _colour_bar(figure: Figure, scale: ScalarMappable, axes: np.ndarray) -> None
     bar.ax.xaxis.set_major_formatter(
         FuncFormatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
     )
-    plain_bar(bar)
+    bar.outline.set_edgecolor(MUTED)
 
 
 @styled
@@ -189,7 +187,7 @@ def values_figure(rails_or_matrix: np.ndarray) -> Figure:
     values = signed(rails_or_matrix).ravel()
     low, high = scale_of(values[None]).get_clim()
     counts, edges = np.histogram(values, bins=51, range=(low, high))
-    figure = Figure(figsize=(5.0, 1.5), layout="constrained")
+    figure = Figure(figsize=(5.4, 1.7), layout="constrained")
     ax = figure.subplots()
     floor = 0.5 / values.size
     ax.stairs(counts / values.size, edges, baseline=floor, fill=True, color=MUTED)

@@ -7,6 +7,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from deepfsi.report.style import COLOURS, DARK_COLOURS, noise_text, photons_text
+from deepfsi.report.terms import LAWS, WORDS, Terms
 
 
 def render(template: str, **values: Any) -> str:
@@ -18,11 +19,17 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    terms = Terms()
     environment.filters.update(
-        photons=photons_text, counts=counts_text, noise=noise_text, share=share_text
+        photons=photons_text,
+        counts=counts_text,
+        noise=noise_text,
+        share=share_text,
+        explain=terms.explain,
+        noted=terms.noted,
     )
     return environment.get_template(template).render(
-        colours=COLOURS, dark_colours=DARK_COLOURS, **values
+        colours=COLOURS, dark_colours=DARK_COLOURS, terms=terms, field=WORDS, laws=LAWS, **values
     )
 
 
@@ -43,9 +50,12 @@ def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
             yield from flat(value, f"{above}{name}.")
         else:
             items = value if isinstance(value, list | tuple) else [value]
-            yield (
-                above + name,
-                ", ".join(
-                    f"{item:.6g}" if isinstance(item, float) else str(item) for item in items
-                ),
-            )
+            yield above + name, ", ".join(map(_setting, items)) or "not set"
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None or value == "":
+        return "not set"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -52,6 +52,7 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
     text = render(
         "study.html.jinja",
         title=title,
+        opened=opened(sections),
         lead=lead(sections),
         sections=[
             {
@@ -112,6 +113,21 @@ def tally(claims: Iterable[Claim]) -> str:
         (still, "open"),
     ]
     return ", ".join(f"{count} {words}" for count, words in parts if count)
+
+
+def opened(sections: Sequence[Section]) -> str:
+    """Say in three sentences what is tested, what the light is, and what intervals cover."""
+    names = [str(part.facts["data"]["name"]) for part in sections if "data" in part.facts]
+    data = f" of {', '.join(dict.fromkeys(names))}" if names else ""
+    return (
+        f"This page tests how well the class of a scene{data} can be read from few photons, with "
+        "masks and a network that were learned together and with others. A photon budget Φ is the "
+        "mean number of photons that reach the coding device in one exposure; masks share them "
+        "under a light law, and the photons of a mask are counted on one rail or, where it has "
+        "negative entries, on two. Intervals are of 95 % and cover what their caption says; "
+        "impulse imaging, which nothing passes under photon noise, is a bound and no option, "
+        "because it needs a detector for each pixel."
+    )
 
 
 def lead(sections: Sequence[Section]) -> str:

@@ -133,7 +133,10 @@ def noise_text(noise: str) -> str:
 
 
 def svg(figure: Figure, name: str, words: str) -> str:
-    """Turn a figure into an SVG fragment for an HTML page; the same figure gives the same text.
+    """Turn a figure into an SVG in a box for an HTML page; the same figure gives the same text.
+
+    It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
+    pixels; where the page has less room, the box scrolls.
 
     Parameters
     ----------
@@ -153,9 +156,12 @@ def svg(figure: Figure, name: str, words: str) -> str:
     body = re.sub(r"<[^>]*>", lambda tag: _of_page(tag[0], name), body)  # not what it says
     view = re.search(r'viewBox="[^"]*"', body)
     assert view is not None, "matplotlib gives every figure a viewBox"
-    style = f"max-width: {96 * figure.get_figwidth():.0f}px"
-    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{style}" {view[0]}>'
-    return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
+    sizes = [float(size) for size in re.findall(r"font:[^;\"]*?([\d.]+)px", body)]
+    scale = max(96 / 72, LEAST_TEXT / min(sizes, default=LEAST_TEXT))  # an SVG's unit is a point
+    width = f"width: {math.ceil(72 * figure.get_figwidth() * scale)}px"
+    head = f'<svg class="plot" role="img" aria-label="{escape(words)}" style="{width}" {view[0]}>'
+    drawn = re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
+    return f'<div class="drawing">{drawn}</div>'
 
 
 def _of_page(tag: str, name: str) -> str:
@@ -175,6 +181,9 @@ PAGE_WIDTH = 7.2
 
 SMALL = 7.5
 """Font size, points."""
+
+LEAST_TEXT = 12
+"""Size of the smallest words on a page, pixels."""
 
 BUDGET_AXIS = "photon budget Φ (photons)"
 ACCURACY_AXIS = "accuracy (share correct)"
