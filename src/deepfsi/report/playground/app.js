@@ -159,7 +159,7 @@ class Page {
     const shown = this.time > 0 ? now : frames[0];
     drawCounts($("counts"), model, this.byMask(counts), this.most, now && now.mask);
     const total = counts.reduce((a, b) => a + b, 0);
-    $("count-words").textContent = `${total.toLocaleString("en").replaceAll(",", " ")} photons so far.`;
+    $("count-words").textContent = `${total.toLocaleString("en").replaceAll(",", "\u202f")} photons so far.`;
     const place = Math.round((this.time / exposure.length) * 1000);
     $("time").value = place;
     $("time").setAttribute("aria-valuetext", `${Math.round(place / 10)} % of the exposure`);
@@ -226,7 +226,7 @@ class Page {
     if (count < exposure.frames.length) {
       const { stop } = exposure;
       if (!stop || count < stop.count) return "The exposure goes on.";
-      return `The exposure could stop here: ${this.stopWords(stop)}`;
+      return `The exposure goes on. It could have stopped ${this.stopWords(stop)}`;
     }
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;

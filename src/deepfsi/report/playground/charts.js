@@ -19,9 +19,9 @@ function begin(holder, height) {
   return { width, add };
 }
 
-/** Photons in words, with thin spaces: 31 600. */
+/** Photons in words, with thin spaces that do not break: 31 600. */
 export const photonsText = (photons) =>
-  Number(photons.toPrecision(3)).toLocaleString("en").replaceAll(",", " ");
+  Number(photons.toPrecision(3)).toLocaleString("en").replaceAll(",", "\u202f");
 
 /** A probability in percent, with one digit but at 100 %. */
 export const chanceText = (chance) => `${(chance * 100).toFixed(chance < 0.9995 ? 1 : 0)} %`;
@@ -43,8 +43,7 @@ function drawTrained(add, budget, { x, y, left, right, top, bottom, chance }) {
   const within = (value) => Math.min(Math.max(x(value), left), right);
   const [low, high] = budget ? [within(budget.low), within(budget.high)] : [left, left];
   const anchor = (low + high) / 2 > (left + right) / 2 ? "end" : "start";
-  const free = anchor === "end" ? { x: left + 4 } : { x: right, "text-anchor": "end" };
-  add("text", { ...free, y: y(chance) - 4 }, "guessing");
+  add("text", { x: left + 4, y: Math.min(y(chance) + 13, bottom - 3) }, "guessing");
   if (!budget || x(budget.low) > right || x(budget.high) < left) return;
   const [width, height] = [high - low, bottom - top];
   if (width > 0) add("rect", { class: "trained", x: low, y: top, width, height });
