@@ -4,6 +4,7 @@ Everything made by a build lies in `docs/generated` (pages) and `docs/_build` (t
 """
 
 import sys
+import warnings
 from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +13,9 @@ from matplotlib import get_data_path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "extensions"))
+
+# joblib says so when it replaces a process that holds much memory, which is no fault of a script
+warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
 
 project = "DeepFSI"
 author = "The DeepFSI developers"
