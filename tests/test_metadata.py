@@ -59,3 +59,9 @@ def test_the_paper_cites_what_its_bibliography_has_and_shows_measured_figures():
     assert len(shown) == 15
     assert not [each for each in shown if each not in measured]
     assert (ROOT / re.findall(r"\]\((docs/figures/.+?)\)", text)[0]).is_file()
+
+
+def test_the_changelog_begins_with_this_version_and_its_date():
+    text = (ROOT / "CHANGELOG.md").read_text()
+    version, date = re.findall(r"^## (\d\S+) \((\d{4}-\d\d-\d\d)\)$", text, re.M)[0]
+    assert (version, date) == (CITATION["version"], CITATION["date-released"])
