@@ -256,8 +256,6 @@ def _difference_panel(
     """
     steps = difference_levels(values)
     norm, middles = BoundaryNorm(steps, 256), (steps[1:] + steps[:-1]) / 2
-    bar = _bar_beside(np.array([ax]), norm, style.DIVERGING, label)
-    bar.set_ticks(middles, labels=[style.signed_text(value) for value in middles])
     _contours(ax, x, y, values, norm, style.DIVERGING)
     clear = np.zeros(values.shape, dtype=bool) if apart is None else np.asarray(apart)
     up, down = clear & (values > 0), clear & (values < 0)
@@ -274,6 +272,8 @@ def _difference_panel(
             look = Line2D([], [], linestyle="none", marker=marker, color=style.PAPER)
             look.set(markeredgecolor=style.INK, markersize=5.5)
             keys.append((look, words))
+    bar = _bar_beside(np.array([ax]), norm, style.DIVERGING, label)
+    bar.set_ticks(middles, labels=[style.signed_text(value) for value in middles])
     return keys
 
 
