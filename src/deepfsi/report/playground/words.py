@@ -20,7 +20,7 @@ LIGHT = {
 """Words for each light law."""
 
 RAILS = {
-    1: "Non-negative: each mask is one frame, and the network does any subtraction.",
+    1: "Non-negative: each mask has one rail, and the network does any subtraction.",
     2: "Signed: each mask has a positive and a negative rail, which are counted separately.",
 }
 """Words for masks of so many rails."""
