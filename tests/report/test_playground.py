@@ -19,7 +19,7 @@ from deepfsi.design.payload import check_playable, playable
 from deepfsi.errors import InputError
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
-from shared.playground import KINDS, VECTORS, fits, large_design, read_counts
+from shared.playground import KINDS, VECTORS, ask, fits, large_design, read_counts
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 AGREES = 1e-5
@@ -79,13 +79,6 @@ def opened(browser, pages):
         return browser
 
     return open_page
-
-
-def ask(browser, body, **given):
-    """Value of a JavaScript function's body, with the page's parts and values by their names."""
-    names = ["page", "model", "Exposure", "LeastSquares", "Random", "poisson"]
-    head = f"const {{{', '.join(names)}}} = window.playground; const given = arguments[0];"
-    return browser.execute_script(head + body, given)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -229,6 +222,17 @@ def test_least_squares_pictures(opened, designs, digits, kind):
         solved = np.linalg.solve(gram + 1e-6 * np.trace(gram) * np.eye(len(gram)), unit)
         wanted[own] = rows.T @ solved
     np.testing.assert_allclose(found, wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+def test_the_picture_within_a_frame_is_of_the_frames_before(opened):
+    seen, before = ask(
+        opened("column"),
+        "const { squares, exposure } = page; let seen; squares.picture = counts => (seen = counts);"
+        "page.drawn = {}; page.time = 0.9 * exposure.frames[1].end; page.draw();"
+        "delete squares.picture; return [[...seen], [...exposure.after(1).counts]]",
+    )
+    assert sum(seen) > 0
+    assert seen == before
 
 
 def test_other_cameras_count_what_their_light_law_gives(opened):

@@ -36,6 +36,13 @@ def read_counts(design: Design, digits: Dataset, kind: str):
     return scenes[:VECTORS], photons, rates, counts.reshape(VECTORS, -1)
 
 
+def ask(browser, body, **given):
+    """Value of a JavaScript function's body, with the page's parts and values by their names."""
+    names = ["page", "model", "Exposure", "LeastSquares", "Random", "poisson"]
+    head = f"const {{{', '.join(names)}}} = window.playground; const given = arguments[0];"
+    return browser.execute_script(head + body, given)
+
+
 def fits(counts: np.ndarray, rate: float) -> float:
     """P-value of counts (n,) under Poisson's law, in some 40 groups of like chance."""
     edges = np.unique(stats.poisson.ppf(np.linspace(0, 1, 41)[1:-1], rate))

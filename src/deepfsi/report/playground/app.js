@@ -154,7 +154,8 @@ class Page {
     if (count < 0) count = frames.length;
     const now = frames[count] ?? null;
     const part = now ? (this.time - now.begin) / now.share : 0;
-    const { counts, scale } = exposure.after(count);
+    const whole = exposure.after(count); // without the part of the frame that is on the device
+    const counts = whole.counts.slice();
     if (now) now.places.forEach((place, i) => (counts[place] += Math.floor(now.counts[i] * part)));
     const shown = this.time > 0 ? now : frames[0];
     drawCounts($("counts"), model, this.byMask(counts), this.most, now && now.mask);
@@ -174,7 +175,7 @@ class Page {
       if (few && !(this.playing && performance.now() - (drawn.pictured ?? 0) < 150)) {
         drawn.pictured = performance.now();
         const nothing = () => null;
-        const picture = count ? this.squares.picture(counts, scale, exposure.photons) : null;
+        const picture = count ? this.squares.picture(whole.counts, whole.scale, exposure.photons) : null;
         show($("squares"), model, picture ?? Array.from(this.scene, nothing));
       }
     }
