@@ -14,8 +14,8 @@ LIGHT = {
     "free-dwell": "Free dwell: one device shows one frame after another, each for a time of its "
     "own.",
     "equal-dwell": "Equal dwell: one device shows one frame after another, all for the same time.",
-    "two-arm": "Two arms: one device shows one mask after another. Each mirror sends its light to "
-    "one of two detectors, so that none is lost.",
+    "two-arm": "Two arms: one device shows one mask after another. Each mirror sends its light in "
+    "one of two directions, both with detectors, so that none is lost.",
 }
 """Words for each light law."""
 
@@ -52,7 +52,8 @@ def way_text(payload: Payload) -> str:
     many = payload["detectors"]
     counting = "one detector counts" if many == 1 else f"{many} detectors count"
     words = "A device of small mirrors shows one pattern, a mask, after another" + (
-        ". Each mirror sends its light to one of two detectors, which count single photons."
+        ". Each mirror sends its light in one of two directions, and detectors in both count "
+        "single photons."
         if light == "two-arm"
         else f", and {counting} the photons that each lets through."
     )
