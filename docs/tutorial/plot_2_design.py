@@ -135,7 +135,7 @@ plt.show()
 # .. dropdown:: Answer
 #
 #    y = 50. Poisson variances add, also in a difference: √(200 + 150), about 19. So a mask whose
-#    rails are both bright has a noisy difference, and training avoids it.
+#    rails are both bright has a noisy difference, which the training takes into account.
 #
 # **2.** Learn the same design with ``--rails single``: non-negative masks, one frame each. Which is
 # better here, and why may it be?

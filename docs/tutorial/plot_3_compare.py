@@ -98,7 +98,8 @@ plt.show()
 # Where two intervals are far apart, the designs differ. Where they overlap a little, they may still
 # differ; where they overlap much, more trials or more test pictures must decide. A design that wins
 # at one budget need not win at another: compare at the budgets of your own camera. Here the raster
-# scan comes close at 10⁴ photons, as most of the 64 pixels of these pictures are black.
+# scan comes close at 10⁴ photons: the pictures have only 64 pixels, half of them black, so that a
+# white one gives about eight counts.
 
 # %%
 # What your optics allow
@@ -131,8 +132,9 @@ for light, rails in laws.items():
 folder.cleanup()
 
 # %%
-# The distance from ``column`` to the others is what one device costs: its mirrors send most of the
-# light away at any moment. It is the price of a camera with one detector, and it is paid in light.
+# The distance from ``column`` to the others is what one device costs. Its frames share the time,
+# and with one detector the light of OFF mirrors is lost. On two arms no light is lost, but at any
+# moment one mask alone sorts the photons, where ``column`` sorts them by all masks at once.
 #
 # Exercises
 # ---------
@@ -152,7 +154,8 @@ folder.cleanup()
 # .. dropdown:: Answer
 #
 #    It has a detector for every pixel, each exposed all the time, so that it counts every photon
-#    and nothing of ``column`` can beat it. A camera with one detector cannot do that.
+#    and where it came from. Under photon noise no design of ``column`` tells more, given the best
+#    network for each. A camera with one detector cannot do that.
 #
 # **3.** How does the accuracy of the learned design change with 4 or 16 masks (``--masks 4,16``)?
 #

@@ -131,14 +131,14 @@ plt.show()
 #    counted; the gates together last 1 ms. The exposure may be shorter than the frames. What it
 #    costs is the time of the clock that is not counted.
 #
-# **2.** Your detector has an efficiency of 0.25. What is its budget, if 10⁵ photons reach the
-# device?
+# **2.** Your detector has an efficiency of 0.25, and 10⁵ photons reach the device. Which budget
+# does the classifier get?
 #
 # .. dropdown:: Answer
 #
-#    2.5 · 10⁴. A photon that is not detected is the same as one that never came, so efficiency
-#    multiplies the budget. ``camera count`` finds the budget from the all-ON frames, efficiency
-#    included.
+#    2.5 · 10⁴. For the counts a photon that is not detected is the same as one that never came, so
+#    the camera works as an ideal one with the budget times the efficiency. ``camera count`` finds
+#    the budget from the all-ON frames, efficiency included.
 #
 # **3.** Count the recording without ``--dead-time``. Which frames lose most?
 #
