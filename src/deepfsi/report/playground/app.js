@@ -287,8 +287,8 @@ class Page {
     canvas.classList.toggle("rail-plus", rail === 0);
     const which = rails.length > 1 ? ", both arms" : model.rails === 2 ? [", positive rail", ", negative rail"][rail] : "";
     const [one, other] = this.spectrum ? ["Above", "Below"] : ["Left", "Right"];
-    const arms = this.spectrum ? "High goes to the one detector, low to the other. " : "White goes to the one detector, black to the other. ";
-    const all = this.spectrum ? "" : "White goes to the detector. ";
+    const arms = this.spectrum ? "High goes in one direction, low in the other. " : "White goes in one direction, black in the other. ";
+    const all = this.spectrum ? "" : `White goes to the detector${model.detectors > 1 ? "s" : ""}. `;
     $("mask-words").textContent =
       `${one}: mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / this.exposure.length)} of the exposure. ` +
       (rails.length > 1 ? arms : all) + `${other}: the light that gets there.`;
@@ -331,7 +331,7 @@ class Page {
     }
     if ($("through")) $("through").hidden = true;
     const some = count < model.masks ? `The first ${count} of ${model.masks} masks` : `All ${model.masks} masks`;
-    const dual = model.light === "two-arm" ? " White goes to the one detector, black to the other." : " Blue is counted by the positive rail, orange by the negative one.";
+    const dual = model.light === "two-arm" ? " White goes in one direction, black in the other." : " Blue is counted by the positive rail, orange by the negative one.";
     const signs = model.rails === 2 ? dual : " White is counted, black is not.";
     $("mask-words").textContent = `${some}, each to its own brightest value.${this.spectrum ? "" : signs}`;
   }

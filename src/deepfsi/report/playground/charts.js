@@ -124,7 +124,7 @@ export function drawCounts(holder, model, counts, most, now) {
     }
   }
   add("text", { x: left - 6, y: zero + 4, "text-anchor": "end" }, "0");
-  const names = model.light === "two-arm" ? ["one detector", "the other"] : ["positive rail", "negative rail"];
+  const names = model.light === "two-arm" ? ["one direction", "the other"] : ["positive rail", "negative rail"];
   if (dual) {
     add("text", { x: left, y: 10, class: "strong" }, names[0]);
     add("text", { x: left, y: height - 2, class: "strong" }, names[1]);

@@ -97,5 +97,6 @@ def _stopping(payload: Payload) -> str:
     return (
         "An exposure may stop as soon as the probability of its answer is above a threshold. "
         "Scenes that the training left out calibrate the probabilities and give the threshold, so "
-        "that the accuracy stays that of whole exposures."
+        "that the accuracy on them stays that of whole exposures. Both hold at the light of this "
+        "calibration, and not far from it."
     )
