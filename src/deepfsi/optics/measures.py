@@ -13,8 +13,9 @@ from deepfsi.errors import InputError
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
     """Share of a scene's light that the detectors count, Σ_ij |M_ij| x̄_j / Σ_j x̄_j.
 
-    M (m, N) are shares of each pixel's photons, x̄ (N,) the mean reflectance of each pixel over the
-    training scenes. For a single detector it is at most 1.
+    M (m, N) are shares of each pixel's photons, in masks of which each pixel is on one rail (on two
+    arms it is on both), x̄ (N,) the mean reflectance of each pixel over the training scenes. For a
+    single detector it is at most 1.
 
     Raises
     ------
