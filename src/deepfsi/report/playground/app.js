@@ -291,7 +291,7 @@ class Page {
     const all = this.spectrum ? "" : `White goes to the detector${model.detectors > 1 ? "s" : ""}. `;
     $("mask-words").textContent =
       `${one}: mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / this.exposure.length)} of the exposure. ` +
-      (rails.length > 1 ? arms : all) + `${other}: the light that gets there.`;
+      (rails.length > 1 ? arms : all) + `${other}: the light that ${rails.length > 1 ? "goes in the first direction" : "gets there"}, ${this.spectrum ? "low" : "black"} where there is little.`;
   }
 
   /** All masks side by side: as they are used at once, or before and after an exposure. */
