@@ -50,7 +50,7 @@ def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
         (d, r) for d in ("1x1", "2x2") for r in ("both", "difference")
     }
     page = (tmp_path / "report.html").read_text()
-    assert "FSI 2x2 detectors difference" in page
+    assert "PCA 2x2 detectors difference" in page
     (tmp_path / "one.toml").write_text(
         'designs = "pca"\nphotons = 1e4\nmasks = 3\nlight = "two-arm"\ntraining.epochs = 1\n'
         'detectors = ["1x1", "2x2"]\nreadout = ["both", "difference"]\n'
