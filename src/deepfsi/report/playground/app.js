@@ -271,7 +271,8 @@ class Page {
     const { mask, rails, share } = frame;
     const [rail] = rails;
     const pattern = Array.from({ length: model.pixels }, (_, i) => model.entry(rail, mask, i));
-    const peak = rails.length > 1 ? model.entry(0, mask, 0) + model.entry(1, mask, 0) : model.peaks[rail][mask];
+    let peak = model.light === "equal-dwell" ? share : model.peaks[rail][mask]; // of a mirror that is always ON
+    if (rails.length > 1) peak = model.entry(0, mask, 0) + model.entry(1, mask, 0);
     const device = pattern.map((each) => each / peak);
     const { high } = model.scenes;
     const passed = device.map((each, i) => each * this.scene[i]);
