@@ -44,7 +44,8 @@ def section(path):
     lines = [f".. automodule:: {path}", "   :no-members:", ""]
     for name in found:
         lines += [f".. auto{'class' if isclass(vars(module)[name]) else 'function'}:: {name}"]
-        lines += ["   :members:", ""] if isclass(vars(module)[name]) else [""]
+        members = ["   :members:", "   :exclude-members: model_config", ""]  # pydantic's own
+        lines += members if isclass(vars(module)[name]) else [""]
     lines.insert(3, f".. currentmodule:: {path}\n")
     text = "\n".join(lines)
     return f"## `{path}`\n\n```{{eval-rst}}\n{text}\n```"

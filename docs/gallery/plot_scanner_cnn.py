@@ -14,8 +14,8 @@ import deepfsi
 from deepfsi.optics.masks import Learned
 from deepfsi.report.style import STYLE
 
-plt.rcParams.update(STYLE)
 torch.manual_seed(0)
+plt.rcParams.update(STYLE)
 
 # %%
 # Sixteen signed masks that obey ``free-dwell`` (one device, each frame for its own time), then a
