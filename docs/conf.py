@@ -60,6 +60,7 @@ SCRIPTS = [each.parent.name for each in sorted(HERE.glob("*/GALLERY_HEADER.rst")
 sphinx_gallery_conf = {
     "examples_dirs": SCRIPTS,
     "gallery_dirs": [f"generated/{name}" for name in SCRIPTS],
+    "ignore_pattern": r"\blesson\.py$",
     "filename_pattern": "/plot_" if find_spec("deepinv") else "/plot_(?!deepinv)",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from sklearn.datasets import load_digits
+from lesson import write_digits
 
 import deepfsi
-from deepfsi.datasets import write_pictures
 from deepfsi.report.style import STYLE, photons_text
 
 plt.rcParams.update(STYLE)
@@ -34,18 +33,12 @@ plt.rcParams.update(STYLE)
 #       1/  0001.png  0011.png  ...
 #
 # As a stand-in, 1797 handwritten digits of 8 × 8 pixels are written in this form. They train in
-# seconds. With a folder of your own, leave this step out.
+# seconds. With a folder of your own, leave this step out; otherwise put
+# :download:`lesson.py </tutorial/lesson.py>`, which writes them, beside this script.
 
 folder = tempfile.TemporaryDirectory()
 pictures = Path(folder.name) / "my-pictures"
-digits = load_digits()
-write_pictures(
-    {
-        f"{label}/{number:04d}.png": image / 16
-        for number, (image, label) in enumerate(zip(digits.images, digits.target, strict=True))
-    },
-    pictures,
-)
+write_digits(pictures)
 
 data = deepfsi.load_dataset(pictures)
 print(data.preprocessing)

@@ -6,42 +6,27 @@ A **design** is a set of masks and the network that reads their counts, trained 
 photon budget. This page learns one, and follows one exposure from the scene to its class.
 """
 
-import shlex
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from sklearn.datasets import load_digits
+from lesson import commands_in, write_digits
 
 import deepfsi
-from deepfsi.datasets import write_pictures
 from deepfsi.report.style import STYLE
 
 plt.rcParams.update(STYLE)
 
 # %%
-# The folder of page 1 once more, and a function that runs a command line in it.
+# The folder of page 1 once more, and a function that runs a command line in it. Both are in
+# :download:`lesson.py </tutorial/lesson.py>`; to run this page yourself, put it beside the script.
 
 folder = tempfile.TemporaryDirectory()
 work = Path(folder.name)
-digits = load_digits()
-named = enumerate(zip(digits.images, digits.target, strict=True))
-write_pictures(
-    {f"{label}/{number:04d}.png": image / 16 for number, (image, label) in named},
-    work / "my-pictures",
-)
-
-
-def run(line):
-    """Run a command line in the folder, and print it with its output."""
-    words = [sys.executable, "-m", *shlex.split(line.replace("\\\n", ""))]
-    done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=True)
-    print(f"$ {line}\n{done.stdout}")
-
+write_digits(work / "my-pictures")
+run = commands_in(work)
 
 # %%
 # Learn a design
