@@ -31,7 +31,7 @@ def loop_of(design: Design) -> Loop:
         classes=design.classes,
         largest_score=LARGEST_SCORE,
         shortest=exposure.shortest,
-        rule=_rule(design),
+        rule=rule_of(design),
     )
     mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
     return Loop(about, mean, std, _layers(classifier), _layers(exposure.network))
@@ -51,8 +51,8 @@ def with_rule(design: Design, rule: StoppingRule) -> Design:
     return replace(design, info={**design.info, "stopping": held.model_dump(mode="json")})
 
 
-def _rule(design: Design) -> StopRule | None:
-    """Stop rule that a design holds."""
+def rule_of(design: Design) -> StopRule | None:
+    """Stop rule that a design holds, if it holds one."""
     held = design.info.get("stopping")
     return None if held is None else StopRule.model_validate(held)
 

@@ -17,6 +17,7 @@ from deepfsi.design.adaptive import LARGEST_SCORE
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import check_data, evaluate
+from deepfsi.design.live import rule_of
 from deepfsi.design.memory import memory_of
 from deepfsi.design.stopping import StoppingRule, stop
 from deepfsi.errors import InputError
@@ -168,10 +169,9 @@ def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dic
         after, _ = design.exposure.stops(design.rails, design.light)
     except InputError:
         return []
-    held = design.info.get("stopping")
+    held = rule_of(design)
     if held is not None:
-        temperatures = tuple(held["temperatures"]) or (1.0,) * len(after)
-        own = StoppingRule(after, temperatures, held["threshold"])
+        own = StoppingRule(after, held.temperatures or (1.0,) * len(after), held.threshold)
         return [{"photons": None, **asdict(own)}]
     memory, trained = memory_of(design), _trained(design)
     if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
