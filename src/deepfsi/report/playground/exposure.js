@@ -26,7 +26,7 @@ function framesOf(model, dwell = null, look = 0) {
     peaks.forEach((peak, rail) => {
       const chosen = dwell && dwell[model.eachRail ? 2 * mask + rail : mask];
       const own = model.light === "equal-dwell" ? 1 / lit : peak;
-      add(mask, [rail], peak > 0 ? (chosen ?? own) : 0, dwell ? chosen * model.dwells : 1);
+      add(mask, [rail], chosen ?? (peak > 0 ? own : 0), dwell ? chosen * model.dwells : 1);
     });
   }
   return frames;
@@ -49,17 +49,14 @@ export class Exposure {
     this.answers = new Map();
     const random = new Random(seed);
     const rates = model.rates(scene).map((rate) => rate * photons);
-    const counts = new Float64Array(model.readouts);
-    const dwell = model.chooser ? new Array(model.dwells).fill(0) : null;
     for (let look = 0; look < model.looks; look++) {
+      const { counts, dwell } = this.after(this.frames.length);
       const chosen = dwell && model.choose(counts, photons, look, dwell);
       const frames = this.together ? slicesOf(model) : framesOf(model, chosen, look);
       for (const frame of frames) {
         frame.counts = frame.places.map((place) => poisson(rates[place] * frame.scale, random));
-        frame.places.forEach((place, i) => (counts[place] += frame.counts[i]));
-        this.frames.push(frame);
       }
-      if (dwell) chosen.forEach((each, place) => (dwell[place] += each));
+      this.frames.push(...frames);
     }
     let end = 0;
     for (const frame of this.frames) {
