@@ -24,10 +24,12 @@ DESIGNS = {
 """What each design is."""
 
 LAWS = {
-    "column": "each pixel's light is split among all masks at once, which no single device does",
-    "equal-dwell": "one device and one detector; each of F patterns is shown for 1/F of the time",
-    "free-dwell": "one device and one detector; each pattern has its own share of the time",
-    "two-arm": "one device and a detector on each arm; what one does not get, the other does",
+    "column": "optics split the light of each pixel among all masks at once, which no single "
+    "mirror device does",
+    "equal-dwell": "one device shows one pattern after another, all for the same time",
+    "free-dwell": "one device shows one pattern after another, each for a time of its own",
+    "two-arm": "one device shows one mask after another; each mirror sends its light in one of two "
+    "directions, both with detectors, so that none is lost",
 }
 """What each light law allows, and with which optics."""
 

@@ -4,20 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from deepfsi.report.style import photons_text
+from deepfsi.report.terms import LAWS
 
 Payload = Mapping[str, Any]
 """What `design.payload.playable` makes."""
-
-LIGHT = {
-    "column": "Column: optics split the light of each pixel among all masks. No single mirror "
-    "device can do that; the design shows what such optics would reach.",
-    "free-dwell": "Free dwell: one device shows one frame after another, each for a time of its "
-    "own.",
-    "equal-dwell": "Equal dwell: one device shows one frame after another, all for the same time.",
-    "two-arm": "Two arms: one device shows one mask after another. Each mirror sends its light in "
-    "one of two directions, both with detectors, so that none is lost.",
-}
-"""Words for each light law."""
 
 RAILS = {
     1: "Non-negative: each mask has one rail, and the network does any subtraction.",
@@ -75,7 +65,7 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
         "Data": f"{payload['data']['name']}. {payload['data']['preprocessing']}",
         "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
         "Detectors": several if payload["detectors"] > 1 else "",
-        "Light law": LIGHT[payload["light"]],
+        "Light law": f"{payload['light']}: {LAWS[payload['light']]}.",
         "Learned for": f"{' to '.join(ends)} photons." if ends else "",
         "Noise": "Exact Poisson counts. There are no dark counts, no dead time and no stray light.",
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
