@@ -368,6 +368,6 @@ def _print_points(results: "Results") -> None:
     print("± half of the 95 % interval: " + "; ".join(dict.fromkeys(p.covers for p in best)))
     print("balanced: mean of the classes' accuracies, each class counting alike")
     print("counts: photons that detectors count, in the mean over test scenes")
-    if results.chosen_on == "validation" and len(results.points) > len(best):
+    if results.had_choice:
         measure = " by balanced accuracy" if results.chosen_by == "balanced" else ""
         print(f"mask counts were chosen on validation data{measure}; the table is of test data")

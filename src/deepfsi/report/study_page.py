@@ -125,8 +125,8 @@ def opened(sections: Sequence[Section]) -> str:
         "mean number of photons that reach the coding device in one exposure; masks share them "
         "under a light law, and the photons of a mask are counted on one rail or, where it has "
         "negative entries, on two. Intervals are of 95 % and cover what their caption says; "
-        "impulse imaging, which nothing passes under photon noise, is a bound and no option, "
-        "because it needs a detector for each pixel."
+        "impulse imaging, which loses no photon, is no option, because it needs a detector for "
+        "each pixel."
     )
 
 

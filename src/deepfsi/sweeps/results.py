@@ -57,7 +57,7 @@ class Point(Frozen):
     readout : {"difference", "both", ""}
         What the network reads of two rails; empty of a single one.
     light, rails : str
-        Light constraint, and signed or non-negative masks.
+        Light law, and signed or non-negative masks.
     design, variant : str
         Name of the design, and which of several training settings, in words.
     masks : int
@@ -232,6 +232,11 @@ class Results(Frozen):
     chosen_by: str = "accuracy"
     points: Annotated[tuple[Point, ...], AfterValidator(_some)]
     extra: dict[str, Any] = {}
+
+    @property
+    def had_choice(self) -> bool:
+        """True if mask counts were chosen, and some design had several to choose from."""
+        return self.chosen_on != "nothing" and not all(point.best for point in self.points)
 
     def with_points(self, points: Iterable[Point]) -> "Results":
         """Results of this comparison with other points."""
