@@ -4,7 +4,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,23 +130,11 @@ def opened(results: Results) -> str:
     covers = "; ".join(dict.fromkeys(p.covers for p in points))
     text += f"The bars are 95 % intervals, which cover {covers}"
     if any(p.design == "impulse" for p in points):
-        first = most_accurate(points)
-        wins = ", which is the most accurate here," if first == "impulse" else ""
         text += (
-            f"; impulse imaging{wins} is a bound and no option, because it needs a detector for "
-            f"each of the {pixels} pixels"
+            "; impulse imaging, which loses no photon, is no option, because it needs a detector "
+            f"for each of the {pixels} pixels"
         )
     return text + "."
-
-
-def most_accurate(points: Iterable[Point]) -> str:
-    """Design that is the most accurate at most budgets."""
-    at: dict[tuple[str, float], Point] = {}
-    for point in points:
-        place = point.noise, point.photons
-        at[place] = max(at.get(place, point), point, key=lambda p: p.accuracy)
-    winners = [point.design for point in at.values()]
-    return max(winners, key=winners.count)
 
 
 def optics_text(point: Point) -> str:
