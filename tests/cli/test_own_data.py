@@ -186,9 +186,12 @@ def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path
 
     printed = done(*compare, "--epochs", 3, "--workers", 1)
     assert "classifier mynets:Cnn" in printed
+    assert "mask counts were chosen" not in printed  # there is but one number of masks
     report = (tmp_path / "runs" / "mine" / "report.html").read_text(encoding="utf-8")
     assert "mynets:Cnn" in report
     assert '<th scope="col">lowest class</th>' in report
+    assert "Each design had one number of masks" in report
+    assert "best number of masks" not in report.lower()
 
     printed = done(*design, "--epochs", 20)
     assert "divided by 4095 (12 bits)" in printed
