@@ -141,7 +141,7 @@ def reproduce(
     ],
     out: options.Folder = Path("runs/paper"),
     quick: Annotated[
-        bool, typer.Option("--quick", help="a coarse grid: minutes instead of hours")
+        bool, typer.Option("--quick", help="a coarse grid, in a fraction of the time")
     ] = False,
     trials: Annotated[
         int | None, typer.Option(min=1, help="training seeds for each point, if not the recipe's")

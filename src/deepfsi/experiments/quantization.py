@@ -5,7 +5,7 @@ import numpy as np
 from deepfsi.experiments.experiment import Experiment, Finding, points
 from deepfsi.experiments.paired_maps import pair
 from deepfsi.report.section import Claim, Picture
-from deepfsi.statistics.differences import Difference, above, of_trials
+from deepfsi.statistics.differences import Difference, above, of_trials, signed
 from deepfsi.sweeps.results import Results
 
 LOSS = 0.005
@@ -30,7 +30,7 @@ def show(results: Results) -> Finding:
     )
     found = (
         f"With {levels} grey levels, k/{levels - 1} of each frame's peak, accuracy changes by "
-        f"{-loss.mean:+.4f} on average over the grid. The largest change is "
+        f"{signed(-loss.mean, 4)} on average over the grid. The largest change is "
         f"{most}, at {where}. Noise draws are the same in both tests."
     )
     picture = Picture(
