@@ -23,16 +23,16 @@ docs: $(VENV)/docs
 
 $(VENV)/torch: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt pip
-	$(BIN)/pip install --quiet -c constraints.txt torch
+	$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt pip
+	$(BIN)/pip install --quiet --no-compile -c constraints.txt torch
 	touch $@
 
 $(VENV)/installed: $(VENV)/torch
-	$(BIN)/pip install --quiet -c constraints.txt -e . --group dev
+	$(BIN)/pip install --quiet --no-compile -c constraints.txt -e . --group dev
 	touch $@
 
 $(VENV)/docs: $(VENV)/torch
-	$(BIN)/pip install --quiet -c constraints.txt -e . --group docs
+	$(BIN)/pip install --quiet --no-compile -c constraints.txt -e . --group docs
 	touch $@
 
 clean:

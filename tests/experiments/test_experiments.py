@@ -4,6 +4,7 @@ import csv
 import itertools
 import json
 import shutil
+from functools import cache
 
 import numpy as np
 import pytest
@@ -40,11 +41,15 @@ def done(request):
     return request.getfixturevalue(request.param)
 
 
+@cache
+def sections_of(folder):
+    return {each: each.section(folder) for each in run_in(folder)}
+
+
 @pytest.mark.slow
 def test_every_experiment_ends_in_a_section(done):
     page = experiments.page(done).read_text()
-    for each in run_in(done):
-        section = each.section(done)
+    for each, section in sections_of(done).items():
         for number in range(1, len(section.pictures) + 1):
             assert (done / f"{each.name}-{number}.png").read_bytes().startswith(b"\x89PNG")
         assert section.title in page
@@ -65,8 +70,8 @@ def table(path):
 
 @pytest.mark.slow
 def test_numbers_behind_the_figures_are_there(done):
-    for each in run_in(done):
-        for name in each.section(done).files:
+    for section in sections_of(done).values():
+        for name in section.files:
             rows = table(done / name)
             assert rows
             assert all(0 <= float(row["accuracy"]) <= 1 for row in rows)
