@@ -124,11 +124,13 @@ def test_one_dmd_design(done, tmp_path):
 def test_a_flexible_design(done, tmp_path):
     file = tmp_path / "nested.safetensors"
     words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
-    words += ["--light", "equal-dwell", "--rails", "single", "--hold-out", 300, "-o", file]
+    words += ["--light", "equal-dwell", "--rails", "single", "--start", "random"]
+    words += ["--hold-out", 300, "-o", file]
     made = json.loads(done("design", *words, "--json"))
     assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
     training = made["info"]["job"]["training"]
-    assert [training[key] for key in ("span", "nested", "levels")] == [1e3, 2, 2]
+    settings = [training[key] for key in ("span", "nested", "levels", "start")]
+    assert settings == [1e3, 2, 2, "random"]
     assert [len(frame.unique()) for frame in Design.load(file).rails[0]] == [2] * 6
     out = done("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
     assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
@@ -148,6 +150,11 @@ def test_a_flexible_design(done, tmp_path):
         (["design", "--photons", "1e3", "--masks", 3, "--nested", 4], "at most 3"),
         (["design", "--photons", "1e3", "--masks", 3, "--levels", 1], "dark alone"),
         (["design", "--photons", "1e3", "--masks", 3, "--hold-out", 5000], "hold out at least 1"),
+        (["design", "--photons", "1e3", "--masks", 3, "--start", "custom"], "name a fixed design"),
+        (
+            ["design", "--photons", "1e3", "--masks", 3, "--design", "pca", "--start", "random"],
+            "pca has its own",
+        ),
     ],
 )
 def test_ranges_and_nests_that_cannot_be(refuse, tmp_path, words, hint):

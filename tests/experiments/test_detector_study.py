@@ -80,6 +80,15 @@ def test_the_table_has_a_row_for_each_number_of_detectors_and_kind_of_dwells():
     assert table.rows[4][3] == "0.930"
 
 
+def test_the_start_is_chosen_on_validation_images_and_not_on_those_of_the_test():
+    better = {"validation": 0.9, "masks": 12, "variant": "start truncated-hadamard"}
+    made = results()
+    other = point("2x2", "2x2", 1e3, 0.65, **better)
+    for points in ([other, *made.points], [*made.points, other]):
+        [table] = study.MNIST.show(made.with_points(points)).tables
+        assert table.rows[1][3] == "0.650 (12)"
+
+
 def test_a_line_for_each_number_of_detectors_and_for_each_budget():
     [picture] = study.MNIST.show(results()).pictures
     by_photons, by_detectors = picture.figure.axes

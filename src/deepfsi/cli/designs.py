@@ -34,6 +34,7 @@ def design(
     readout: options.Readout = None,
     nested: options.Nested = 0,
     levels: options.Levels = 0,
+    start: options.Start = None,
     looks: options.Looks = 1,
     shortest_dwell: options.ShortestDwell = None,
     exposure: options.DesignExposure = None,

@@ -125,6 +125,12 @@ Levels = Annotated[
         help="grey levels of the masks, dark included: 2 for ON and OFF; 0 for continuous values"
     ),
 ]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        help="design that learned masks start from; pca unless given, class-pairs for several looks"
+    ),
+]
 Looks = Annotated[
     int,
     typer.Option(
@@ -390,6 +396,7 @@ def job_settings(
     The options are by the names of their parameters. The data decides how many masks a design of a
     fixed number has; the matrix, (m, N), is the user's own.
     """
+    from deepfsi.optics import codes
     from deepfsi.optics.detection import Detection, read_detectors
     from deepfsi.sweeps.recipe import training_noise
 
@@ -399,10 +406,15 @@ def job_settings(
     labels = read_detectors(options["detectors"])
     detection = Detection.of(labels, data.image_shape)
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix, detection)
+    if options["start"] and not (codes.DESIGNS[design].learned or design == "control"):
+        raise InputError(
+            f"--start is of learned masks, and {design} has its own: leave it out, or give "
+            "--design deepfsi"
+        )
     trained = options["train_noise"] or usual
     same = (
         *("sigma", "light", "rails", "readout", "seed", "nested", "levels", "looks", "epochs"),
-        *("classifier", "balance"),
+        *("start", "classifier", "balance"),
     )
     settings = {name: options[name] for name in same if options[name] is not None}
     return settings | {

@@ -51,7 +51,7 @@ OWN_PAPER = (
 )
 
 Chosen = Mapping[tuple[int, float], Point]
-"""Points at their chosen number of frames, by detectors and budget."""
+"""Points at their chosen number of frames and start, by detectors and budget."""
 
 
 def adapt(recipe: Recipe) -> Recipe:
@@ -87,11 +87,10 @@ def show(results: Results, targets: Targets) -> Finding:
 
 
 def _chosen(results: Results, looking: bool) -> Chosen:
-    return {
-        (detectors_of(point), point.photons): point
-        for point in results.points
-        if point.best and point.recipe.startswith("looks-") == looking
-    }
+    """Of each number of detectors and budget, the start that is best on validation images."""
+    best = (p for p in results.points if p.best and p.recipe.startswith("looks-") == looking)
+    rising = sorted(best, key=lambda p: p.validation or 0.0)
+    return {(detectors_of(point), point.photons): point for point in rising}
 
 
 def _numbers(chosen: Chosen) -> list[int]:
@@ -242,7 +241,8 @@ def _table(fixed: Chosen, looks: Chosen) -> Table:
     lights = budgets(fixed.values())
     rows = [*_rows(fixed, lights, "fixed"), *_rows(looks, lights, "looks")]
     return Table(
-        "Accuracy by detectors and photons, with the number of frames that validation chose",
+        "Accuracy by detectors and photons, with the number of frames that validation chose, as it "
+        "chose the masks that the training starts from",
         ("detectors", "dwells", *(f"{photons_text(photons)} photons" for photons in lights)),
         tuple(rows),
     )
