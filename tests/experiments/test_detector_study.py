@@ -26,8 +26,11 @@ def point(recipe, name, photons, accuracy, **fields):
     return a_point(accuracy, 0.002, recipe=recipe, **given)
 
 
-def results(gain=0.02, **changed):
-    """Results with another accuracy at PLACE (place of the detectors) and PHOTONS."""
+def results(gain=0.02, bare=-0.1, **changed):
+    """Results with another accuracy at PLACE (place of the detectors) and PHOTONS.
+
+    `gain` and `bare` are what looks and a frame that is all ON read more than masks.
+    """
     points = []
     for photons, place in product(LIGHTS, range(4)):
         accuracy = changed.get(f"at_{place}_{photons:g}", ACCURACY[photons][place])
@@ -36,6 +39,9 @@ def results(gain=0.02, **changed):
         if place < 2:
             name = NAMES[place]
             points.append(point(f"looks-{name}", name, photons, accuracy + gain, masks=32))
+    without = {"design": "truncated-hadamard", "masks": 1}
+    for photons, (place, name) in product(LIGHTS, enumerate(("2x2", "4x4", "16x16"), 1)):
+        points.append(point("on", name, photons, ACCURACY[photons][place] + bare, **without))
     for photons in LIGHTS:
         impulse = {"design": "impulse", "light": "column", "masks": 1024, "ratio": 1.0}
         points.append(point("impulse", "1x1", photons, ACCURACY[photons][-1], **impulse))
@@ -45,14 +51,16 @@ def results(gain=0.02, **changed):
 @pytest.mark.parametrize(
     ("changes", "answers"),
     [
-        ({}, [True] * 7),
-        ({"at_1_1000": 0.65}, [False, *[True] * 6]),
-        ({"at_1_10000": 0.939}, [True, None, *[True] * 5]),
-        ({"at_3_10000": 0.96}, [*[True] * 4, False, True, True]),
-        ({"at_3_10000": 0.97}, [*[True] * 4, None, True, True]),
-        ({"gain": -0.02}, [*[True] * 5, False, False]),
-        ({"gain": 0.0005}, [*[True] * 7]),
-        ({"gain": 0.0}, [*[True] * 5, None, None]),
+        ({}, [True] * 9),
+        ({"at_1_1000": 0.65}, [False, *[True] * 8]),
+        ({"at_1_10000": 0.939}, [True, None, *[True] * 7]),
+        ({"at_3_10000": 0.96}, [*[True] * 4, False, *[True] * 4]),
+        ({"at_3_10000": 0.97}, [*[True] * 4, None, *[True] * 4]),
+        ({"bare": 0.01}, [*[True] * 5, False, False, True, True]),
+        ({"bare": 0.0}, [*[True] * 5, None, None, True, True]),
+        ({"gain": -0.02}, [*[True] * 7, False, False]),
+        ({"gain": 0.0005}, [*[True] * 9]),
+        ({"gain": 0.0}, [*[True] * 7, None, None]),
     ],
 )
 def test_claims_answer_to_the_numbers(changes, answers):
@@ -73,6 +81,7 @@ def test_the_table_has_a_row_for_each_number_of_detectors_and_kind_of_dwells():
     assert [row[:2] for row in table.rows] == [
         *((detectors, "fixed") for detectors in (1, 4, 16, 64)),
         (1024, "impulse imaging"),
+        *((detectors, "one frame, all ON") for detectors in (4, 16, 256)),
         *((detectors, "looks") for detectors in (1, 4)),
     ]
     assert table.rows[1][3] == "0.700 (4)"
@@ -93,7 +102,7 @@ def test_a_line_for_each_number_of_detectors_and_for_each_budget():
     [picture] = study.MNIST.show(results()).pictures
     by_photons, by_detectors = picture.figure.axes
     assert len(by_photons.lines) == 5 + 2
-    assert len(by_detectors.lines) == len(LIGHTS) * 2
+    assert len(by_detectors.lines) == len(LIGHTS) * 3
     assert [list(line.get_xdata()) for line in by_detectors.lines[:1]] == [[1, 4, 16, 64, 1024]]
     assert_legible(picture.figure)
     assert_sound(lambda: study.MNIST.show(results()).pictures[0].figure)

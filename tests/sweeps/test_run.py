@@ -75,10 +75,12 @@ def test_every_coarse_recipe_is_sound(settings):
 @pytest.mark.parametrize("settings", RECIPES.values(), ids=RECIPES)
 def test_every_recipe_runs_small(settings, digits, tmp_path):
     nested = settings.get("training", {}).get("nested", 0)
+    detectors = settings.get("detectors", "1x1")
     tiny = {
         "data": "digits",
         "masks": max(4, *nested) if isinstance(nested, list) else max(4, nested),
         "ratios": (),
+        "detectors": detectors if isinstance(detectors, str) else detectors[:2],
         "photons": 1e3,
         "gaussian_photons": 1e3 if "gaussian_photons" in settings else (),
         "trials": 1,

@@ -44,6 +44,14 @@ PALETTE = ("raster", "hadamard", "truncated-hadamard", "pca", "deepfsi")
 REFERENCE = {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))}
 """Line of impulse imaging."""
 
+Look = Mapping[str, object]
+"""Keywords of matplotlib."""
+
+MASKS: Look = {"marker": "o"}
+LOOKS: Look = {"linestyle": "--", "markerfacecolor": PAPER}
+ON: Look = {"linestyle": ":", "marker": "."}
+"""Of lines of masks with fixed dwells, of those with looks, and of one frame that is all ON."""
+
 OWN_PAPER = (
     "Not in the paper, whose light law lets every mask see each pixel for the whole "
     "exposure, as a detector for each pixel would. One device with one detector shares the "
@@ -71,24 +79,36 @@ def detectors_of(point: Point) -> int:
 def show(results: Results, targets: Targets) -> Finding:
     """Lines against photons and detectors, their table, and claims.
 
+    Parts `looks-…` have several looks, part `on` one frame that is all ON; the others have masks
+    with fixed dwells.
+
     Parameters
     ----------
     results : Results
     targets : mapping
         Accuracies that are claimed to be reached.
     """
-    fixed, looks = (_chosen(results, looking) for looking in (False, True))
+    fixed, on, looks = (_chosen(results, kind) for kind in ("fixed", "on", "looks"))
     return Finding(
         _found(results, fixed),
-        (_picture(fixed, looks),),
-        (*_target_claims(fixed, targets), _more_claim(fixed), *_look_claims(fixed, looks)),
-        (_table(fixed, looks),),
+        (_picture(fixed, on, looks),),
+        (
+            *_target_claims(fixed, targets),
+            _more_claim(fixed),
+            *_mask_claims(fixed, on),
+            *_look_claims(fixed, looks),
+        ),
+        (_table(fixed, on, looks),),
     )
 
 
-def _chosen(results: Results, looking: bool) -> Chosen:
+def _kind(part: str) -> str:
+    return "on" if part == "on" else "looks" if part.startswith("looks-") else "fixed"
+
+
+def _chosen(results: Results, kind: str) -> Chosen:
     """Of each number of detectors and budget, the start that is best on validation images."""
-    best = (p for p in results.points if p.best and p.recipe.startswith("looks-") == looking)
+    best = (p for p in results.points if p.best and _kind(p.recipe) == kind)
     rising = sorted(best, key=lambda p: p.validation or 0.0)
     return {(detectors_of(point), point.photons): point for point in rising}
 
@@ -147,6 +167,27 @@ def _more_claim(fixed: Chosen) -> Claim:
     )
 
 
+def _mask_claims(fixed: Chosen, on: Chosen) -> list[Claim]:
+    claims = []
+    for detectors in _numbers(on):
+        gains = {
+            photons: difference(fixed[detectors, photons], on[detectors, photons])
+            for photons in budgets(on.values())
+            if (detectors, photons) in fixed
+        }
+        if gains:
+            photons, least = min(gains.items(), key=lambda item: item[1].low)
+            claims.append(
+                Claim(
+                    f"With {_counted(detectors)} masks read more than one frame that is all ON, at "
+                    "every budget",
+                    above(gains.values()),
+                    f"least at {photons_text(photons)} photons: {least}",
+                )
+            )
+    return claims
+
+
 def _look_claims(fixed: Chosen, looks: Chosen) -> list[Claim]:
     claims = []
     for detectors in _numbers(looks):
@@ -175,44 +216,45 @@ def _frames(point: Point) -> str:
     return f"{point.masks} frame{'s' if point.masks > 1 else ''}"
 
 
-def _picture(fixed: Chosen, looks: Chosen) -> Picture:
+def _picture(fixed: Chosen, on: Chosen, looks: Chosen) -> Picture:
     panels = {
         BUDGET_AXIS: _by_detectors(fixed, looks),
         "number of detectors": [
-            *_by_budget(fixed, looks=False),
-            *_by_budget(looks, looks=True),
+            *_by_budget(fixed, MASKS),
+            *_by_budget(looks, LOOKS),
+            *_by_budget(on, ON),
         ],
     }
     return Picture(
         lines_figure(panels),
         "How many detectors do you need? Accuracy against photons, a line for each number of "
         "detectors, and against detectors, a line for each budget. Dashed and hollow: the dwells "
-        "follow the counts of earlier looks. Bars: 95 % intervals.",
+        "follow the counts of earlier looks. Dotted: no masks, one frame that is all ON. Bars: "
+        "95 % intervals.",
         "Accuracy against photons and against the number of detectors; numbers in the table.",
     )
 
 
-def _look(place: int, looks: bool) -> dict[str, object]:
-    look: dict[str, object] = {"color": COLOURS[PALETTE[place % len(PALETTE)]], "marker": "o"}
-    return look | ({"linestyle": "--", "markerfacecolor": PAPER} if looks else {})
+def _look(place: int, other: Look = MASKS) -> Look:
+    return {"color": COLOURS[PALETTE[place % len(PALETTE)]], **MASKS, **other}
 
 
 def _by_detectors(fixed: Chosen, looks: Chosen) -> list[Line]:
     *own, last = _numbers(fixed)
     lines = [_line(f"{last}, impulse imaging", REFERENCE, fixed, detectors=last)]
     for place, detectors in reversed(list(enumerate(own))):
-        lines.append(_line(_counted(detectors), _look(place, False), fixed, detectors=detectors))
+        lines.append(_line(_counted(detectors), _look(place), fixed, detectors=detectors))
         if detectors in _numbers(looks):
-            lines.append(_line("", _look(place, True), looks, detectors=detectors))
+            lines.append(_line("", _look(place, LOOKS), looks, detectors=detectors))
     return lines
 
 
-def _by_budget(chosen: Chosen, looks: bool) -> list[Line]:
+def _by_budget(chosen: Chosen, look: Look) -> list[Line]:
     every = list(enumerate(budgets(chosen.values())))
     return [
         _line(
-            "" if looks else f"{photons_text(photons)} photons",
-            _look(place, looks),
+            f"{photons_text(photons)} photons" if look == MASKS else "",
+            _look(place, look),
             chosen,
             photons=photons,
         )
@@ -237,9 +279,13 @@ def _line(
     return Line.through(name, look, at)
 
 
-def _table(fixed: Chosen, looks: Chosen) -> Table:
+def _table(fixed: Chosen, on: Chosen, looks: Chosen) -> Table:
     lights = budgets(fixed.values())
-    rows = [*_rows(fixed, lights, "fixed"), *_rows(looks, lights, "looks")]
+    rows = [
+        *_rows(fixed, lights, "fixed"),
+        *_rows(on, lights, "one frame, all ON"),
+        *_rows(looks, lights, "looks"),
+    ]
     return Table(
         "Accuracy by detectors and photons, with the number of frames that validation chose, as it "
         "chose the masks that the training starts from",
