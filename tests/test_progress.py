@@ -24,7 +24,7 @@ def test_a_log_says_how_far_a_task_is_and_what_is_left(capsys, monkeypatch):
         def heard() -> bool:
             nonlocal said
             said += capsys.readouterr().err
-            return "%" in said
+            return "pace\n" in said
 
         until(heard)
     assert re.search(r"^plan: 25% after \d+ s, about \d+ s left at this pace\n", said, re.MULTILINE)

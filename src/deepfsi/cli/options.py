@@ -406,7 +406,7 @@ def job_settings(
     labels = read_detectors(options["detectors"])
     detection = Detection.of(labels, data.image_shape)
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix, detection)
-    if options["start"] and not (codes.DESIGNS[design].learned or design == "control"):
+    if options["start"] and not codes.has_learned_masks(design):
         raise InputError(
             f"--start is of learned masks, and {design} has its own: leave it out, or give "
             "--design deepfsi"

@@ -4,6 +4,7 @@ Each detector sees its own part of the device, and all see the same frames; impu
 for each pixel. The targets are our own.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -14,7 +15,7 @@ from deepfsi.experiments.experiment import Experiment, Finding, budgets
 from deepfsi.report.lines import Line, lines_figure
 from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
-from deepfsi.statistics.differences import above, difference
+from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
 
@@ -41,15 +42,15 @@ TARGETS: Targets = {
 PALETTE = ("raster", "hadamard", "truncated-hadamard", "pca", "deepfsi")
 """Designs whose colours lines take, one after another."""
 
-REFERENCE = {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))}
-"""Line of impulse imaging."""
-
 Look = Mapping[str, object]
 """Keywords of matplotlib."""
 
+REFERENCE: Look = {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))}
+"""Line of impulse imaging."""
+
 MASKS: Look = {"marker": "o"}
-LOOKS: Look = {"linestyle": "--", "markerfacecolor": PAPER}
-ON: Look = {"linestyle": ":", "marker": "."}
+LOOKS: Look = {"marker": "o", "linestyle": "--", "markerfacecolor": PAPER}
+ON: Look = {"marker": ".", "linestyle": ":"}
 """Of lines of masks with fixed dwells, of those with looks, and of one frame that is all ON."""
 
 OWN_PAPER = (
@@ -169,43 +170,41 @@ def _more_claim(fixed: Chosen) -> Claim:
 
 def _mask_claims(fixed: Chosen, on: Chosen) -> list[Claim]:
     claims = []
-    for detectors in _numbers(on):
-        gains = {
-            photons: difference(fixed[detectors, photons], on[detectors, photons])
-            for photons in budgets(on.values())
-            if (detectors, photons) in fixed
-        }
-        if gains:
-            photons, least = min(gains.items(), key=lambda item: item[1].low)
-            claims.append(
-                Claim(
-                    f"With {_counted(detectors)} masks read more than one frame that is all ON, at "
-                    "every budget",
-                    above(gains.values()),
-                    f"least at {photons_text(photons)} photons: {least}",
-                )
+    for detectors, gains in _gains(fixed, on).items():
+        photons, least = min(gains.items(), key=lambda item: item[1].low)
+        claims.append(
+            Claim(
+                f"With {_counted(detectors)} masks read more than one frame that is all ON, at "
+                "every budget",
+                above(gains.values()),
+                f"least at {photons_text(photons)} photons: {least}",
             )
+        )
     return claims
 
 
 def _look_claims(fixed: Chosen, looks: Chosen) -> list[Claim]:
+    expected = {place: point for place, point in looks.items() if point.photons in LOOKED}
     claims = []
-    for detectors in _numbers(looks):
-        gains = {
-            photons: difference(looks[detectors, photons], fixed[detectors, photons])
-            for photons in budgets(looks.values())
-            if photons in LOOKED
-        }
-        if gains:
-            said = (f"{each} at {photons_text(photons)}" for photons, each in gains.items())
-            claims.append(
-                Claim(
-                    f"With {_counted(detectors)} looks read more than fixed dwells",
-                    above(gains.values()),
-                    ", ".join(said) + " photons",
-                )
+    for detectors, gains in _gains(expected, fixed).items():
+        said = (f"{each} at {photons_text(photons)}" for photons, each in gains.items())
+        claims.append(
+            Claim(
+                f"With {_counted(detectors)} looks read more than fixed dwells",
+                above(gains.values()),
+                ", ".join(said) + " photons",
             )
+        )
     return claims
+
+
+def _gains(first: Chosen, second: Chosen) -> dict[int, dict[float, Difference]]:
+    """First less second, by detectors and by budget, both rising, where both were measured."""
+    gains = defaultdict[int, dict[float, Difference]](dict)
+    for place in sorted(first.keys() & second.keys()):
+        detectors, photons = place
+        gains[detectors][photons] = difference(first[place], second[place])
+    return gains
 
 
 def _counted(detectors: int) -> str:
@@ -220,7 +219,7 @@ def _picture(fixed: Chosen, on: Chosen, looks: Chosen) -> Picture:
     panels = {
         BUDGET_AXIS: _by_detectors(fixed, looks),
         "number of detectors": [
-            *_by_budget(fixed, MASKS),
+            *_by_budget(fixed, MASKS, named=True),
             *_by_budget(looks, LOOKS),
             *_by_budget(on, ON),
         ],
@@ -235,26 +234,27 @@ def _picture(fixed: Chosen, on: Chosen, looks: Chosen) -> Picture:
     )
 
 
-def _look(place: int, other: Look = MASKS) -> Look:
-    return {"color": COLOURS[PALETTE[place % len(PALETTE)]], **MASKS, **other}
+def _coloured(look: Look, place: int) -> Look:
+    return {**look, "color": COLOURS[PALETTE[place % len(PALETTE)]]}
 
 
 def _by_detectors(fixed: Chosen, looks: Chosen) -> list[Line]:
     *own, last = _numbers(fixed)
     lines = [_line(f"{last}, impulse imaging", REFERENCE, fixed, detectors=last)]
     for place, detectors in reversed(list(enumerate(own))):
-        lines.append(_line(_counted(detectors), _look(place), fixed, detectors=detectors))
+        masks = _coloured(MASKS, place)
+        lines.append(_line(_counted(detectors), masks, fixed, detectors=detectors))
         if detectors in _numbers(looks):
-            lines.append(_line("", _look(place, LOOKS), looks, detectors=detectors))
+            lines.append(_line("", _coloured(LOOKS, place), looks, detectors=detectors))
     return lines
 
 
-def _by_budget(chosen: Chosen, look: Look) -> list[Line]:
+def _by_budget(chosen: Chosen, look: Look, *, named: bool = False) -> list[Line]:
     every = list(enumerate(budgets(chosen.values())))
     return [
         _line(
-            f"{photons_text(photons)} photons" if look == MASKS else "",
-            _look(place, look),
+            f"{photons_text(photons)} photons" if named else "",
+            _coloured(look, place),
             chosen,
             photons=photons,
         )
@@ -264,7 +264,7 @@ def _by_budget(chosen: Chosen, look: Look) -> list[Line]:
 
 def _line(
     name: str,
-    look: Mapping[str, object],
+    look: Look,
     chosen: Chosen,
     *,
     detectors: int | None = None,

@@ -63,6 +63,11 @@ DESIGNS: dict[str, Code] = {
 }
 
 
+def has_learned_masks(name: str) -> bool:
+    """Tell if masks of a design are learned; those of the control group are, under read noise."""
+    return DESIGNS[name].learned or name == "control"
+
+
 def check_design(name: str) -> str:
     """Return the name of a design, or raise `InputError` that names the closest."""
     check_known("design", name, DESIGNS)

@@ -226,7 +226,7 @@ class Recipe(BaseModel):
     def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
         """Values of each setting of the training of a design."""
         axes = {**self.training, **self.tuned.get(design, {})}
-        if not (codes.DESIGNS[design].learned or design == "control"):
+        if not codes.has_learned_masks(design):
             axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         return axes
 
