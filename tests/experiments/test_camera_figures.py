@@ -12,6 +12,7 @@ from deepfsi.experiments.camera.figures import Accuracy
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.hardware.patterns.devices import Device, find_device
 from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.optics import codes
 from deepfsi.report import style
 from shared.figures import assert_legible
 
@@ -22,6 +23,8 @@ DESIGNS = {
     "raster": ("RS", False),
     "hadamard": ("HB", False),
 }
+TITLES = {design: code.title for design, code in codes.DESIGNS.items()}
+TITLES["deepfsi"] = "DeepFSI, equal dwell"
 EXPOSURES = (1e-4, 1e-3, 1e-2, 1e-1)
 DIGITS = [str(digit) for digit in range(10)]
 
@@ -29,7 +32,14 @@ DIGITS = [str(digit) for digit in range(10)]
 def points(reach=0.03, offset=0.0):
     return [
         Accuracy(
-            design, label, label, specific, exposure, accuracy, accuracy - reach, accuracy + reach
+            design,
+            label,
+            TITLES[design],
+            specific,
+            exposure,
+            accuracy,
+            accuracy - reach,
+            accuracy + reach,
         )
         for place, (design, (label, specific)) in enumerate(DESIGNS.items())
         for step, exposure in enumerate(EXPOSURES)
@@ -89,7 +99,7 @@ def test_exposures_have_lines_and_published_values_open_beside(flux):
     figure = figures.exposure_figure(points(), published, flux=flux)
     assert_legible(figure)
     ax = figure.axes[0]
-    ours = [line for line in ax.get_lines() if line.get_label() in {"DFSI", "HB"}]
+    ours = [line for line in ax.get_lines() if line.get_label() == TITLES["deepfsi"]]
     np.testing.assert_allclose(ours[0].get_ydata(), [0.3, 0.5, 0.7, 0.9])
     open_ones = [
         line
@@ -182,7 +192,7 @@ def test_effects_have_a_column_each_and_exposures_a_row():
     marks = [axes[effect].get_lines()[-1].get_xdata()[0] for effect in ("ambient", "assumed")]
     assert marks == [1e7, 1e5]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        *(label for label, _ in DESIGNS.values()),
+        *(TITLES[design] for design in DESIGNS),
         figures.MARKS,  # the dotted lines are explained
     ]
     breaks = [line for line in axes["ambient"].get_lines() if line.get_ydata()[0] == 0]

@@ -188,12 +188,13 @@ def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
     bar = Line2D([], [], color=style.MUTED, markersize=9, linestyle="none", marker="|")
     keys.append((bar, "95 % interval"))
     keys += [(Line2D([], [], linestyle="none"), word) for word in words if word]
-    inches = [0.5 + 0.072 * len(name) for _, name in keys]
-    fit = int(figure.get_figwidth() / max(inches))
+    names = [name for _, name in keys]
+    room = figure.get_figwidth()
+    in_a_row = sum(style.inches(name, 9) for name in names) < room
     figure.legend(
         *zip(*keys, strict=True),
         loc="outside lower center",
-        ncols=len(keys) if sum(inches) < figure.get_figwidth() else max(1, fit),
+        ncols=len(keys) if in_a_row else style.columns(names, room, 9),
         frameon=False,
         fontsize=9,
         handlelength=1.0,

@@ -6,7 +6,7 @@ Colours on top of a colour map are not the page's own, which change with light a
 import io
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from html import escape
 from typing import Any, Literal, ParamSpec
@@ -195,6 +195,26 @@ SEQUENTIAL = "cividis"
 GREYS = "gray"
 
 AXIS_NOISES: tuple[Literal["gaussian", "poisson"], ...] = ("gaussian", "poisson")
+
+
+def inches(words: str, size: float) -> float:
+    """Width of an entry of a key in inches, about, with its mark; words of `size` points."""
+    return 0.5 + 0.008 * size * max(map(len, words.splitlines()))
+
+
+def columns(words: Iterable[str], width: float, size: float) -> int:
+    """Number of columns of a key that fit a figure, all as wide as the widest entry.
+
+    Parameters
+    ----------
+    words : iterable of str
+        Of the entries.
+    width : float
+        Of the figure, in inches.
+    size : float
+        Of the words, in points.
+    """
+    return max(1, int(width / max(inches(each, size) for each in words)))
 
 
 def thinned(values: Sequence[float], most: int = 7) -> list[float]:

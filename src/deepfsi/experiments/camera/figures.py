@@ -20,7 +20,7 @@ from deepfsi.errors import InputError
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes
 
-MARKS = "ambient light as bright as a scene, or the true budget"
+MARKS = "ambient light as bright as\na scene, or the true budget"
 """Words for the dotted lines among what the laboratory varies."""
 
 DOTTED: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
@@ -204,7 +204,7 @@ def effects_figure(
         list(keys.values()),
         list(keys),
         loc="outside lower center",
-        ncols=-(-len(keys) // 2),
+        ncols=style.columns(keys, figure.get_figwidth(), 8),
         frameon=False,
         fontsize=8,
         handlelength=2.6,
