@@ -401,6 +401,22 @@ def test_products_of_detectors_are_those_of_masks_that_are_dark_elsewhere(capsys
     assert len(capsys.readouterr().out.splitlines()) == 6
 
 
+def test_networks_of_both_types_are_timed_and_compared(capsys, monkeypatch):
+    bench = benchmark("networks")
+    monkeypatch.setattr(bench.rules, "BFLOAT16_WIDTH", bench.rules.BFLOAT16_WIDTH)
+    monkeypatch.setattr(bench, "EPOCHS", 60)
+    monkeypatch.setattr(bench, "SEEDS", 1)
+    monkeypatch.setattr(bench, "BUDGETS", (1e4,))
+    monkeypatch.setattr(bench, "COMPARED", (("free-dwell", 4, "2x2", 2, (16,)),))
+    monkeypatch.setattr(bench, "TIMED", bench.COMPARED)
+    rows = []
+    for words in (["--accuracy"], []):
+        bench.main(["--data", "digits", "--rounds", "1", *words])
+        rows.append(capsys.readouterr().out.splitlines()[-1].split())
+    assert rows[0][:3] == rows[1][:3] == ["4", "2x2", "2"]
+    assert min(map(float, rows[0][4:6])) > 0.5, "accuracies, far above chance"
+
+
 def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch):
     """All are shown, as a busy machine decides which are the largest of a small training."""
     step = benchmark("step")

@@ -11,7 +11,14 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
 from deepfsi.progress import Report
-from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product_dtype
+from deepfsi.training.job import (
+    BFLOAT16_COUNTS,
+    BFLOAT16_WIDTH,
+    Job,
+    TrainingSettings,
+    network_dtype,
+    product_dtype,
+)
 from deepfsi.training.learning import learn, train
 from deepfsi.training.training_set import TrainingSet
 
@@ -123,6 +130,18 @@ def test_a_precision_asked_for_is_used(precision):
     assert product_dtype(Job(masks=2, photons=1e8, training=settings), CPU) == getattr(
         torch, precision
     )
+
+
+def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_processor):
+    def kind(photons=1e4, device=CPU, **settings) -> torch.dtype:
+        training = TrainingSettings(**{"hidden": (BFLOAT16_WIDTH, 40), **settings})
+        return network_dtype(Job(masks=10, photons=photons, training=training), device)
+
+    assert kind() == kind(looks=4) == torch.bfloat16
+    assert kind(hidden=(BFLOAT16_WIDTH - 1, 40)) == kind(hidden=()) == torch.float32
+    assert kind(photons=20.01 * BFLOAT16_COUNTS) == torch.float32
+    assert kind(precision="float32") == kind(device=torch.device("cuda")) == torch.float32
+    assert kind(classifier="module:factory", hidden=(40, 128)) == torch.float32
 
 
 def rounding(digits, masks: int, photons: float) -> float:

@@ -198,11 +198,15 @@ class Replicas(nn.Module):
         Whether their weights are stacked, so that one product serves all: a GPU needs that, while
         a processor is as fast with one after another (`benchmarks/sweep.py`). Call `hand_back`
         after training.
+    dtype : torch.dtype
+        Type of their products; weights and logits are float32.
     """
 
-    def __init__(self, networks: Sequence[nn.Module], stacked: bool) -> None:
+    def __init__(
+        self, networks: Sequence[nn.Module], stacked: bool, dtype: torch.dtype = torch.float32
+    ) -> None:
         super().__init__()
-        self.stacked = stacked
+        self.stacked, self.dtype = stacked, dtype
         self.networks: list[Any] = list(networks)
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         if not stacked:
@@ -215,6 +219,12 @@ class Replicas(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Logits (B, R, C) of features (B, R, m)."""
+        if self.dtype == torch.float32:
+            return self._logits(features)
+        with torch.autocast(features.device.type, self.dtype):
+            return self._logits(features).float()
+
+    def _logits(self, features: Tensor) -> Tensor:
         if len(self.networks) == 1 and not self.stacked:
             return self.networks[0](features.squeeze(1)).unsqueeze(1)
         if not self.stacked:

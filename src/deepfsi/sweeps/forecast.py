@@ -19,7 +19,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
-from deepfsi.training.job import Job, product_dtype
+from deepfsi.training.job import Job, dtypes
 from deepfsi.training.learning import train
 from deepfsi.training.loop import batch_of
 from deepfsi.training.training_set import TrainingSet
@@ -171,8 +171,8 @@ def _kind(batch: Batch, context: SweepContext) -> Any:
     job = batch[0].job
     apart = {"photons", "sigma", "seed", "masks"}
     tests = batch[0].model_dump_json(include={"test_noise", "test_levels", "draws"})
-    kind = product_dtype(job.masks_from(), context.processor)
-    return (job.model_dump_json(exclude=apart), kind, len(batch), tests)
+    kinds = dtypes(job, context.processor)
+    return (job.model_dump_json(exclude=apart), kinds, len(batch), tests)
 
 
 def _steps(job: Job, context: SweepContext) -> int:

@@ -24,13 +24,20 @@ from deepfsi.optics.noise import check_noise
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
 
-REVISION = 2
+REVISION = 3
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
 BFLOAT16_COUNTS = 2.0**14
 """Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.
 
 Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
+"""
+
+BFLOAT16_WIDTH = 256
+"""Units of the widest hidden layer from which a processor is faster with bfloat16 networks.
+
+In float32 an epoch with layers of 512 and 256 takes 1.5 times as long, with 256 and 128 as long,
+and with 40 and 128 eight tenths as long (`benchmarks/networks.py`).
 """
 
 
@@ -271,7 +278,7 @@ class Job(BaseModel):
         """Key that jobs trained together share: all but budget, sigma and seed."""
         # a module of a user's own may draw from torch's global generator: one after another
         apart = set() if self.training.own else {"photons", "sigma", "seed"}
-        return (self.model_dump_json(exclude=apart), product_dtype(self.masks_from(), device))
+        return (self.model_dump_json(exclude=apart), dtypes(self, device))
 
     def masks_from(self) -> "Job":
         """The job that makes the masks: for the control group DeepFSI under gaussian noise."""
@@ -281,7 +288,31 @@ class Job(BaseModel):
 
 
 def product_dtype(job: Job, device: torch.device) -> torch.dtype:
-    """Type of the products of learned masks: bfloat16 where that stays under the readout noise.
+    """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
+    if job.training.precision == "auto" and job.training.looks > 1:
+        return torch.float32  # a chosen mask may have the light of all
+    return _rounded(job, device)
+
+
+def network_dtype(job: Job, device: torch.device) -> torch.dtype:
+    """Type of the products of the networks in training: bfloat16 for wide ones on a processor.
+
+    What they round is centred and scaled, so the rule of `BFLOAT16_COUNTS` holds for them with
+    several looks, too.
+    """
+    wide = max(job.training.hidden, default=0) >= BFLOAT16_WIDTH
+    if device.type != "cpu" or job.training.own or not wide:
+        return torch.float32
+    return _rounded(job, device)
+
+
+def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
+    """Types of the products of a job's masks and of its networks."""
+    return product_dtype(job.masks_from(), device), network_dtype(job, device)
+
+
+def _rounded(job: Job, device: torch.device) -> torch.dtype:
+    """Type whose rounding stays under the readout noise, unless one was asked for.
 
     See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise.
     """
@@ -292,8 +323,6 @@ def product_dtype(job: Job, device: torch.device) -> torch.dtype:
         if device.type == "cuda"
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
-    if job.training.looks > 1:
-        return torch.float32  # a chosen mask may have the light of all
     readouts = job.masks * (2 if job.rails == "dual" else 1)
     counts = job.photons * job.training.span / readouts
     limit = {

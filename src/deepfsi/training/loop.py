@@ -29,7 +29,7 @@ from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, TrainingSettings, network_dtype
 from deepfsi.training.training_set import TrainingSet
 
 Classifier = Mlp | OwnClassifier
@@ -76,8 +76,9 @@ def optimise(
     job, settings, labels = jobs[0], jobs[0].training, training_set.labels
     classifiers, choosers = _networks(jobs, training_set.data, labels.device, classifier)
     stacked = labels.device.type == "cuda"
-    classify = Replicas(classifiers, stacked and not settings.own)
-    choose = Replicas(choosers, stacked)
+    dtype = network_dtype(job, labels.device)
+    classify = Replicas(classifiers, stacked and not settings.own, dtype)
+    choose = Replicas(choosers, stacked, dtype)
     batch = batch_of(settings, len(labels))
     streams = seed_streams(jobs, noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, choose)
