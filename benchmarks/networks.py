@@ -10,6 +10,8 @@ of the medians of their epochs. Accuracies are of test images under exact Poisso
 
 import argparse
 import statistics
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 
@@ -21,8 +23,8 @@ from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
-WIDTHS = {"float32": 10**9, "bfloat16": 0}
-"""Units from which networks are in bfloat16: none, and all."""
+TYPES = {"float32": 10**9, "bfloat16": 0}
+"""Units from which networks are in bfloat16: for none, and for all."""
 
 TIMED = (
     ("free-dwell", 24, "1x1", 1, (40, 128)),
@@ -50,13 +52,27 @@ def jobs_of(kind: tuple, budgets: tuple[float, ...], seeds: int, epochs: int) ->
     ]
 
 
+@contextmanager
+def networks_in(name: str) -> Iterator[None]:
+    """Let all networks have products of one of the `TYPES`."""
+    width, rules.BFLOAT16_WIDTH = rules.BFLOAT16_WIDTH, TYPES[name]
+    try:
+        (job,) = jobs_of(TIMED[0], (1e4,), 1, 1)
+        if rules.network_dtype(job, torch.device("cpu")) != getattr(torch, name):
+            raise SystemExit("this processor has no AVX512-BF16: there is nothing to compare")
+        yield
+    finally:
+        rules.BFLOAT16_WIDTH = width
+
+
 def timed(scenes: TrainingSet, kind: tuple, rounds: int) -> dict[str, float]:
     """Median seconds of an epoch with each type."""
-    seconds: dict[str, list[float]] = {name: [] for name in WIDTHS}
+    seconds: dict[str, list[float]] = {name: [] for name in TYPES}
     for _ in range(rounds):
-        for name, rules.BFLOAT16_WIDTH in WIDTHS.items():
+        for name in TYPES:
             moments = Moments()
-            train(scenes, jobs_of(kind, (1e4,), 1, 2), report=moments.report)
+            with networks_in(name):
+                train(scenes, jobs_of(kind, (1e4,), 1, 2), report=moments.report)
             seconds[name] += moments.epochs(2)
     return {name: statistics.median(values) for name, values in seconds.items()}
 
@@ -64,8 +80,9 @@ def timed(scenes: TrainingSet, kind: tuple, rounds: int) -> dict[str, float]:
 def accuracies(scenes: TrainingSet, kind: tuple, photons: float) -> dict[str, list[float]]:
     """Test accuracy of each seed with each type."""
     found = {}
-    for name, rules.BFLOAT16_WIDTH in WIDTHS.items():
-        designs = [train(scenes, [job])[0] for job in jobs_of(kind, (photons,), SEEDS, EPOCHS)]
+    for name in TYPES:
+        with networks_in(name):
+            designs = [train(scenes, [job])[0] for job in jobs_of(kind, (photons,), SEEDS, EPOCHS)]
         found[name] = [
             evaluate(each, scenes.data, photons, draws=1)[0].accuracy for each in designs
         ]

@@ -403,7 +403,8 @@ def test_products_of_detectors_are_those_of_masks_that_are_dark_elsewhere(capsys
 
 def test_networks_of_both_types_are_timed_and_compared(capsys, monkeypatch):
     bench = benchmark("networks")
-    monkeypatch.setattr(bench.rules, "BFLOAT16_WIDTH", bench.rules.BFLOAT16_WIDTH)
+    width = bench.rules.BFLOAT16_WIDTH
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
     monkeypatch.setattr(bench, "EPOCHS", 60)
     monkeypatch.setattr(bench, "SEEDS", 1)
     monkeypatch.setattr(bench, "BUDGETS", (1e4,))
@@ -415,6 +416,10 @@ def test_networks_of_both_types_are_timed_and_compared(capsys, monkeypatch):
         rows.append(capsys.readouterr().out.splitlines()[-1].split())
     assert rows[0][:3] == rows[1][:3] == ["4", "2x2", "2"]
     assert min(map(float, rows[0][4:6])) > 0.5, "accuracies, far above chance"
+    assert width == bench.rules.BFLOAT16_WIDTH
+    monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
+    with pytest.raises(SystemExit, match="no AVX512-BF16"):
+        bench.main(["--data", "digits"])
 
 
 def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch):

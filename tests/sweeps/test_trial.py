@@ -145,6 +145,12 @@ def test_readout_is_that_in_force(digits):
     assert {each.job.readout for each in told} == {"both"}
 
 
+def test_the_precision_asked_for_is_that_of_every_design(digits):
+    trials = plan(small(training={"precision": "float32"}), digits)
+    found = {(each.job.design, each.job.training.precision) for each in trials}
+    assert found == {("pca", "float32"), ("deepfsi", "float32")}
+
+
 def test_mask_counts_are_those_of_a_part(digits):
     settings = {**TILES, "masks": (6, 20), "detectors": "2x2"}
     trials = plan(small(designs=("raster", "deepfsi", "impulse"), **settings), digits)

@@ -118,6 +118,27 @@ def test_bfloat16_only_where_rounding_stays_under_the_noise(fast_processor, limi
     assert product_dtype(Job(masks=10, photons=limit * 1.01, **settings), CPU) == torch.float32
 
 
+def test_rounding_is_that_of_the_readout_with_most_light(fast_processor):
+    """Nested masks may give all light to the first, looks to one, and raster has one rail."""
+
+    def limit(design="deepfsi", **settings) -> float:
+        training = TrainingSettings(hidden=(BFLOAT16_WIDTH,), **settings)
+        found = [
+            masks
+            for masks in (1, 2, 4, 8, 16)
+            if network_dtype(
+                Job(design=design, masks=8, photons=masks * BFLOAT16_COUNTS, training=training), CPU
+            )
+            == torch.bfloat16
+        ]
+        return max(found)
+
+    assert limit() == 16
+    assert limit(nested=2) == 4
+    assert limit(looks=4) == 2
+    assert limit("raster") == 8
+
+
 def test_no_noise_or_no_fast_processor_means_float32(fast_processor, monkeypatch):
     assert product_dtype(Job(masks=10, photons=1e2, noise="none"), CPU) == torch.float32
     monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
@@ -137,11 +158,12 @@ def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_p
         training = TrainingSettings(**{"hidden": (BFLOAT16_WIDTH, 40), **settings})
         return network_dtype(Job(masks=10, photons=photons, training=training), device)
 
-    assert kind() == kind(looks=4) == torch.bfloat16
+    assert kind() == torch.bfloat16
     assert kind(hidden=(BFLOAT16_WIDTH - 1, 40)) == kind(hidden=()) == torch.float32
     assert kind(photons=20.01 * BFLOAT16_COUNTS) == torch.float32
+    assert kind(photons=1e8, precision="bfloat16") == torch.bfloat16
     assert kind(precision="float32") == kind(device=torch.device("cuda")) == torch.float32
-    assert kind(classifier="module:factory", hidden=(40, 128)) == torch.float32
+    assert kind(classifier="module:factory") == torch.float32
 
 
 def rounding(digits, masks: int, photons: float) -> float:

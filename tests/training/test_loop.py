@@ -10,10 +10,11 @@ import torch
 
 from conftest import RECIPE, every_optics, quick, same, synthetic
 from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Replicas
+from deepfsi.design.classifiers import Mlp, Replicas
+from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import Report
 from deepfsi.training import loop
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import BFLOAT16_WIDTH, Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -117,6 +118,29 @@ def test_seeds_train_together_as_alone(digits, monkeypatch, design, change):
         for one, other in zip(together, alone, strict=True):
             assert apart(one, other, varies) <= tight
         assert apart(together[0], together[2], varies) > 0.01
+
+
+@pytest.mark.parametrize("looks", [1, 2])
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_wide_networks_have_products_of_the_type_asked_for(digits, monkeypatch, looks, precision):
+    """Also the one that chooses dwells; the seed repeats exactly, and the design reads digits."""
+    wide = {"hidden": (BFLOAT16_WIDTH,), "looks": looks, "precision": precision}
+    optics = {"light": "free-dwell", "rails": "single", "noise": "poisson"}
+    job = Job(masks=6, photons=1e4, training=SETTINGS.model_copy(update=wide), **optics)
+    dtypes, forward = set(), Mlp.forward
+
+    def watched(self, features):
+        logits = forward(self, features)
+        if self.training:
+            dtypes.add(logits.dtype)
+        return logits
+
+    monkeypatch.setattr(Mlp, "forward", watched)
+    first, again = (train(TrainingSet(digits, "cpu"), [job])[0] for _ in range(2))
+    assert dtypes == {getattr(torch, precision)}
+    monkeypatch.undo()
+    assert same(first, again)
+    assert evaluate(first, digits, 1e4, draws=1)[0].accuracy > 0.5
 
 
 def test_replicas_learn_for_their_own_budget(digits):

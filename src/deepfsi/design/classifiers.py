@@ -199,7 +199,7 @@ class Replicas(nn.Module):
         a processor is as fast with one after another (`benchmarks/sweep.py`). Call `hand_back`
         after training.
     dtype : torch.dtype
-        Type of their products; weights and logits are float32.
+        Type of their products; weights stay float32, and logits are returned as such.
     """
 
     def __init__(

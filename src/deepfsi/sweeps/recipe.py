@@ -63,7 +63,7 @@ Noise = Annotated[str, AfterValidator(check_noise)]
 RATIOS_OR_MASKS = "give ratios or masks, not both"
 """Said where a recipe has both."""
 
-MASK_SETTINGS = ("start", "mask_lr", "precision")
+MASK_SETTINGS = ("start", "mask_lr")
 """Settings of the training that only learned masks have."""
 
 MLP_SETTINGS, OWN_SETTINGS = ("hidden", "dropout"), ("classifier_arguments",)

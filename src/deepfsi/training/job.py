@@ -33,7 +33,7 @@ BFLOAT16_COUNTS = 2.0**14
 Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
 """
 
-BFLOAT16_WIDTH = 256
+BFLOAT16_WIDTH = 512
 """Units of the widest hidden layer from which a processor is faster with bfloat16 networks.
 
 In float32 an epoch with layers of 512 and 256 takes 1.5 times as long, with 256 and 128 as long,
@@ -115,7 +115,8 @@ class TrainingSettings(BaseModel):
     start: Start = Field("pca", description="design that learned masks start from")
     precision: Precision = Field(
         "auto",
-        description="type of the products; auto: bfloat16 where its rounding is below the noise",
+        description="type of the products of learned masks, and on a processor of networks with a "
+        f"layer of {BFLOAT16_WIDTH} or more; auto: bfloat16 where its rounding is below the noise",
     )
     levels: Levels = Field(
         0, description="grey levels of the device, dark included, that masks are made of; 0: any"
@@ -290,16 +291,12 @@ class Job(BaseModel):
 def product_dtype(job: Job, device: torch.device) -> torch.dtype:
     """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
     if job.training.precision == "auto" and job.training.looks > 1:
-        return torch.float32  # a chosen mask may have the light of all
+        return torch.float32  # bfloat16 was not tried
     return _rounded(job, device)
 
 
 def network_dtype(job: Job, device: torch.device) -> torch.dtype:
-    """Type of the products of the networks in training: bfloat16 for wide ones on a processor.
-
-    What they round is centred and scaled, so the rule of `BFLOAT16_COUNTS` holds for them with
-    several looks, too.
-    """
+    """Type of the products of the networks in training: bfloat16 for wide ones on a processor."""
     wide = max(job.training.hidden, default=0) >= BFLOAT16_WIDTH
     if device.type != "cpu" or job.training.own or not wide:
         return torch.float32
@@ -314,7 +311,8 @@ def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
 def _rounded(job: Job, device: torch.device) -> torch.dtype:
     """Type whose rounding stays under the readout noise, unless one was asked for.
 
-    See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise.
+    See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise. The
+    light of all masks may come to the first of nested ones, and with looks to a single readout.
     """
     if job.training.precision != "auto":
         return getattr(torch, job.training.precision)
@@ -323,7 +321,8 @@ def _rounded(job: Job, device: torch.device) -> torch.dtype:
         if device.type == "cuda"
         else torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
-    readouts = job.masks * (2 if job.rails == "dual" else 1)
+    masks = 1 if job.training.looks > 1 else job.training.nested or job.masks
+    readouts = masks * (2 if job.optics[1] == "dual" else 1)
     counts = job.photons * job.training.span / readouts
     limit = {
         "ml_gauss": BFLOAT16_COUNTS,

@@ -160,7 +160,7 @@ def learn(
     start : str, optional
         Design that learned masks start from; pca, or class-pairs for several looks unless given.
     precision : {"auto", "float32", "bfloat16"}
-        Of the products of training.
+        Of the products of training, of learned masks and of wide networks.
     classifier : nn.Module, callable or str
         "mlp", or one of your own: a module from (batch, inputs) standardised features to (batch,
         C) logits, of which a copy is trained; a factory of it, ``factory(inputs, classes)`` or
