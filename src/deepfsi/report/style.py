@@ -199,7 +199,7 @@ AXIS_NOISES: tuple[Literal["gaussian", "poisson"], ...] = ("gaussian", "poisson"
 
 def inches(words: str, size: float) -> float:
     """Width of an entry of a key in inches, about, with its mark; words of `size` points."""
-    return 0.6 + 0.008 * size * max(map(len, words.splitlines()))
+    return 0.5 + 0.008 * size * max(map(len, words.splitlines()))
 
 
 def columns(words: Iterable[str], width: float, size: float) -> int:
