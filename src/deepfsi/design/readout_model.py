@@ -4,7 +4,7 @@ The *brightness* of an exposure is all its counts over those of the mean scene. 
 readouts less their mean shares of all counts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,9 +83,7 @@ class ReadoutModel:
         off = (read - sums * self.share) / scale
         floor = self.rest + np.square(READOUT_ERROR * self.share)
         pattern = np.empty(len(read))
-        levels, place = np.unique(np.column_stack([expected, dark]), axis=0, return_inverse=True)
-        for k, level in enumerate(levels):
-            rows = place.ravel() == k
+        for level, rows in _levels(np.column_stack([expected, dark])):
             noise = (self.share + level[1:] / level[0]) / level[0] + floor
             pattern[rows] = _distance(off[rows], noise, self.directions)
         return brightness, pattern
@@ -104,6 +102,17 @@ class ReadoutModel:
             off = off + sign * (read - mean) / scale
             power = power + (np.maximum(mean, self.share) + dark) / np.square(scale)
         return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST)
+
+
+def _levels(every: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Different rows (q,) of an array (n, q), each with where it is (n,)."""
+    first = every[0]
+    if (every == first).all():  # most often, and sorting long rows is slow
+        yield first, np.ones(len(every), dtype=bool)
+        return
+    levels, place = np.unique(every, axis=0, return_inverse=True)
+    for k, level in enumerate(levels):
+        yield level, place.ravel() == k
 
 
 def _distance(off: np.ndarray, noise: np.ndarray, directions: np.ndarray) -> np.ndarray:
