@@ -32,7 +32,7 @@ ONE_DMD = {"light": "free-dwell", "rails": "single"}
 
 def seeing(digits, photons=1e3, **settings) -> Design:
     """A design of several looks, from a training of a moment."""
-    words = {**RECIPE, **ONE_DMD, "looks": LOOKS, "scale": "common", **settings}
+    words = {**RECIPE, **ONE_DMD, "looks": LOOKS, "scale": "common", "device": "cpu", **settings}
     return learn(digits, photons=photons, masks=words.pop("masks", 6), **words)
 
 

@@ -24,7 +24,7 @@ ROUNDING = 1e-5
 
 @pytest.fixture(scope="module")
 def looking(digits) -> Design:
-    words = {**RECIPE, **ONE_DMD, "looks": 3, "scale": "common"}
+    words = {**RECIPE, **ONE_DMD, "looks": 3, "scale": "common", "device": "cpu"}
     return learn(digits, photons=1e3, masks=10, shortest_dwell=SHORTEST, **words)
 
 
@@ -62,7 +62,7 @@ def test_no_look_has_a_frame_below_the_shortest(looking):
     "optics", [ONE_DMD, {"light": "free-dwell"}, {"light": "two-arm"}], ids=str
 )
 def test_no_frame_of_a_sequence_is_below_the_shortest(digits, optics, levels):
-    words = {**RECIPE, **optics, "levels": levels}
+    words = {**RECIPE, **optics, "levels": levels, "device": "cpu"}
     design = learn(digits, photons=1e3, masks=20, shortest_dwell=SHORTEST, **words)
     rails = design.rails.sum(dim=0, keepdim=True) if "two-arm" in optics.values() else design.rails
     dwells = rails.amax(dim=-1).numpy()

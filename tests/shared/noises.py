@@ -8,13 +8,13 @@ from deepfsi.optics.noise import root
 
 def photons(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """The package's ml_gauss, written again."""
-    return rates + root(rates) * torch.randn(rates.shape, generator=generator)
+    return rates + root(rates) * torch.randn(rates.shape, generator=generator, device=rates.device)
 
 
 def saturating(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """A detector that saturates at a thousand counts: another mean than the rates."""
     seen = rates / (1 + rates / 1000)
-    return seen + root(seen) * torch.randn(rates.shape, generator=generator)
+    return seen + root(seen) * torch.randn(rates.shape, generator=generator, device=rates.device)
 
 
 def exact(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:

@@ -18,10 +18,11 @@ def train_trials(
     data: Dataset,
     folder: Path,
     matrix: np.ndarray | None = None,
+    device: str = "auto",
     **workers: Any,
 ) -> list[dict[str, Any]]:
     """Records of trials of one data set, by `Workers(**workers)`."""
-    context = SweepContext(data, trials[0].validation, matrix=matrix)
+    context = SweepContext(data, trials[0].validation, device, matrix=matrix)
     return run_trials(trials, context, folder, Workers(**workers))
 
 

@@ -55,6 +55,30 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
     assert len(train_trials(trials, digits, tmp_path)) == len(trials)
 
 
+def test_less_memory_than_was_planned_with_takes_smaller_batches(digits, monkeypatch):
+    """As where other processes have taken it meanwhile."""
+    trials = plan(small(designs="deepfsi", masks=6, photons=(1e2, 1e3, 1e4)), digits)
+    sweep, real, sizes = SweepContext(digits, 0, "cpu"), context.train, []
+
+    def train(scenes, jobs, *rest):
+        sizes.append(len(jobs))
+        return real(scenes, jobs, *rest)
+
+    monkeypatch.setattr(context, "train", train)
+    two = footprint(sweep.training_set, [trial.job for trial in trials[:2]])
+    monkeypatch.setattr(loop, "free_memory", lambda: two)
+    assert len(sweep.train(trials)) == len(trials)
+    assert sizes == [2, 1]
+
+
+def test_memory_that_torch_keeps_on_a_gpu_is_free(monkeypatch):
+    """8 GB of its 10 are used by no tensor; the device has 5 GB besides."""
+    for name, value in (("mem_get_info", (5e9, 80e9)), ("memory_reserved", 10e9)):
+        monkeypatch.setattr(torch.cuda, name, lambda device, value=value: value)
+    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2e9)
+    assert loop.memory_for(torch.device("cuda")) == 13e9
+
+
 def test_every_trial_is_in_one_batch(digits):
     trials = plan(small(trials=3, photons=(1e2, 1e7)), digits)
     sweep = SweepContext(digits, 0, "cpu")
@@ -110,7 +134,7 @@ def test_what_does_not_fit_the_memory_is_refused_before_any_work(digits, monkeyp
     held = sweep.training_set.full.nbytes
     monkeypatch.setattr(loop, "free_memory", lambda: need - held - 1)
     with pytest.raises(InputError, match=r"1437 scenes of 64 pixels.*GB are free: give fewer"):
-        learn(digits, photons=1e3, masks=6)
+        learn(digits, photons=1e3, masks=6, device="cpu")
     with pytest.raises(InputError, match=r"6 masks and 1 processes need"):
         sweep.batches(trials[:1])
     monkeypatch.setattr(loop, "free_memory", lambda: need - held)

@@ -23,13 +23,13 @@ def recipe(**changes) -> Recipe:
 def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
     trials = plan(recipe(), digits)
     assert {trial.variant for trial in trials} == {"classifier mlp", f"classifier {CNN}"}
-    records = train_trials(trials, digits, tmp_path)
+    records = train_trials(trials, digits, tmp_path, device="cpu")
     for trial, record in zip(trials, records, strict=True):
         if trial.job.training.own:
             design = Design.load(tmp_path / f"designs/{record['design']}.safetensors", trust=True)
             alone = learn(
                 digits.hold_out(trial.validation), photons=trial.job.photons, masks=4,
-                design="pca", epochs=1, classifier=CNN,
+                design="pca", epochs=1, classifier=CNN, device="cpu",
             )  # fmt: skip
             assert same(design, alone)
     assert {row["classifier"] for row in rows(records)} == {"mlp", CNN}

@@ -17,7 +17,7 @@ from shared.trials import small, train_trials
 
 def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
     trials = plan(small(), digits)
-    first = train_trials(trials, digits, tmp_path)
+    first = train_trials(trials, digits, tmp_path, device="cpu")
     monkeypatch.setattr(context, "train", lambda *_: pytest.fail("a finished trial was repeated"))
     assert train_trials(trials, digits, tmp_path) == first
     record = first[-1]

@@ -121,7 +121,7 @@ def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):
     trials = plan(recipe, digits)
     assert {trial.job.noise for trial in trials} == {"camera", "shared.noises:saturating"}
     assert all(trial.job.dark == 5e3 and trial.source_hash for trial in trials)
-    records = train_trials(trials, digits, tmp_path)
+    records = train_trials(trials, digits, tmp_path, device="cpu")
     assert [test["noise"] for test in records[0]["test"]] == list(recipe.test_noise)
     made = Design.load(tmp_path / f"designs/{records[0]['design']}.safetensors")
     [alone] = evaluate(made, digits, 1e4, noise="camera", sigma=2.0, dark=5e3, draws=1)

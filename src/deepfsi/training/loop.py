@@ -239,8 +239,11 @@ def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 
 
 
 def memory_for(device: torch.device) -> float:
-    """Bytes that are free on a device."""
-    return float(torch.cuda.mem_get_info(device)[0]) if device.type == "cuda" else free_memory()
+    """Bytes that this process may take on a device."""
+    if device.type != "cuda":
+        return free_memory()
+    kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return float(torch.cuda.mem_get_info(device)[0] + kept)  # torch keeps what it has freed
 
 
 def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
