@@ -251,6 +251,12 @@ def test_every_design_reads_digits_in_bright_light(digits, design):
     assert evaluate(one, digits, 1e8)[0].accuracy > 0.6
 
 
+def test_designs_that_do_not_learn_have_no_start(digits):
+    with pytest.raises(InputError, match="pca has its own: leave it out"):
+        quick(digits, "pca", start="random")
+    assert quick(digits, "control", start="random").masks
+
+
 @pytest.mark.parametrize("shape", [(12, 10), (10,), (3, 8)])
 @pytest.mark.parametrize("design", ["deepfsi", "truncated-hadamard", "hadamard", "s-matrix", "pca"])
 def test_scenes_may_have_any_shape(shape, design):

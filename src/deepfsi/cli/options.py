@@ -396,7 +396,6 @@ def job_settings(
     The options are by the names of their parameters. The data decides how many masks a design of a
     fixed number has; the matrix, (m, N), is the user's own.
     """
-    from deepfsi.optics import codes
     from deepfsi.optics.detection import Detection, read_detectors
     from deepfsi.sweeps.recipe import training_noise
 
@@ -406,11 +405,6 @@ def job_settings(
     labels = read_detectors(options["detectors"])
     detection = Detection.of(labels, data.image_shape)
     design, masks = _design_and_masks(options["name"], options["masks"], data, matrix, detection)
-    if options["start"] and not codes.has_learned_masks(design):
-        raise InputError(
-            f"--start is of learned masks, and {design} has its own: leave it out, or give "
-            "--design deepfsi"
-        )
     trained = options["train_noise"] or usual
     same = (
         *("sigma", "light", "rails", "readout", "seed", "nested", "levels", "looks", "epochs"),

@@ -18,7 +18,7 @@ from deepfsi.design.exposure import FixedDwells
 from deepfsi.design.memory import Memory
 from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.optics import constraints, tiles
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import brightness, check_budget, check_one_budget
 from deepfsi.optics.constraints import Light, Rails
 from deepfsi.optics.detection import Detectors, Readout
@@ -201,6 +201,11 @@ def learn(
         )
         named = {name: given[name] for name in Job.model_fields if name in given}
         job = Job(**named, training=training)
+    if start and not codes.has_learned_masks(design):
+        raise InputError(
+            f"`start` is of learned masks, and {design} has its own: leave it out, or give "
+            '`design="deepfsi"`'
+        )
     training_set = TrainingSet(as_dataset(data), device)
 
     def train_at(photons: float, bar: Report) -> Design:
