@@ -42,6 +42,18 @@ def known():
     return find_distribution(torch.from_numpy(rates), labels, CLASSES)
 
 
+def test_exposures_of_other_light_and_background_are_compared_each_with_its_own(known):
+    rng = np.random.default_rng(5)
+    photons, dark = np.array([1e3, 1e5, 1e3, 1e3]), np.array([0.0, 0.0, 40.0, 0.0])
+    background = dark[:, None, None] * np.ones(READOUTS)
+    rates, _ = scenes_of(len(photons), seed=6)
+    counts = rng.poisson(rates * photons[:, None, None] + background) - background
+    counts[:, 1, 3] = 0
+    each = zip(counts, photons, background, strict=True)
+    alone = [known.test(*(part[None] for part in one)).exposures[0] for one in each]
+    assert known.test(counts, photons, background).exposures == pytest.approx(alone, rel=1e-9)
+
+
 @pytest.mark.parametrize("dark", [0.0, 0.3, 3.0])
 @pytest.mark.parametrize("photons", [30.0, 1e3, 2e4, 5e5, 1e9])
 def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):
