@@ -42,9 +42,14 @@ def known():
     return find_distribution(torch.from_numpy(rates), labels, CLASSES)
 
 
-def test_exposures_of_other_light_and_background_are_compared_each_with_its_own(known):
+@pytest.mark.parametrize(
+    ("photons", "dark"), [((1e3, 1e5, 1e3), (0, 0, 0)), ((1e3, 1e3, 1e3), (0, 40, 0))]
+)
+def test_exposures_of_other_light_or_background_are_compared_each_with_its_own(
+    known, photons, dark
+):
     rng = np.random.default_rng(5)
-    photons, dark = np.array([1e3, 1e5, 1e3, 1e3]), np.array([0.0, 0.0, 40.0, 0.0])
+    photons, dark = np.array(photons), np.array(dark)
     background = dark[:, None, None] * np.ones(READOUTS)
     rates, _ = scenes_of(len(photons), seed=6)
     counts = rng.poisson(rates * photons[:, None, None] + background) - background

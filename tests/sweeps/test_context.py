@@ -55,22 +55,6 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
     assert len(train_trials(trials, digits, tmp_path)) == len(trials)
 
 
-def test_less_memory_than_was_planned_with_takes_smaller_batches(digits, monkeypatch):
-    """As where other processes have taken it meanwhile."""
-    trials = plan(small(designs="deepfsi", masks=6, photons=(1e2, 1e3, 1e4)), digits)
-    sweep, real, sizes = SweepContext(digits, 0, "cpu"), context.train, []
-
-    def train(scenes, jobs, *rest):
-        sizes.append(len(jobs))
-        return real(scenes, jobs, *rest)
-
-    monkeypatch.setattr(context, "train", train)
-    two = footprint(sweep.training_set, [trial.job for trial in trials[:2]])
-    monkeypatch.setattr(loop, "free_memory", lambda: two)
-    assert len(sweep.train(trials)) == len(trials)
-    assert sizes == [2, 1]
-
-
 def test_memory_that_torch_keeps_on_a_gpu_is_free(monkeypatch):
     """8 GB of its 10 are used by no tensor; the device has 5 GB besides."""
     for name, value in (("mem_get_info", (5e9, 80e9)), ("memory_reserved", 10e9)):

@@ -254,6 +254,8 @@ def test_every_design_reads_digits_in_bright_light(digits, design):
 def test_designs_that_do_not_learn_have_no_start(digits):
     with pytest.raises(InputError, match="pca has its own: leave it out"):
         quick(digits, "pca", start="random")
+    with pytest.raises(InputError, match="did you mean 'hadamard'"):
+        quick(digits, "hadamrd", start="random")
     assert quick(digits, "control", start="random").masks
 
 

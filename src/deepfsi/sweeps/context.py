@@ -1,5 +1,6 @@
 """Trials of masks that see whole scenes: batched, trained and tested."""
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import cached_property
@@ -132,11 +133,11 @@ class SweepContext:
     def train(self, batch: Batch, report: Report = SILENT) -> list[Done[Trial]]:
         """Train and test one batch.
 
-        In parts where this machine would batch otherwise than the one that planned or has less
-        memory now, in halves where a GPU's memory does not hold it whole, and one by one where a
-        trial diverges; that one's record is None.
+        In parts where this machine would batch otherwise than the one that planned, in halves where
+        a GPU's memory does not hold it whole, and one by one where a trial diverges; that one's
+        record is None.
         """
-        parts = self.batches_within(batch, memory_for(self.processor))
+        parts = self.batches_within(batch, math.inf)
         if len(parts) > 1:
             each = zip(parts, report.parts(len(parts)), strict=True)
             return [done for part, span in each for done in self.train(part, span)]

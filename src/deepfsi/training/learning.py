@@ -201,7 +201,7 @@ def learn(
         )
         named = {name: given[name] for name in Job.model_fields if name in given}
         job = Job(**named, training=training)
-    if start and not codes.has_learned_masks(design):
+    if start and not codes.has_learned_masks(codes.check_design(design)):
         raise InputError(
             f"`start` is of learned masks, and {design} has its own: leave it out, or give "
             '`design="deepfsi"`'
