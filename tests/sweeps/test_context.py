@@ -1,5 +1,7 @@
 """Trials of whole scenes: batched, trained and tested."""
 
+import weakref
+
 import numpy as np
 import pytest
 import torch
@@ -53,6 +55,26 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
     trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)
     monkeypatch.setattr(context, "train", train)
     assert len(train_trials(trials, digits, tmp_path)) == len(trials)
+
+
+def test_a_failed_batch_is_freed_before_its_parts_are_trained(digits, monkeypatch):
+    """Otherwise the smaller parts find the memory full, too."""
+
+    real, held = context.train, []
+
+    def train(scenes, jobs, *rest):
+        assert all(each() is None for each in held)
+        if len(jobs) == 1:
+            return real(scenes, jobs, *rest)
+        work = np.zeros(3)
+        held.append(weakref.ref(work))
+        raise (torch.OutOfMemoryError if len(jobs) > 2 else context.Diverged)
+
+    trials = plan(small(photons=(1e2, 1e3, 1e4)), digits)[:4]
+    monkeypatch.setattr(context, "train", train)
+    monkeypatch.setattr(SweepContext, "batches_within", lambda self, batch, limit: [batch])
+    assert len(SweepContext(digits, 0, "cpu").train(trials)) == len(trials)
+    assert len(held) == 3
 
 
 def test_memory_that_torch_keeps_on_a_gpu_is_free(monkeypatch):

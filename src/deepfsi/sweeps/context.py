@@ -148,18 +148,23 @@ class SweepContext:
         except Diverged:
             if len(batch) == 1:
                 return [(batch[0], None, None)]
-            return [done for trial in batch for done in self.train([trial])]
+            again = [[trial] for trial in batch]
         except torch.OutOfMemoryError:
             if len(batch) == 1:
                 raise InputError(
                     f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
                 ) from None
-            middle = len(batch) // 2
-            return self.train(batch[:middle]) + self.train(batch[middle:])
+            again = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
+        else:
+            return self._done(batch, designs, testing)
+        # after the error is gone, and with it what the failed batch held
+        return [done for part in again for done in self.train(part)]
+
+    def _done(self, batch: Batch, designs: list[Design], report: Report) -> list[Done[Trial]]:
         found: list[Done[Trial]] = []
         for trial, design in zip(batch, designs, strict=True):
             found.append((trial, self.record(trial, design), design.to_bytes()))
-            testing(len(found) / len(batch))
+            report(len(found) / len(batch))
         return found
 
     def record(self, trial: Trial, design: Design) -> dict[str, Any]:
