@@ -13,7 +13,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import Report
-from deepfsi.training import loop
+from deepfsi.training import learning, loop
 from deepfsi.training.job import BFLOAT16_WIDTH, Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -66,7 +66,10 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
 
 
 @every_optics
-@pytest.mark.parametrize(("design", "tight"), [("pca", 1e-5), ("deepfsi", 1e-3), ("control", 1e-2)])
+@pytest.mark.parametrize(
+    ("design", "tight"),
+    [("pca", 1e-5), ("random", 1e-5), ("deepfsi", 1e-3), ("control", 1e-2)],
+)
 def test_replicas_train_together_as_alone(digits, design, light, rails, tight):
     """Up to float32 rounding, after 42 steps; learned masks where a pixel varies."""
     varies = torch.from_numpy(digits.x_train.std(axis=0) > 0.01)
@@ -80,6 +83,18 @@ def test_replicas_draw_the_same_counts_together_as_alone(digits, light, rails):
     """Masks that learn do not: where rounding moves a rate, all draws after it may differ."""
     for one, alone in together_and_alone(digits, "pca", light, rails, "poisson"):
         assert apart(one, alone, torch.arange(64)) <= 1e-6
+
+
+def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
+    """Photons do not change them; seeds do."""
+    made, fixed = [], learning.Fixed
+    monkeypatch.setattr(learning, "Fixed", lambda rails: made.append(len(rails)) or fixed(rails))
+    alike = {"design": "random", "masks": 6, "training": SETTINGS}
+    for seeds in ((3, 3, 3), (3, 4, 5)):
+        pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)
+        jobs = [Job(seed=seed, photons=photons, **alike) for seed, photons in pairs]
+        train(TrainingSet(digits, "cpu"), jobs)
+    assert made == [1, 3]
 
 
 def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):

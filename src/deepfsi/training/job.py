@@ -288,6 +288,12 @@ class Job(BaseModel):
         return self.model_copy(update={"design": "deepfsi", "noise": "gaussian"})
 
 
+def seeds_of_matrices(jobs: Sequence[Job]) -> list[int]:
+    """Seed of each matrix that jobs trained together are drawn from; one where all share it."""
+    seeds = [job.seed for job in jobs]
+    return seeds if jobs[0].drawn_from == "random" and len(set(seeds)) > 1 else seeds[:1]
+
+
 def product_dtype(job: Job, device: torch.device) -> torch.dtype:
     """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
     if job.training.precision == "auto" and job.training.looks > 1:

@@ -42,6 +42,7 @@ from deepfsi.training.job import (
     check_job,
     check_jobs,
     own_rails,
+    seeds_of_matrices,
     training_for,
 )
 from deepfsi.training.loop import Classifier, check_fits, optimise
@@ -296,8 +297,7 @@ def _initial_masks(
     if matrix is not None:
         own = own_rails(matrix, light, rails).unsqueeze(0)
         return Fixed(quantise(own, light, levels) if levels else own)
-    seeds = [each.seed for each in jobs] if job.drawn_from == "random" else [job.seed]
-    signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds])
+    signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds_of_matrices(jobs)])
     if job.code.learned:
         kept = training_set.pixels(light).cpu()
         start = detection.of_pixels(kept).arrange(signed[..., kept])

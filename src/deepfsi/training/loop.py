@@ -29,7 +29,7 @@ from deepfsi.optics.masks import Fixed, Learned
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
-from deepfsi.training.job import Job, TrainingSettings, network_dtype
+from deepfsi.training.job import Job, TrainingSettings, network_dtype, seeds_of_matrices
 from deepfsi.training.training_set import TrainingSet
 
 Classifier = Mlp | OwnClassifier
@@ -253,7 +253,7 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     masks, batch = replicas * job.masks, batch_of(job.training, count)
     copies = MASK_COPIES + (QUANTISED_MASK_COPIES if job.training.levels else 0)
     learned = copies * masks * scene if job.masks_from().code.learned else 0
-    own = replicas if job.design in ("control", "random") else 1
+    own = replicas if job.design == "control" else len(seeds_of_matrices(jobs))
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))
     step *= job.training.looks
