@@ -250,23 +250,43 @@ def train(
     own_noise = own_noise or resolve(first.noise)[1]
     if own_noise is not None:
         try_own(own_noise, first.code.learned)
+    trained = _optimised(training_set, jobs, matrix, report, classifier, own_noise)
+    designs = _designs(training_set, jobs, *trained)
+    seconds = (time.perf_counter() - began) / len(jobs)
+    for job, design in zip(jobs, designs, strict=True):
+        design.info = provenance(job, training_set.data, device, seconds)
+    return designs
+
+
+def _optimised(
+    training_set: TrainingSet,
+    jobs: Sequence[Job],
+    matrix: np.ndarray | None,
+    report: Report,
+    classifier: nn.Module | Factory | None,
+    own_noise: OwnNoise | None,
+) -> tuple[Fixed, FeatureNoise, list[Classifier], list[AdaptiveDwells]]:
+    """Masks after training, the noise that they were trained under, and the networks.
+
+    Those of the control group are first learned under gaussian noise, with a network of their own.
+    """
+    first = jobs[0]
     noise = FeatureNoise.of(
         first.noise,
         [job.photons / training_set.summed_reflectance for job in jobs],
         [job.sigma for job in jobs],
         [job.seed for job in jobs],
-        device,
+        training_set.device,
         [job.dark for job in jobs],
         own_noise,
     )
     learned = None
     if first.design == "control":
+        before, report = report.part(0.0, 0.5), report.part(0.5, 1.0)
         sources = [job.masks_from() for job in jobs]
-        optimised = train(
-            training_set, sources, report=report.part(0.0, 0.5), classifier=classifier
-        )
-        learned, report = torch.stack([each.rails for each in optimised]), report.part(0.5, 1.0)
-    masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
+        optimised, *_ = _optimised(training_set, sources, None, before, classifier, None)
+        learned = constraints.separate(*optimised())
+    masks = _initial_masks(training_set, jobs, matrix, learned).to(training_set.device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report, classifier)
     if isinstance(masks, Learned):
         masks = _final_masks(masks, training_set, first)
@@ -274,11 +294,7 @@ def train(
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
         raise Diverged(f"training of {first.design} diverged: {REMEDY}")
-    designs = _designs(training_set, jobs, masks, noise, classifiers, schedules)
-    seconds = (time.perf_counter() - began) / len(jobs)
-    for job, design in zip(jobs, designs, strict=True):
-        design.info = provenance(job, training_set.data, device, seconds)
-    return designs
+    return masks, noise, classifiers, schedules
 
 
 def _initial_masks(
