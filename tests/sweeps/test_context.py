@@ -59,7 +59,6 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
 
 def test_a_failed_batch_is_freed_before_its_parts_are_trained(digits, monkeypatch):
     """Otherwise the smaller parts find the memory full, too."""
-
     real, held = context.train, []
 
     def train(scenes, jobs, *rest):

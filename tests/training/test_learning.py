@@ -259,6 +259,12 @@ def test_designs_that_do_not_learn_have_no_start(digits):
     assert quick(digits, "control", start="random").masks
 
 
+def test_the_control_group_is_refused_what_its_masks_cannot_be_learned_for(digits):
+    """They are learned under gaussian noise, and nested masks are not."""
+    with pytest.raises(InputError, match="trained under ml_gauss"):
+        quick(digits, "control", nested=2)
+
+
 @pytest.mark.parametrize("shape", [(12, 10), (10,), (3, 8)])
 @pytest.mark.parametrize("design", ["deepfsi", "truncated-hadamard", "hadamard", "s-matrix", "pca"])
 def test_scenes_may_have_any_shape(shape, design):

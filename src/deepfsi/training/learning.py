@@ -244,17 +244,11 @@ def train(
         The same for the noise.
     """
     began = time.perf_counter()
-    device = training_set.device
-    first = check_jobs(jobs, training_set.data, device, matrix)
-    check_fits(training_set, jobs)
-    own_noise = own_noise or resolve(first.noise)[1]
-    if own_noise is not None:
-        try_own(own_noise, first.code.learned)
     trained = _optimised(training_set, jobs, matrix, report, classifier, own_noise)
     designs = _designs(training_set, jobs, *trained)
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
-        design.info = provenance(job, training_set.data, device, seconds)
+        design.info = provenance(job, training_set.data, training_set.device, seconds)
     return designs
 
 
@@ -270,13 +264,18 @@ def _optimised(
 
     Those of the control group are first learned under gaussian noise, with a network of their own.
     """
-    first = jobs[0]
+    device = training_set.device
+    first = check_jobs(jobs, training_set.data, device, matrix)
+    check_fits(training_set, jobs)
+    own_noise = own_noise or resolve(first.noise)[1]
+    if own_noise is not None:
+        try_own(own_noise, first.code.learned)
     noise = FeatureNoise.of(
         first.noise,
         [job.photons / training_set.summed_reflectance for job in jobs],
         [job.sigma for job in jobs],
         [job.seed for job in jobs],
-        training_set.device,
+        device,
         [job.dark for job in jobs],
         own_noise,
     )
@@ -286,7 +285,7 @@ def _optimised(
         sources = [job.masks_from() for job in jobs]
         optimised, *_ = _optimised(training_set, sources, None, before, classifier, None)
         learned = constraints.separate(*optimised())
-    masks = _initial_masks(training_set, jobs, matrix, learned).to(training_set.device)
+    masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report, classifier)
     if isinstance(masks, Learned):
         masks = _final_masks(masks, training_set, first)
