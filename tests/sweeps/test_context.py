@@ -57,6 +57,20 @@ def test_a_gpu_out_of_memory_takes_smaller_batches(digits, tmp_path, monkeypatch
     assert len(train_trials(trials, digits, tmp_path)) == len(trials)
 
 
+def test_a_batch_is_split_where_less_memory_is_free_than_was_planned_for(
+    digits, tmp_path, monkeypatch
+):
+    trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
+    sweep, sizes, real = SweepContext(digits, 0, "cpu"), [], context.train
+    need = footprint(sweep.training_set, [trial.job for trial in trials[:2]])
+    monkeypatch.setattr(loop, "free_memory", lambda: need - sweep.training_set.full.nbytes)
+    monkeypatch.setattr(
+        context, "train", lambda at, jobs, *rest: sizes.append(len(jobs)) or real(at, jobs, *rest)
+    )
+    assert len(sweep.train(trials)) == 4
+    assert sizes == [2, 2]
+
+
 def test_a_failed_batch_is_freed_before_its_parts_are_trained(digits, monkeypatch):
     """Otherwise the smaller parts find the memory full, too."""
     real, held = context.train, []

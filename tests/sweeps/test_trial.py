@@ -24,6 +24,13 @@ def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
     assert small(designs="lda", masks=(20, 40)).mask_counts("lda", digits) == [9]
 
 
+@pytest.mark.parametrize("change", [{"nested": 2}, {"span": 10.0}])
+def test_a_control_group_that_cannot_be_trained_is_refused_before_any_work(digits, change):
+    recipe = small(designs=("deepfsi", "control"), training=change)
+    with pytest.raises(InputError, match="leave out the control group"):
+        plan(recipe, digits)
+
+
 def test_paper_ratios_are_the_default(digits):
     counts = Recipe(designs="pca").mask_counts("pca", digits)
     assert counts == [1, 3, 6, 10, 16, 23, 31, 41, 52, 64]

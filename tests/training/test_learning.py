@@ -261,7 +261,7 @@ def test_designs_that_do_not_learn_have_no_start(digits):
 
 def test_the_control_group_is_refused_what_its_masks_cannot_be_learned_for(digits):
     """They are learned under gaussian noise, and nested masks are not."""
-    with pytest.raises(InputError, match="trained under ml_gauss"):
+    with pytest.raises(InputError, match="trained under ml_gauss: leave out the control group"):
         quick(digits, "control", nested=2)
 
 

@@ -1,6 +1,5 @@
 """Trials of masks that see whole scenes: batched, trained and tested."""
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import cached_property
@@ -133,11 +132,12 @@ class SweepContext:
     def train(self, batch: Batch, report: Report = SILENT) -> list[Done[Trial]]:
         """Train and test one batch.
 
-        In parts where this machine would batch otherwise than the one that planned, in halves where
-        a GPU's memory does not hold it whole, and one by one where a trial diverges; that one's
-        record is None.
+        In parts where this machine would batch otherwise than the one that planned or has less
+        memory free than was planned for, in halves where a GPU's memory does not hold it whole, and
+        one by one where a trial diverges; that one's record is None.
         """
-        parts = self.batches_within(batch, math.inf)
+        held = self.training_set.full.nbytes
+        parts = self.batches_within(batch, memory_for(self.processor) + held)
         if len(parts) > 1:
             each = zip(parts, report.parts(len(parts)), strict=True)
             return [done for part, span in each for done in self.train(part, span)]

@@ -363,10 +363,11 @@ def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> lis
         faults += _look_faults(job)
     if job.training.shortest_dwell:
         faults += _dwell_faults(job)
-    if job.training.conditioned and job.noise != "ml_gauss":
+    if job.training.conditioned and job.masks_from().noise != "ml_gauss":
+        control = "the control group, whose masks learn under gaussian noise"
         faults.append(
-            "a range of budgets and nested masks are trained under ml_gauss: leave `noise` and "
-            "`train_noise` out"
+            "a range of budgets and nested masks are trained under ml_gauss: leave out "
+            + (control if job.design == "control" else "`noise` and `train_noise`")
         )
     if job.training.nested > job.masks:
         faults.append(

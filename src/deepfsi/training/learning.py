@@ -262,7 +262,8 @@ def _optimised(
 ) -> tuple[Fixed, FeatureNoise, list[Classifier], list[AdaptiveDwells]]:
     """Masks after training, the noise that they were trained under, and the networks.
 
-    Those of the control group are first learned under gaussian noise, with a network of their own.
+    The jobs are checked first. Masks of the control group are learned before, under gaussian noise
+    and with a network of their own, as jobs that are checked like any other.
     """
     device = training_set.device
     first = check_jobs(jobs, training_set.data, device, matrix)
