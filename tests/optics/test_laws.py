@@ -138,6 +138,21 @@ def test_photon_noise_hadamard_equals_raster(digits, name, noise):
     assert drawn == pytest.approx(worth, rel=5 * (2.1 / DRAWS) ** 0.5)
 
 
+@pytest.mark.parametrize("name", SCENES)
+def test_hadamard_on_one_device(digits, name):
+    """Its 2N − 1 frames share the time of one detector; two arms show two of them at once."""
+    matrix = torch.from_numpy(codes.sensing_matrix("hadamard", N, digits))
+    raster, photons, frames = scan("raster", digits), scene(name, digits), 2 * N - 1
+    for light, photon_noise, read_noise in (
+        ("free-dwell", frames / N, frames**3 / N**4),
+        ("two-arm", 1.0, frames / N**2),
+    ):
+        hadamard = constraints.fit(matrix, light)
+        for noise, ratio in (("poisson", photon_noise), ("gaussian", read_noise)):
+            errors = [analytic_error(rails, photons, noise, 3.0) for rails in (hadamard, raster)]
+            assert errors[0] / errors[1] == pytest.approx(ratio, rel=1e-6)
+
+
 @every_design
 def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
     made, digits, design, light, rails

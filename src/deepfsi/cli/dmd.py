@@ -53,7 +53,8 @@ def dmd_export(
         str | None, typer.Option(help="time for its mirrors to settle; its own unless given")
     ] = None,
     dwell: Annotated[
-        str, typer.Option(help="mean time of a frame on the device, such as 1ms or 44us")
+        str,
+        typer.Option(help="mean picture time of a frame, settling included, such as 1ms or 44us"),
     ] = "1ms",
     selection: Annotated[
         str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")

@@ -139,7 +139,9 @@ Looks = Annotated[
 ]
 ShortestDwell = Annotated[
     str | None,
-    typer.Option(help="shortest frame of the device, such as 44us; needs --exposure"),
+    typer.Option(
+        help="shortest picture of the device less settling, such as 32us; needs --exposure"
+    ),
 ]
 DesignExposure = Annotated[
     str | None, typer.Option(help="time of a whole exposure, such as 10ms; for --shortest-dwell")

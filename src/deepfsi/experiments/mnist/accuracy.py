@@ -116,7 +116,7 @@ def photon_claims(photon: dict[tuple[str, float], Point]) -> list[Claim]:
             _compared(photon, "hadamard", "raster"),
             "Their reconstruction errors are equal in the mean over pixels, but the variance of "
             "raster scan follows each pixel's brightness, and in these images the strokes are the "
-            "bright pixels; the variance of Hadamard is the same in all pixels, the dark "
+            "bright pixels; the variance of Hadamard is the same in all pixels, the dim "
             "background included.",
         ),
         _no_gain(
