@@ -14,11 +14,15 @@ from typer.testing import CliRunner
 
 from conftest import quick
 from deepfsi.cli import app
-from deepfsi.datasets import write_pictures
+from deepfsi.datasets import read_display, write_pictures
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.fit import calibrate_run
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording import acquisition
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.picture import reconstruct
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +161,7 @@ def test_a_wrong_budget_is_refused(refuse, done, lab, run):
     words = ["camera", "classify", lab / "design.safetensors", run]
     budget = json.loads(done(*words, "--json"))["scenes"][0]["photons"]
     assert "0.25 times the counts" in refuse(*words, "--photons", 4 * budget)
+    assert "photon budget 0.0 is not allowed" in refuse(*words, "--photons", 0)
 
 
 def test_sound_counts_are_classified_with_their_consistency(done, lab, run):
@@ -293,6 +298,23 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
     design = Design.load(tmp_path / "seen.safetensors")
     assert "calibration" in design.info["preprocessing"]
     done("evaluate", tmp_path / "seen.safetensors", "--photons", "1e4", "--view", out)
+    lose_passes(run, found, spots)
+
+
+def lose_passes(run, found, spots):
+    """Passes of spots that were not counted add noise only; the white one is needed."""
+    recorded, patterns = acquisition.read_acquisition(run)
+    names = [scene.name for scene in recorded.scenes]
+    shown, counts, pictures = read_display(spots), read_counts(run), reconstruct(run)
+    lost = [place for place, name in enumerate(names) if name.startswith("spot")][:7]
+    counts.valid[lost], counts.dark_rate[lost], pictures[lost] = False, 0, np.nan
+    displayed = dict(zip(shown.names, shown.x, strict=True))
+    again = calibrate_run(displayed, names, pictures, counts, patterns)
+    assert again.dark == pytest.approx(found["dark"], rel=0.05)
+    assert again.spots == 18
+    counts.valid[names.index("white.png")] = False
+    with pytest.raises(InputError, match=r"no exposure of white\.png"):
+        calibrate_run(displayed, names, pictures, counts, patterns)
 
 
 def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, tmp_path):

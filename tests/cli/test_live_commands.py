@@ -57,6 +57,23 @@ def test_each_decision_is_printed_and_a_replay_agrees(done, lab, tmp_path):
     assert done("camera", "classify", lab / "looks.safetensors", run) == out
 
 
+def test_patterns_of_looks_are_not_recorded_as_a_sequence(refuse, lab, tmp_path):
+    words = ["--scenes", lab / "images", "-o", tmp_path / "run"]
+    assert "use `deepfsi camera live`" in refuse("camera", "prepare", lab / "patterns", *words)
+    words = [
+        "--scene",
+        lab / "images",
+        "--flux",
+        "1e7",
+        "--exposure",
+        "5ms",
+        "-o",
+        tmp_path / "run",
+    ]
+    assert "use `deepfsi camera live`" in refuse("camera", "simulate", lab / "patterns", *words)
+    assert not (tmp_path / "run").exists()
+
+
 def test_in_json(done, lab, tmp_path):
     words = ["--scene", lab / "images", *LIGHT, "--until", 0.2, "--dead-time", "20ns"]
     words += ["-o", tmp_path / "run", "--json"]
@@ -134,6 +151,9 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
         ("--projector dlp", "unknown projector"),
         ("--projector vialux", "do not go together"),
         ("--projector vialux --counter picoquant", "ALP4lib"),
+        ("--counter-config levels.ini", "for --counter picoquant"),
+        ("--alp-version 4.1", "for --projector vialux"),
+        ("--projector vialux --counter picoquant --counter-config levels.ini", "levels.ini"),
         ("--latency comand=1ms", "did you mean 'command'"),
         ("--latency command=fast", "is not a time"),
         ("--latency block=0", "block"),

@@ -91,7 +91,10 @@ def camera_classify(
     import numpy as np
 
     from deepfsi.cli.consistency import check_counts
+    from deepfsi.optics.budget import check_budget
 
+    if photons is not None:
+        check_budget(photons)
     options_of_tables = {
         "background": background, "settle": settle, "exposures": exposures, "gain": gain,
         "read-noise": read_noise, "dead-time": dead_time, "dead-time-model": dead_time_model,
@@ -120,7 +123,9 @@ def camera_classify(
         raise InputError(
             f"{counted} has no exposure that can be classified ({counts.faults[0]}): record again"
         )
-    budgets = np.where(np.isfinite(counts.photons), photons or counts.photons, 1.0)
+    budgets = np.where(
+        np.isfinite(counts.photons), counts.photons if photons is None else photons, 1.0
+    )
     tested = check_counts(made, counts, usable, budgets, force)
     probabilities = made.classify(made.readouts(counts.signal()), budgets[:, None])
     scenes = []

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from deepfsi.hardware.virtual.bench import Latencies
 
 PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed")
-"""Devices by name; `followed` is any counter whose software writes the photon file."""
+"""Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
 
 
 def camera_live(
@@ -34,6 +34,13 @@ def camera_live(
         str,
         typer.Option(help="virtual, picoquant, or followed: its software writes OUT/photons.ptu"),
     ] = "virtual",
+    counter_config: Annotated[
+        Path | None,
+        typer.Option(help="picoquant: snAPI's .ini file with the trigger levels of the inputs"),
+    ] = None,
+    alp_version: Annotated[
+        str | None, typer.Option(help="vialux: version of the ALP interface, 4.3 unless given")
+    ] = None,
     flux: Annotated[
         float | None,
         typer.Option(help="photons/s on the device, for the mean training scene; virtual"),
@@ -77,6 +84,12 @@ def camera_live(
     virtual = projector == "virtual"
     if virtual != (counter == "virtual"):
         raise InputError("virtual and real devices do not go together: give both, or neither")
+    if counter_config is not None:
+        if counter != "picoquant":
+            raise InputError("--counter-config is for --counter picoquant: leave it out")
+        paths.check_there(counter_config, "counter configuration")
+    if alp_version is not None and projector != "vialux":
+        raise InputError("--alp-version is for --projector vialux: leave it out")
     if virtual and not (flux or 0.0) > 0:
         raise InputError("virtual devices need a flux above 0: give --flux, such as --flux 1e6")
     times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
@@ -101,11 +114,13 @@ def camera_live(
                 camera.ask_for_room(_events(patterns, images, acquisition))
             bench = _virtual(patterns, images, acquisition, times, as_json)
         else:
-            bench = _real(counter, acquisition, images.names, out)
+            bench = _real(counter, acquisition, images.names, out, counter_config, alp_version)
         table = _Table(acquisition, patterns, as_json)
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
             for each in decided:
                 table.add(each)
+        if counter == "followed":
+            print("end the recording in the counter's software", file=sys.stderr)
     table.finish(out, images.preprocessing)
 
 
@@ -178,7 +193,14 @@ def _virtual(
     )
 
 
-def _real(counter: str, acquisition: "Acquisition", names: Sequence[str], out: Path) -> "Bench":
+def _real(
+    counter: str,
+    acquisition: "Acquisition",
+    names: Sequence[str],
+    out: Path,
+    config: Path | None,
+    alp_version: str | None,
+) -> "Bench":
     """A Vialux device and a counter; someone shows the scenes, whose names are asked for."""
     from deepfsi.hardware.drivers.followed import FollowedCounter
     from deepfsi.hardware.drivers.picoquant import SnapiCounter
@@ -190,11 +212,17 @@ def _real(counter: str, acquisition: "Acquisition", names: Sequence[str], out: P
         if not sys.stdin.readline():
             raise InputError("nobody is there to show the scenes: run this in a terminal")
 
+    def wait_for(path: Path, seconds: float) -> None:
+        print(
+            f"record {path} with the counter's software: begin within {seconds:g} s",
+            file=sys.stderr,
+        )
+
+    wiring = acquisition.inputs, acquisition.marker_bit
+    projector = VialuxLooks(alp_version) if alp_version else VialuxLooks()
     if counter == "followed":
-        print(f"record into {out / 'photons.ptu'} in the counter's software", file=sys.stderr)
-    kinds = {"followed": FollowedCounter, "picoquant": SnapiCounter}
-    wired = kinds[counter](acquisition.inputs, acquisition.marker_bit)
-    return Bench(VialuxLooks(), wired, display)
+        return Bench(projector, FollowedCounter(*wiring, waits=wait_for), display)
+    return Bench(projector, SnapiCounter(*wiring, config=config), display)
 
 
 class _Table:
@@ -224,7 +252,8 @@ class _Table:
         if all(row["class"] is None for row in self._rows):
             raise InputError(
                 f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
-                "ones; check the lamp and the inputs, or export with a longer --dwell"
+                "ones; check the lamp, the inputs and the counter's trigger levels, or export "
+                "with a longer --dwell"
             )
         if self._as_json:
             common.print_json(

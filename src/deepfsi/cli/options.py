@@ -140,7 +140,8 @@ Looks = Annotated[
 ShortestDwell = Annotated[
     str | None,
     typer.Option(
-        help="shortest picture of the device less settling, such as 32us; needs --exposure"
+        help="shortest time for which a frame is counted, such as 32us: the device's shortest "
+        "picture less settling and 2 us; needs --exposure"
     ),
 ]
 DesignExposure = Annotated[
@@ -187,10 +188,16 @@ Exposure = Annotated[
 ]
 Settle = Annotated[
     str | None,
-    typer.Option(help="time for mirrors to settle in each frame; the device's unless given"),
+    typer.Option(
+        help="time for mirrors to settle in each frame; the device's, or the recorded one, unless "
+        "given"
+    ),
 ]
 Repeats = Annotated[
-    int | None, typer.Option(min=1, help="exposures in one pass; as many as fit unless given")
+    int | None,
+    typer.Option(
+        min=1, help="exposures in one pass; as many as fit, or were recorded, unless given"
+    ),
 ]
 Run = Annotated[Path, typer.Argument(help="acquisition folder, with photons.ptu in it")]
 Inputs = Annotated[
@@ -212,8 +219,8 @@ Marker = Annotated[
 DeadTime = Annotated[
     str | None,
     typer.Option(
-        help="correct for this dead time of the counter, such as 20ns; that of the folder's "
-        "calibration unless given"
+        help="correct for this dead time of the counter, such as 20ns; unless given `count` takes "
+        "that of the folder's calibration, others none"
     ),
 ]
 DeadTimeModel = Annotated[
@@ -309,7 +316,11 @@ CameraSeed = Annotated[
 ]
 LargeFile = Annotated[bool, typer.Option("--yes", help="write a large file without asking")]
 Budget = Annotated[
-    float | None, typer.Option(help="budget of an exposure; that of the all-ON frames unless given")
+    float | None,
+    typer.Option(
+        help="budget of an exposure in counts, detector efficiency included; that of the all-ON "
+        "frames unless given"
+    ),
 ]
 
 

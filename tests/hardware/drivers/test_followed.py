@@ -56,6 +56,18 @@ def test_a_growing_file_gives_the_counts_of_the_whole_one(tmp_path, content, mak
         assert len(counter.counts_since_marker(0.0).counts) == 0
 
 
+def test_the_wait_for_a_recording_is_announced(tmp_path, content):
+    path, said = tmp_path / "photons.ptu", []
+
+    def record(at: Path, seconds: float) -> None:
+        said.append((at, seconds))
+        at.write_bytes(content)
+
+    with FollowedCounter(waits=record) as counter:
+        counter.start(path)
+    assert said == [(path, 60.0)]
+
+
 def test_what_is_not_there_is_named(tmp_path, monkeypatch):
     with FollowedCounter(appears_s=0.0) as counter:
         with pytest.raises(InputError, match="no recording is followed"):

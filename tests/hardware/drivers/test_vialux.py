@@ -71,6 +71,19 @@ def test_a_pass_shows_every_frame_for_its_time(library, tmp_path, light, format)
     assert not library.allocated
 
 
+@pytest.mark.parametrize("columns", [1024, 1920, 1280, 60])
+def test_rows_of_every_length_reach_the_mirrors(library, tmp_path, columns):
+    """ALP pads the packed rows of 1080p devices to 256 bytes, and says of some not how."""
+    device = Device(name="wide", columns=columns, rows=24)
+    library.size = columns, 24
+    folder = patterns(tmp_path / "patterns", "equal-dwell", masks=3, device=device)
+    with vialux.VialuxProjector() as projector:
+        projector.load(folder)
+        [sequence] = library.sequences.values()
+        for place, wanted in enumerate(read_frames(folder)):
+            np.testing.assert_array_equal(sequence["frames"][place], wanted.ravel())
+
+
 def test_library_output_stays_off_stdout(library, capsys):
     with vialux.VialuxProjector():
         pass

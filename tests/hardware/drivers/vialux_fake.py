@@ -10,6 +10,7 @@ from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.sequence import Device
 
 DEVICE = Device(name="small", columns=64, rows=24)
+PACKED_ROW = {1024: 128, 1920: 256, 1400: 176}  # alp.h, at ALP_DATA_BINARY_TOPDOWN
 BUSY = 3  # how often the fake says that it still shows something, for each sequence
 
 
@@ -130,11 +131,14 @@ class ALP4:
     def SeqPut(self, imgData, SequenceId, PicOffset, PicLoad):
         self._ALPLib.step("SeqPut")
         sequence = self._ALPLib.sequences[SequenceId.value]
-        assert sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN
         assert (imgData.dtype, imgData.ndim) == (np.uint8, 1)
-        for place, frame in enumerate(imgData.reshape(PicLoad, -1)):
+        packed = sequence["controls"][vialux.DATA_FORMAT] == vialux.DATA_BINARY_TOPDOWN
+        rows = imgData.reshape(PicLoad, self.nSizeY, PACKED_ROW[self.nSizeX] if packed else -1)
+        assert packed or rows.shape[-1] == self.nSizeX, "a byte for each mirror"
+        bits = np.unpackbits(rows, axis=-1)[..., : self.nSizeX] if packed else rows >> 7
+        for place, frame in enumerate(np.packbits(bits, axis=-1)):
             assert PicOffset + place < sequence["count"]
-            sequence["frames"][PicOffset + place] = frame.copy()
+            sequence["frames"][PicOffset + place] = frame.ravel()
 
     def Run(self, SequenceId, loop):
         self._ALPLib.step("Run")

@@ -219,6 +219,19 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
     assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
 
 
+def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patterns, tmp_path):
+    """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
+    x, scenes = scenes_of(digits, 2)
+    devices = bench(patterns, x, 1e4)
+    whole = devices.projector.show
+    devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
+    acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
+    assert len(decided) == 2 * LOOKS
+    gates = [max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:]]
+    assert max(gates) > 0.2e9
+
+
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
 def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_path, stop):
     x, scenes = scenes_of(digits, 6)

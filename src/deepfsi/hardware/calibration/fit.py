@@ -204,9 +204,16 @@ def calibrate_run(
             f"the run has a scene {unknown[0]} that is none of the displayed pictures: give the "
             "folder that `deepfsi camera spots` wrote"
         )
+    counted = np.any(counts.valid, axis=1)
     measured = dict(zip(names, pictures, strict=True))
+    for name in (WHITE, BLACK):
+        if name in measured and not counted[list(names).index(name)]:
+            raise InputError(
+                f"no exposure of {name} was counted: record the run again, or leave "
+                "that picture out of it"
+            )
     spots = [name for name in names if name not in (WHITE, BLACK)]
-    dark, ambient = float(counts.dark_rate.mean()), 0.0
+    dark, ambient = float(counts.dark_rate[counted].mean()), 0.0
     if BLACK in measured:
         place = list(names).index(BLACK)
         exposures = counts.signal()[place][counts.valid[place]]

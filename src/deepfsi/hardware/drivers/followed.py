@@ -6,6 +6,7 @@ them back: look at how often the file grows before the time that a decision take
 
 import os
 import time
+from collections.abc import Callable
 from io import FileIO
 from pathlib import Path
 from typing import Self
@@ -31,6 +32,8 @@ class FollowedCounter:
         Which of the counter's marker inputs the device's trigger is wired to.
     appears_s : float
         Time within which the file must appear after `start`, seconds.
+    waits : callable, optional
+        Called with the path and `appears_s` when this time begins.
 
     Examples
     --------
@@ -41,9 +44,14 @@ class FollowedCounter:
     """
 
     def __init__(
-        self, inputs: tuple[int, ...] = (0,), marker_bit: int = 1, appears_s: float = 60.0
+        self,
+        inputs: tuple[int, ...] = (0,),
+        marker_bit: int = 1,
+        appears_s: float = 60.0,
+        waits: Callable[[Path, float], None] | None = None,
     ) -> None:
         self._inputs, self._bit, self._appears_s = inputs, marker_bit, appears_s
+        self._waits = waits
         self._buffer = memoryview(bytearray(BYTES_AT_ONCE))
         self._file: FileIO | None = None
         self._frames: StreamCounter | None = None
@@ -60,6 +68,8 @@ class FollowedCounter:
         Raises `InputError` if it does not appear, or cannot be read.
         """
         self.stop()
+        if self._waits is not None:
+            self._waits(path, self._appears_s)
         end = time.monotonic() + self._appears_s
         while not path.exists():
             if time.monotonic() > end:

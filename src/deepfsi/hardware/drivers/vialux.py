@@ -42,6 +42,9 @@ LONGEST_LIST = 4096
 FRAMES_AT_ONCE = 64
 """Frames sent at a time, 6 MB on a DLP7000."""
 
+ROW_BYTES = {1024: 128, 1920: 256}
+"""Bytes of a row of packed mirrors by its length, as alp.h has them; other rows go unpacked."""
+
 POLL_S = 0.002
 """Time between two questions to the device, seconds."""
 
@@ -58,7 +61,7 @@ FLUT_MODE, FLUT_9BIT, FLUT_18BIT = 2118, 1, 2
 FLUT_ENTRIES9, FLUT_MAX_ENTRIES9 = 2120, 2324  # entries of 9 bits; one of 18 counts as two
 FLUT_WRITE_9BIT, FLUT_WRITE_18BIT = 2325, 2326
 PROJ_MODE, MASTER, SLAVE = 2300, 2301, 2302
-DATA_FORMAT, DATA_BINARY_TOPDOWN = 2110, 2
+DATA_FORMAT, DATA_MSB_ALIGN, DATA_BINARY_TOPDOWN = 2110, 0, 2
 MIN_PICTURE_TIME, MAX_PICTURE_TIME = 2211, 2213
 QUEUE_MODE, SEQUENCE_QUEUE = 2314, 1
 RESET_QUEUE, DEFAULT = 2319, 0
@@ -150,8 +153,15 @@ class _Board(ABC):
         """Fill a sequence with the next frames."""
         for first in range(0, count, FRAMES_AT_ONCE):
             block = np.stack(list(itertools.islice(frames, min(FRAMES_AT_ONCE, count - first))))
-            self._alp.SeqPut(block.ravel(), sequence, first, len(block))
+            self._alp.SeqPut(self._rows(block).ravel(), sequence, first, len(block))
             sent((first + len(block)) / count)
+
+    def _rows(self, packed: np.ndarray) -> np.ndarray:
+        """Packed frames (n, rows, bytes) in the device's format: padded, or a byte a mirror."""
+        columns = self._alp.nSizeX
+        if columns in ROW_BYTES:
+            return np.pad(packed, ((0, 0), (0, 0), (0, ROW_BYTES[columns] - packed.shape[-1])))
+        return np.unpackbits(packed, axis=-1, count=columns) * np.uint8(255)
 
     def _unload(self) -> None:
         with _refusals("free its frames"):
@@ -161,7 +171,10 @@ class _Board(ABC):
     def _new_sequence(self, count: int, picture_us: int) -> Any:
         sequence = self._alp.SeqAlloc(nbImg=count, bitDepth=1)
         self._sequences.append(sequence)
-        self._alp.SeqControl(DATA_FORMAT, DATA_BINARY_TOPDOWN, sequence)
+        packed = self._alp.nSizeX in ROW_BYTES
+        self._alp.SeqControl(
+            DATA_FORMAT, DATA_BINARY_TOPDOWN if packed else DATA_MSB_ALIGN, sequence
+        )
         self._alp.SeqControl(BIN_MODE, BIN_UNINTERRUPTED, sequence)
         shortest, longest = (
             self._alp.SeqInquire(which, sequence) for which in (MIN_PICTURE_TIME, MAX_PICTURE_TIME)
@@ -180,11 +193,6 @@ class _Board(ABC):
             raise InputError(
                 f"'{folder}' is made for {device.columns} x {device.rows} mirrors and the Vialux "
                 f"device has {self._alp.nSizeX} x {self._alp.nSizeY}: export for that device"
-            )
-        if device.columns % 8:
-            raise InputError(
-                f"rows of {device.columns} mirrors do not fill bytes, which this driver needs: "
-                "use a device with a multiple of 8"
             )
         with _refusals("be asked for its memory"):
             free = self._alp.DevInquire(AVAIL_MEMORY)

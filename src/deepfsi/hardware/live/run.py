@@ -23,7 +23,7 @@ from deepfsi.hardware.patterns.folder import LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
-from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule
+from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.recording.streaming import FrameGates
 
 PATIENCE_S = 5.0
@@ -152,7 +152,8 @@ def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) 
             f"{device.name} shows all frames for one time, and looks choose theirs: export for a "
             "device that stores frames, such as dlp7000"
         )
-    longest_us = look_s * 1e6 + device.settle_us + MARGIN_NS * 1e-3
+    look_ns = np.array(look_s * 1e9)
+    longest_us = float(look_ns + margin_ns(look_ns)) * 1e-3 + device.settle_us
     if longest_us > device.longest_us:
         raise InputError(
             f"a look may show one mask for {longest_us:.4g} µs, and {device.name} holds a picture "
@@ -278,7 +279,7 @@ class _Shower:
     def _pictures(self, asked: FrameList) -> np.ndarray:
         """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
         device = self._manifest.device
-        us = np.ceil((asked.gate_ns + MARGIN_NS) * 1e-3 + device.settle_us)
+        us = np.ceil((asked.gate_ns + margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us)
         if asked.look < 0:
             us = np.array([self._manifest.frames[place].picture_us for place in asked.frames])
         return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6

@@ -272,6 +272,11 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
         if manifest.looks is None:
             raise InputError(f"{name} is of a live run, and its patterns are of no several looks")
         return
+    if manifest.looks is not None:
+        raise InputError(
+            f"{name} has patterns of several looks, whose dwells are chosen while the exposure "
+            "runs: use `deepfsi camera live`"
+        )
     try:
         gates_of(acquisition, manifest)
     except InputError as error:
