@@ -11,7 +11,7 @@ import pytest
 
 from deepfsi import experiments
 from deepfsi.errors import InputError
-from deepfsi.experiments import experiment
+from deepfsi.experiments import experiment, mlgauss
 from deepfsi.experiments.camera import claims as camera
 from deepfsi.experiments.mnist import accuracy as mnist
 from shared.experiments import ALL, EVERY, run_all
@@ -167,6 +167,29 @@ def answers(**changed):
     return [claim.holds for claim in (*mnist.photon_claims(photon), *mnist.read_claims(read))]
 
 
+def mlgauss_answer(change, half):
+    """Answer to MLGauss's claim where exact counts change accuracy by so much at 10⁴ photons."""
+    points = []
+    for noise, masks, photons in itertools.product(
+        ("ml_gauss", "poisson"), (10, 92), (1e2, 1e4, 1e6)
+    ):
+        moved = change if (noise, photons) == ("poisson", 1e4) else 0.0
+        spread = half * np.array([-1, 0, 1]) if noise == "poisson" else np.zeros(3)
+        accuracies = tuple(0.5 + moved + spread)
+        points.append(
+            a_point(0.5 + moved, noise=noise, masks=masks, photons=photons, accuracies=accuracies)
+        )
+    return mlgauss.show(some_results(points)).claims[0].holds
+
+
+@pytest.mark.parametrize(
+    ("change", "half", "answer"),
+    [(0.0, 0.001, True), (-0.01, 0.001, True), (-0.01, 0.01, None), (-0.05, 0.001, False)],
+)
+def test_mlgauss_is_good_in_bright_light_only_where_intervals_say_so(change, half, answer):
+    assert mlgauss_answer(change, half) is answer
+
+
 def test_claims_hold_where_the_numbers_are_the_papers():
     assert answers() == [True] * 7
 
@@ -179,6 +202,7 @@ def test_claims_hold_where_the_numbers_are_the_papers():
         ({"poisson|deepfsi|1e8": 0.7}, 0, True),
         ({"poisson|pca|1e4": 0.4}, 1, False),
         ({"poisson|hadamard|1e8": 0.6}, 2, False),
+        ({"poisson|hadamard|1e8": 0.505}, 2, True),
         ({"poisson|truncated-hadamard|1e4": 0.6}, 3, False),
         ({"poisson|control|1e4": 0.95}, 4, False),
         ({"poisson|control|1e8": 0.95}, 4, True),

@@ -51,7 +51,7 @@ def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
     page = experiments.page(tmp_path).read_text()
     section = EXPERIMENT.section(tmp_path)
     assert section.title in page
-    assert "one detector for each patch" in page
+    assert "applied to every patch" in page
     assert "synthetic in grey" in section.found
     assert [claim.text.split()[3] for claim in section.claims[:3]] == ["RS", "HB", "FSI"]
     assert all(claim.measured for claim in section.claims)
@@ -98,6 +98,20 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
     assert len({(job.design, job.photons, job.seed) for job in trained}) == 20
     EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", trials=3, device="cpu")
     assert len(trained) == 30
+
+
+def test_a_trial_that_diverges_is_named_and_the_others_are_done(images, tmp_path, monkeypatch):
+    real = patch_trials.train
+
+    def train(patches, job, report):
+        if (job.design, job.photons, job.seed) == ("pca", 1e2, 0):
+            raise patch_trials.Diverged("training diverged")
+        return real(patches, job, report)
+
+    monkeypatch.setattr(patch_trials, "train", train)
+    with pytest.raises(InputError, match="diverged and the others are done: pca, 100 photons"):
+        EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
+    assert len(list((tmp_path / "trials").glob("*.json"))) == 9
 
 
 def test_several_processes_train_what_one_does(images, tmp_path):

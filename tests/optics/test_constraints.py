@@ -249,6 +249,13 @@ def test_learned_column_masks_start_from_the_fitted_matrix(digits):
     assert torch.allclose(rails_of(Learned(matrix, "column"), "dual"), fit(matrix, "column"))
 
 
+def test_a_start_without_light_is_refused():
+    """Its scale is undefined under `column`, also where it is one of several replicas."""
+    start = torch.stack([torch.ones(3, 4), torch.zeros(3, 4)])
+    with pytest.raises(InputError, match="0 everywhere"):
+        Learned(start, "column")
+
+
 def test_dwells_are_learned_shares_of_the_whole_time():
     learned = Learned(torch.randn(4, 9, generator=generator()), "two-arm")
     torch.nn.init.normal_(learned.dwell, generator=generator())

@@ -214,6 +214,12 @@ def test_fixed_masks_stay_as_they_are(patches):
     assert np.array_equal(made.matrix, masks()[0].numpy())
 
 
+def test_a_hadamard_basis_is_whole():
+    """64 functions of 8 x 8 pixels are needed for patches of 6 x 6; the first 36 are no basis."""
+    with pytest.raises(InputError, match="36 masks are not allowed for hadamard"):
+        Patches(synthetic((12, 12)), 6, "cpu").masks("hadamard")
+
+
 def test_diverging_is_said(patches):
     wild = SMALL.model_copy(update={"mask_lr": 1e38, "lr": 1e38})
     with pytest.raises(InputError, match="diverged"):

@@ -6,7 +6,7 @@ from deepfsi.experiments.experiment import Experiment, Finding, points
 from deepfsi.experiments.paired_maps import pair
 from deepfsi.report.section import Claim, Picture
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.differences import Difference
+from deepfsi.statistics.differences import Difference, above
 from deepfsi.sweeps.results import Results
 
 NOTICED = 0.02
@@ -27,20 +27,23 @@ def show(results: Results) -> Finding:
     both = pair(*(points(results, noise=noise) for noise in ("ml_gauss", "poisson")))
     pixels = round(results.points[0].masks / results.points[0].ratio)
     large = {place: each for place, each in both.differences.items() if abs(each.mean) > NOTICED}
-    bright = {
+    lit = {
         place: each
-        for place, each in large.items()
+        for place, each in both.differences.items()
         if place[1] / (pixels * place[0] * pixels) >= STARVED
     }
+    bright = large.keys() & lit.keys()
     most, where = both.largest
-    said = f"largest: {most} at {where}; {len(large)} above {NOTICED}"
-    if bright:
-        (ratio, photons), each = max(bright.items(), key=lambda item: abs(item[1].mean))
-        said += f", {len(bright)} of them in brighter light: {each} at {ratio:.0%}, "
-        said += f"{photons_text(photons)} photons"
+    said = (
+        f"largest: {most} at {where}; {len(large)} above {NOTICED}, {len(bright)} of them brighter"
+    )
+    if lit:
+        ratio, photons = max(lit, key=lambda place: max(lit[place].high, -lit[place].low))
+        said += f"; in brighter light the interval that reaches furthest is {lit[(ratio, photons)]}"
+        said += f" at {ratio:.0%} and {photons_text(photons)} photons"
     claim = Claim(
         f"Differences above {NOTICED} arise only below {STARVED} photons per pixel per measurement",
-        _only_starved(bright.values()),
+        _within(lit.values()),
         said,
     )
     found = (
@@ -57,12 +60,9 @@ def show(results: Results) -> Finding:
     return Finding(found, (picture,), (claim,))
 
 
-def _only_starved(bright: Iterable[Difference]) -> bool | None:
-    """No if a difference in bright light is clearly beyond what is noticed, open if perhaps."""
-    every = list(bright)
-    if any(each.low > NOTICED or each.high < -NOTICED for each in every):
-        return False
-    return None if every else True
+def _within(differences: Iterable[Difference]) -> bool | None:
+    """Test that no difference is beyond what is noticed, either way."""
+    return above([part for each in differences for part in (each, -each)], -NOTICED)
 
 
 EXPERIMENT = Experiment(name="mlgauss", title="What MLGauss leaves out", paper=PAPER, show=show)

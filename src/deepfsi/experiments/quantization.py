@@ -31,7 +31,7 @@ def show(results: Results) -> Finding:
     found = (
         f"With {levels} grey levels, k/{levels - 1} of each frame's peak, accuracy changes by "
         f"{signed(-loss.mean, 4)} on average over the grid. The largest change is "
-        f"{most}, at {where}. Noise draws are the same in both tests."
+        f"{most}, at {where}."
     )
     picture = Picture(
         both.figure(("continuous", f"1/{levels - 1} of the peak")),

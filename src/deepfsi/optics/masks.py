@@ -76,7 +76,10 @@ class Learned(nn.Module):
         self.light, self.rails, self.levels, self.shortest = light, rails, levels, shortest
         *replicas, masks, _ = start.shape
         if light == "column":
-            fitted = start / start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
+            most = start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
+            if not bool(most.all()):
+                raise InputError("a start is 0 everywhere: give masks that pass light")
+            fitted = start / most
             unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
             self.weight = nn.Parameter(fitted / unit)
             self.register_buffer("unit", unit)

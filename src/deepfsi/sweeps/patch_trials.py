@@ -15,6 +15,7 @@ from deepfsi.optics.budget import BUDGETS
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import content_hash, record_of
+from deepfsi.training.learning import Diverged
 from deepfsi.training.patches import (
     REVISION,
     PatchedDesign,
@@ -165,9 +166,12 @@ class PatchContext:
         return f"{job.design}, {job.photons:g} photons, seed {job.seed}"
 
     def train(self, batch: list[PatchTrial], report: Report = SILENT) -> list[Done[PatchTrial]]:
-        """Train and test a batch, of one trial."""
+        """Train and test a batch, of one trial; its record is None where it diverges."""
         [trial] = batch
-        design = train(self.patches, trial.job, report)
+        try:
+            design = train(self.patches, trial.job, report)
+        except Diverged:
+            return [(trial, None, None)]
         return [(trial, self.record(trial, design), design.to_bytes())]
 
     def record(self, trial: PatchTrial, design: Design) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Images seen patch by patch: one Scanner for all patches of an image, a transformer behind it.
 
-The image is cut in square patches. One set of masks, of a patch's size, is shown on every patch, in
-sequence, with one detector for each patch; the counts are the patches' embeddings. The masks are
+The image is cut in square patches. One set of masks, of a patch's size, is applied to every patch,
+under `column`: a patch has a detector for each readout. The counts are its embedding. The masks are
 thus a vision transformer's patch projection, done by light, and noise is added to its outcome.
 
 A budget Φ is of the whole image, and the patches share it as they share its light: λ = Φ x / s, s
@@ -25,7 +25,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure import PatchExposure, cut
 from deepfsi.errors import InputError
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import BUDGETS, summed_reflectance
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise, Scale, deviation, feature_statistics
@@ -122,6 +122,7 @@ class Patches:
     def matrix(self, design: str) -> np.ndarray:
         """Sensing matrix (m, N) of a fixed design, m = N for all."""
         if design not in self._matrices:
+            tiles.check_count(design, self.side**2, self.as_scenes)
             self._matrices[design] = codes.sensing_matrix(design, self.side**2, self.as_scenes)
         return self._matrices[design]
 

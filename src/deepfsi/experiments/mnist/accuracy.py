@@ -88,11 +88,10 @@ def _no_gain(label: str, compared: Compared, why: str) -> Claim:
     """Claim that a code gains nothing over raster scan at any budget."""
     most = max(compared, key=lambda budget: compared[budget].mean)
     gains = [photons_text(budget) for budget, each in compared.items() if each.low > 0]
-    none = above([-each for each in compared.values()], -NOTHING)
     where = f"; above at {listed(gains)} photons" if gains else ""
     return Claim(
         f"PN: {label} gains nothing over RS (less than {NOTHING})",
-        False if above([-each for each in compared.values()]) is False else none,
+        above([-each for each in compared.values()], -NOTHING),
         f"{label} − RS at most {compared[most]} at {photons_text(most)} photons{where}",
         why if gains else "",
     )
@@ -154,7 +153,7 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
     return [
         Claim(
             "AGN: every multiplexed code is above RS wherever their intervals are apart",
-            None if least is None else not against,
+            None if least is None else above(each for _, _, each in clear),
             f"{len(clear)} cases apart, lowest {least}"
             + (f"; below: {listed(against)}" if against else ""),
         ),

@@ -1,8 +1,8 @@
 """The paper's vision transformer with an optical front end, on CIFAR-10 in grey.
 
-Images of 64 x 64 pixels are cut in 8 x 8 patches. The same 64 masks of 64 pixels are shown on every
-patch, one after another, with one detector for each patch: nothing is compressed, and the masks do
-what a transformer's patch projection does. Noise is added to the counts, and a transformer
+Images of 64 x 64 pixels are cut in 8 x 8 patches. The same 64 masks of 64 pixels are applied to
+every patch, under `column`: nothing is compressed, and the masks do what a transformer's patch
+projection does. Noise is added to the counts, and a transformer
 classifies what is left.
 """
 
@@ -193,9 +193,8 @@ def _found(results: Results) -> str:
     )
     return (
         f"{results.data.name} in grey, {size[0]} x {size[1]} pixels, in {patch} x {patch} "
-        f"patches. The same {patch * patch} masks are shown on every patch in sequence, with one "
-        "detector for each patch; a budget is of the whole image, and is shared by the patches as "
-        "their light is. "
+        f"patches. The same {patch * patch} masks are applied to every patch, under `column`; a "
+        "budget is of the whole image, and is shared by the patches as their light is. "
         f"Trained on {results.data.train} images, tested on {results.data.test} under "
         f"exact photon noise. At {photons_text(middle)} photons: "
         + ", ".join(f"{each.label} {each.accuracy:.3f}" for each in ranks)
