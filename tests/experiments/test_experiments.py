@@ -69,6 +69,15 @@ def table(path):
 
 
 @pytest.mark.slow
+def test_the_time_of_an_experiment_is_that_of_all_its_parts(done):
+    for each in run_in(done):
+        rows = table(done / f"{each.name}-trials.csv")
+        trained = sum({row["key"]: float(row["seconds"]) for row in rows}.values())
+        spent = json.loads((done / f"{each.name}.json").read_text())["provenance"]
+        assert spent["training_seconds"] == pytest.approx(trained, abs=0.1)
+
+
+@pytest.mark.slow
 def test_numbers_behind_the_figures_are_there(done):
     for section in sections_of(done).values():
         for name in section.files:

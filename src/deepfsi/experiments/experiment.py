@@ -22,6 +22,7 @@ from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
+from deepfsi.sweeps.summary import provenance_of
 from deepfsi.sweeps.workers import Workers
 
 Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
@@ -137,7 +138,9 @@ class Experiment:
             compared.append(part)
             points += [p.model_copy(update={"recipe": name, **split}) for p in part.points]
             records += own
-        results = compared[0].with_points(points)
+        once = {record["key"]: record for record in records}
+        spent = provenance_of(list(once.values()), sum(p.provenance.seconds for p in compared))
+        results = compared[0].with_points(points).model_copy(update={"provenance": spent})
         if self.measure:
             first, designs = next(iter(data.values())), folder / "designs"
             extra = self.measure(results, first, designs, workers, spans[-1])
