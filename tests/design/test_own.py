@@ -15,6 +15,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.errors import InputError
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import Learned
 from deepfsi.training.learning import learn
 from shared.design_files import header_of, refused, rewrite
@@ -295,6 +296,31 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     assert again.consistency(counts[:40].flip(1), 1e5).refused
 
 
+@pytest.mark.parametrize(
+    ("detectors", "readout", "rails"),
+    [("1x1", "both", 2), ("2x2", "difference", 2), ("2x2", "both", 2), ("2x2", "difference", 1)],
+)
+def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, readout, rails):
+    detection = Detection.of(detectors, (8, 8), readout)
+    masks = torch.rand(rails, 3, 64, generator=generator()) / 6
+    scanner = deepfsi.Scanner.from_rails(masks, "none", detection=detection)
+    with own.seeded(0):
+        network = nn.Linear(3 * detection.width(rails), 10)
+        network.weight.data /= 1e3
+    path = deepfsi.design_of(scanner, network, digits, 1e4).save(tmp_path / "mine.safetensors")
+    design = Design.load(path, classifier=network)
+    x = torch.from_numpy(digits.x_test[:20])
+    photons = deepfsi.photons_per_pixel(x, 1e4, design.summed_reflectance)
+    mine = network(scanner(photons)).softmax(dim=-1).detach().numpy()
+    counts = design.scanner("none").counts(photons)
+    counts = counts if detectors == "1x1" else counts.unflatten(-1, (3, 4))
+    counts = counts if rails == 2 else counts[:, 0]
+    assert np.allclose(design.classify(counts, 1e4), mine, atol=1e-5)
+    assert design.shares.sum() == pytest.approx(float(masks.sum(dim=(0, 1)).mean()), rel=0.2)
+    assert design.detection.count == detection.count
+    assert design.info["job"]["readout"] == (readout if rails == 2 else None)
+
+
 def test_a_loop_of_ones_own_is_checked(digits):
     rails = torch.full((1, 3, 64), 0.2)
     scanner = deepfsi.Scanner.from_rails(rails)
@@ -302,6 +328,9 @@ def test_a_loop_of_ones_own_is_checked(digits):
         deepfsi.design_of(scanner, nn.Linear(3, 9), digits, 1e4)
     with pytest.raises(InputError, match="breaks the column constraint"):
         deepfsi.design_of(deepfsi.Scanner.from_rails(rails * 2), nn.Linear(3, 10), digits, 1e4)
+    dark = deepfsi.Scanner.from_rails(rails, "camera", sigma=0.0)
+    with pytest.raises(InputError, match="sigma"):
+        deepfsi.design_of(dark, nn.Linear(3, 10), digits, 1e4)
     with pytest.raises(InputError, match="do not fit digits"):
         deepfsi.design_of(
             deepfsi.Scanner.from_rails(rails[..., :60]), nn.Linear(3, 10), digits, 1e4

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget, summed_reflectance
 from deepfsi.optics.constraints import Light
@@ -35,10 +35,11 @@ def design_of(
     Parameters
     ----------
     scanner : Scanner
-        Its masks, without replicas.
+        Its masks, without replicas, and its detectors.
     classifier : nn.Module
-        From (batch, m) counts y⁺ − y⁻, as the scanner gives them, to (batch, C) logits. A copy is
-        taken. One of `OwnClassifier` keeps its import path in the design's file.
+        From (batch, k) counts as the scanner gives them, m differences y⁺ − y⁻ unless its
+        `detection` says otherwise, to (batch, C) logits. A copy is taken. One of `OwnClassifier`
+        keeps its import path in the design's file.
     data : Dataset, str, path or tuple of arrays
         That the training was on: its training scenes give the mean light, its classes their names.
     photons : float
@@ -61,16 +62,24 @@ def design_of(
     light = scanner.masks.light if isinstance(scanner.masks, Learned) else light
     constraints.check_light(light, kind := {1: "single", 2: "dual"}[len(rails)])
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
-    told = {"masks": masks, "photons": budget, "light": light, "rails": kind}
+    detection = scanner.detection
+    read = masks * detection.width(len(rails))
+    counted = Scanner.from_rails(rails, "none", detection=detection).rates(mean.to(rails))
+    told: dict[str, Any] = {"masks": masks, "photons": budget, "light": light, "rails": kind}
+    if detection.labels is not None:
+        told["detectors"] = tuple(detection.labels.tolist())
+    if kind == "dual":
+        told["readout"] = detection.readout
     design = Design(
         name="custom",
         rails=constraints.check(rails, light),
-        classifier=_copy(classifier, masks, len(scenes.classes)).to(device),
-        mean=torch.zeros(masks, device=device),
-        std=torch.full((masks,), 1 / budget, device=device),
-        shares=(rails.sum(dim=0) @ mean.to(rails)) / s,
+        classifier=_copy(classifier, read, len(scenes.classes)).to(device),
+        mean=torch.zeros(read, device=device),
+        std=torch.full((read,), 1 / budget, device=device),
+        shares=detection.totals(counted) / s,
         summed_reflectance=s,
         light=light,
+        detection=detection,
         image_shape=scenes.image_shape,
         classes=scenes.classes,
         info=_provenance(scanner, scenes, device, told),
@@ -83,7 +92,10 @@ def _provenance(
     scanner: Scanner, data: Dataset, device: torch.device, told: dict[str, Any]
 ) -> dict[str, Any]:
     """Provenance without what is not known of a training elsewhere."""
-    job = Job(design="custom", noise=scanner.noise, sigma=scanner.sigma, **told)
+    with as_input_error():
+        job = Job(
+            design="custom", noise=scanner.noise, sigma=scanner.sigma, dark=scanner.dark, **told
+        )
     info = provenance(job, data, device, 0.0)
     del info["job"]["training"], info["seconds"]
     return info
@@ -101,12 +113,12 @@ def _rails(scanner: Scanner, data: Dataset) -> Tensor:
     return rails
 
 
-def _copy(classifier: nn.Module, masks: int, classes: int) -> OwnClassifier:
+def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
     """Copy of a user's module, with the import path that it has."""
     if not isinstance(classifier, OwnClassifier):
-        return make(classifier, {}, masks, classes)
+        return make(classifier, {}, features, classes)
     if classifier.module is None:
         raise InputError("the classifier's code was not run: give its module")
-    own = make(classifier.module, {}, masks, classes)
+    own = make(classifier.module, {}, features, classes)
     own.factory, own.arguments = classifier.factory, classifier.arguments
     return own
