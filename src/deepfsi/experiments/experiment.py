@@ -2,7 +2,7 @@
 
 import io
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -138,9 +138,7 @@ class Experiment:
             compared.append(part)
             points += [p.model_copy(update={"recipe": name, **split}) for p in part.points]
             records += own
-        once = {record["key"]: record for record in records}
-        spent = provenance_of(list(once.values()), sum(p.provenance.seconds for p in compared))
-        results = compared[0].with_points(points).model_copy(update={"provenance": spent})
+        results = _together(compared, points, records)
         if self.measure:
             first, designs = next(iter(data.values())), folder / "designs"
             extra = self.measure(results, first, designs, workers, spans[-1])
@@ -203,6 +201,16 @@ class Experiment:
                 "provenance": results.provenance.as_dict(),
             },
         )
+
+
+def _together(
+    compared: Sequence[Results], points: Iterable[Point], records: Sequence[Mapping[str, Any]]
+) -> Results:
+    """Results of all parts: facts of the first, points, devices and times of all."""
+    once = {record["key"]: record for record in records}  # parts may share a record
+    seconds = sum(part.provenance.seconds for part in compared)
+    spent = {"provenance": provenance_of(list(once.values()), seconds)}
+    return compared[0].with_points(points).model_copy(update=spent)
 
 
 def _load(name: str, size: tuple[int, int] | None, split: str | None) -> Dataset:

@@ -12,6 +12,7 @@ from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget, summed_reflectance
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import Learned
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.job import Job
@@ -58,45 +59,49 @@ def design_of(
     """
     budget, scenes = check_budget(photons), as_dataset(data)
     rails = _rails(scanner, scenes)
-    masks, device = rails.shape[1], rails.device
     light = scanner.masks.light if isinstance(scanner.masks, Learned) else light
-    constraints.check_light(light, kind := {1: "single", 2: "dual"}[len(rails)])
+    constraints.check_light(light, "dual" if len(rails) == 2 else "single")
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
-    detection = scanner.detection
-    read = masks * detection.width(len(rails))
-    counted = Scanner.from_rails(rails, "none", detection=detection).rates(mean.to(rails))
-    told: dict[str, Any] = {"masks": masks, "photons": budget, "light": light, "rails": kind}
-    if detection.labels is not None:
-        told["detectors"] = tuple(detection.labels.tolist())
-    if kind == "dual":
-        told["readout"] = detection.readout
+    read = rails.shape[1] * scanner.detection.width(len(rails))
     design = Design(
         name="custom",
         rails=constraints.check(rails, light),
-        classifier=_copy(classifier, read, len(scenes.classes)).to(device),
-        mean=torch.zeros(read, device=device),
-        std=torch.full((read,), 1 / budget, device=device),
-        shares=detection.totals(counted) / s,
+        classifier=_copy(classifier, read, len(scenes.classes)).to(rails.device),
+        mean=torch.zeros(read, device=rails.device),
+        std=torch.full((read,), 1 / budget, device=rails.device),
+        shares=_counted(rails, scanner.detection, mean) / s,
         summed_reflectance=s,
         light=light,
-        detection=detection,
+        detection=scanner.detection,
         image_shape=scenes.image_shape,
         classes=scenes.classes,
-        info=_provenance(scanner, scenes, device, told),
+        info=_provenance(scanner, scenes, rails, {"photons": budget, "light": light}),
     )
     train = torch.from_numpy(scenes.x_train).to(rails), torch.from_numpy(scenes.y_train)
     return design.calibrated(*train)
 
 
+def _counted(rails: Tensor, detection: Detection, photons: Tensor) -> Tensor:
+    """Expected counts (k,) in what is read of photons (N,)."""
+    scanner = Scanner.from_rails(rails, "none", detection=detection)
+    return detection.totals(scanner.rates(photons.to(rails)))
+
+
 def _provenance(
-    scanner: Scanner, data: Dataset, device: torch.device, told: dict[str, Any]
+    scanner: Scanner, data: Dataset, rails: Tensor, told: dict[str, Any]
 ) -> dict[str, Any]:
     """Provenance without what is not known of a training elsewhere."""
+    detection, dual = scanner.detection, len(rails) == 2
+    told |= {"masks": rails.shape[1], "rails": "dual" if dual else "single"}
+    if detection.labels is not None:
+        told["detectors"] = tuple(detection.labels.tolist())
+    if dual:
+        told["readout"] = detection.readout
     with as_input_error():
         job = Job(
             design="custom", noise=scanner.noise, sigma=scanner.sigma, dark=scanner.dark, **told
         )
-    info = provenance(job, data, device, 0.0)
+    info = provenance(job, data, rails.device, 0.0)
     del info["job"]["training"], info["seconds"]
     return info
 
