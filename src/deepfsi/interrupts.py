@@ -117,7 +117,8 @@ def _end_in_time(reading: int) -> None:
         pass
     again = threading.Thread(target=_end_at_once, args=(reading,), daemon=True)
     again.start()
-    again.join(RAY_GRACE_SECONDS if "--ray" in sys.argv else GRACE_SECONDS)
+    ray = any(word.split("=")[0] == "--ray" for word in sys.argv)
+    again.join(RAY_GRACE_SECONDS if ray else GRACE_SECONDS)
     leave()
 
 

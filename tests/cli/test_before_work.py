@@ -82,6 +82,21 @@ def test_a_recipe_of_a_billion_trials_is_refused_with_its_size(refuse, tmp_path,
     assert "1000000000 trials" in refuse("sweep", path, "-o", tmp_path / "out")
 
 
+@pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--dark 5", "dark counts are not of poisson"),
+        ("--train-noise camera --dark 5", "dark counts are not of poisson"),
+        ("--looks 2 --noise camera --train-noise poisson", "several looks is for photon noise"),
+        ("--noise nowhere:noise --train-noise ml_gauss", "nowhere"),
+    ],
+)
+def test_the_noise_of_the_test_is_checked_before_the_training(refuse, tmp_path, words, said):
+    out = tmp_path / "d.safetensors"
+    assert said in refuse("design", "--photons", "1e3", "--masks", 3, *words.split(), "-o", out)
+
+
 OUTPUTS = [
     *("compare", "sweep baseline", "reproduce mnist", "plan --target 0.5"),
     *("data export digits", "camera spots", "dmd export FILE"),

@@ -182,6 +182,7 @@ def test_options_override_a_recipe(done, tmp_path):
     recipe = tmp_path / "own.toml"
     recipe.write_text(
         'data = "digits"\ndesigns = "raster"\nphotons = 1e3\n[training]\nepochs = 9\n'
+        "[tuned.pca]\nepochs = 5\nlr = 1e-3\n"
     )
     out = tmp_path / "out"
     text = done(
@@ -190,6 +191,7 @@ def test_options_override_a_recipe(done, tmp_path):
     )  # fmt: skip
     used = json.loads(text)["recipe"]
     assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": [1]})
+    assert used["tuned"] == {"pca": {"lr": [1e-3]}}
 
 
 def test_own_matrix(done, tmp_path):

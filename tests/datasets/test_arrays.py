@@ -1,6 +1,8 @@
 """Arrays become scenes in [0, 1] with fair splits; bad ones give one clear line."""
 
+import io
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -281,6 +283,28 @@ def test_npz(tmp_path):
 def test_bad_npz(arrays, parts, tmp_path):
     np.savez(tmp_path / "scenes.npz", allow_pickle=True, **arrays)
     with refused("scenes", *parts):
+        load_dataset(tmp_path / "scenes.npz")
+
+
+def test_an_npz_file_larger_than_the_memory_is_refused_unread(tmp_path, monkeypatch):
+    path = tmp_path / "scenes.npz"
+    np.savez_compressed(path, x=np.zeros((4, 10_000)), y=[0, 0, 1, 1])
+    assert path.stat().st_size < 10_000
+    monkeypatch.setattr(arrays, "free_memory", lambda: 1e5)
+    monkeypatch.setattr(np, "load", None)
+    with pytest.raises(InputError, match=r"need 0\.00032 GB of memory"):
+        load_dataset(path)
+
+
+def test_an_npz_file_that_claims_too_much_is_one_line(tmp_path):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (10**14,)}
+    )
+    with zipfile.ZipFile(tmp_path / "scenes.npz", "w") as members:
+        for name in ("x", "y"):
+            members.writestr(f"{name}.npy", header.getvalue())
+    with pytest.raises(InputError, match="cannot read"):
         load_dataset(tmp_path / "scenes.npz")
 
 

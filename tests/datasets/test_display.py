@@ -1,5 +1,7 @@
 """Scenes are written as pictures for a display, and pictures read back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -21,6 +23,14 @@ def test_scenes_are_written_and_read_back(digits, tmp_path):
     assert [path.name for path in again] == [name.split("/")[1] for name in shown.names]
     with pytest.raises(InputError, match="new folder"):
         write_display(digits, tmp_path / "again", per_class=1)
+
+
+@pytest.mark.parametrize("label", ["../out", "/tmp/out", "T-shirt/top", ".hidden", ".."])
+def test_classes_that_are_no_folders_are_refused(digits, tmp_path, label):
+    named = replace(digits, classes=(label, *digits.classes[1:]))
+    with pytest.raises(InputError, match="cannot be a folder"):
+        write_display(named, tmp_path / "images", per_class=1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_one_picture_or_a_plain_folder_is_read(tmp_path):

@@ -53,6 +53,21 @@ def test_all_designs_and_numbers_are_in_the_tables(tmp_path):
         assert told in text
 
 
+def test_masks_are_named_by_the_budget_that_they_learned_at(tmp_path):
+    """Tested at several budgets and grey levels, the file of a design is drawn once, as it is."""
+    results = make_results(tmp_path, designs=("deepfsi",))
+    [learned, *_] = [p for p in results.points if p.best and p.photons == 1e4]
+    tested = [
+        learned.model_copy(update={"photons": photons, "levels": levels})
+        for photons in (1e2, 1e4, 1e6)
+        for levels in (0, 2)
+    ]
+    write_results(tmp_path / "results.json", results.with_points(tested))
+    page = page_of(tmp_path)
+    assert page.count("Masks learned at 10⁴ photons") == 1
+    assert "Masks learned at 100 photons" not in page
+
+
 def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
     """Where a design has several; the one detector of the others is not told."""
     results = make_results(tmp_path, designs=("impulse", "pca"))

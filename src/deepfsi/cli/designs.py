@@ -65,8 +65,15 @@ def design(
     paths.check_file(out, paths.DESIGNS)
     common.check_data(data, view)
     options.check_sigma(context, noise, train_noise)
+    from deepfsi.design.adaptive import check_noise_of_looks
     from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.optics.noise import check_dark, resolve
     from deepfsi.training.learning import learn
+
+    named, _ = resolve(noise)
+    check_dark(dark, named)
+    if looks > 1:
+        check_noise_of_looks(named)
 
     own = common.read_matrix(matrix)
     options.light_settings(photons, counts)
@@ -77,8 +84,8 @@ def design(
         made = learn(shown, matrix=own, device=device, report=report, **settings)
     trained_at = made.info["job"]["photons"]
     budgets = (trained_at,) if photons is None else options.budget_range(photons)
-    results = test(made, scenes, list(dict.fromkeys(budgets)), noise=noise, sigma=sigma, dark=dark)
     made.save(out)
+    results = test(made, scenes, list(dict.fromkeys(budgets)), noise=noise, sigma=sigma, dark=dark)
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
         common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})

@@ -486,4 +486,11 @@ def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict
     told = {name: value for name, value in told.items() if value is not None}
     if told and isinstance(settings.setdefault("training", {}), dict):
         settings["training"] = {**settings["training"], **told}
+    if told and isinstance(tuned := settings.get("tuned"), dict):
+        settings["tuned"] = {
+            design: {name: value for name, value in table.items() if name not in told}
+            if isinstance(table, dict)
+            else table
+            for design, table in tuned.items()
+        }
     return settings

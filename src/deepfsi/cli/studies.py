@@ -97,7 +97,7 @@ def sweep(
     ray: options.Ray = None,
     device: options.Device = "auto",
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="estimate time and memory on this machine, and stop")
+        bool, typer.Option("--dry-run", help="estimate the time on this machine, and stop")
     ] = False,
     table: Annotated[
         Path | None, typer.Option(help="write all records as one table, .csv or .parquet")

@@ -313,9 +313,14 @@ def load_npz(path: Path, options: Options) -> Dataset:
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
     try:
+        with zipfile.ZipFile(path) as members:
+            size = sum(member.file_size for member in members.infolist())
+        check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller scenes")
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (EOFError, OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+    except InputError:
+        raise
+    except (EOFError, MemoryError, OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
             f"cannot read {path} ({error}); "
             "write plain arrays of numbers or strings with numpy.savez"

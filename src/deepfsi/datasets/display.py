@@ -93,6 +93,11 @@ def write_display(
     rng = np.random.default_rng(seed)
     pictures = {}
     for number, label in enumerate(data.classes):
+        if label.startswith(".") or Path(label).name != label:
+            raise InputError(
+                f"class {label!r} of {data.name} cannot be a folder: give it a name without a "
+                "slash and a leading dot"
+            )
         places = np.flatnonzero(data.y_test == number)
         if not 1 <= per_class <= len(places):
             raise InputError(

@@ -50,9 +50,10 @@ ORIGINALS = {
     ),
     # H. Xiao, K. Rasul, R. Vollgraf, "Fashion-MNIST: a novel image dataset for benchmarking
     # machine learning algorithms", arXiv:1708.07747, 2017
+    # its "T-shirt/top" has no slash here, as classes are names of folders
     "fashion-mnist": Original(
         classes=(
-            *("T-shirt/top", "Trouser", "Pullover", "Dress", "Coat"),
+            *("T-shirt or top", "Trouser", "Pullover", "Dress", "Coat"),
             *("Sandal", "Shirt", "Sneaker", "Bag", "Ankle boot"),
         ),
         mirrors=(

@@ -131,6 +131,14 @@ def expose(
         yield seen
 
 
+def check_noise_of_looks(noise: str) -> None:
+    """Raise `InputError` unless several looks can be exposed under a noise: that of photons."""
+    if noise not in ("poisson", "ml_gauss", "none"):
+        raise InputError(
+            "a design of several looks is for photon noise: use poisson, ml_gauss or none"
+        )
+
+
 @dataclass(frozen=True)
 class AdaptiveDwells(ExposureKind):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
@@ -217,10 +225,7 @@ class AdaptiveDwells(ExposureKind):
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
-        if noise not in ("poisson", "ml_gauss", "none"):
-            raise InputError(
-                "a design of several looks is for photon noise: use poisson, ml_gauss or none"
-            )
+        check_noise_of_looks(noise)
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are not given."""

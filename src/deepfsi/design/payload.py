@@ -79,7 +79,12 @@ def playable(
             {name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")}
             for each in results
         ],
-        "test": {"images": results[0].images, "draws": draws, "covers": results[0].covers},
+        "test": {
+            "images": results[0].images,
+            "draws": draws,
+            "covers": results[0].covers,
+            "commonest": float(np.bincount(data.y_test).max() / len(data.y_test)),
+        },
         "data": {"name": data.name, "preprocessing": data.preprocessing},
         "version": version("deepfsi"),
     }
@@ -201,6 +206,5 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
         "high": high,
         "levels": pack(levels),
         "labels": data.y_test[rows].tolist(),
-        "mean": pack(data.x_train.mean(axis=0)),
         "wavelengths": None if known is None else np.nan_to_num(known, nan=-1).tolist(),
     }

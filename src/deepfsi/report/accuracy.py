@@ -271,7 +271,8 @@ def count_figure(results: Results) -> Figure:
             ax.set_title(f"{heading}, {style.noise_text(noise)}" if several else heading)
     for ax in list(figure.axes)[len(panels) :]:
         ax.remove()
-    marker_key(figure, results.points, "filled: number of masks chosen on validation data")
+    words = ("filled: number of masks chosen on validation data",) if results.had_choice else ()
+    marker_key(figure, results.points, *words)
     return figure
 
 

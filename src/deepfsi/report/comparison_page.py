@@ -296,7 +296,9 @@ def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
         names = accuracy.series_names(points, axes, "title")
         for j, (key, members) in enumerate(accuracy.series(points, axes).items()):
             panels: list[Panel] = []
-            for point in sorted(members, key=lambda p: p.photons):
+            # the files hold masks before they are quantised for a test
+            files = {p.keys[0]: p for p in members if not p.levels}
+            for point in sorted(files.values(), key=lambda p: p.trained_at):
                 path = designs / f"{point.keys[0]}.safetensors"
                 if path.is_file():
                     name = f"masks{i}-{j}-{len(panels)}"
@@ -307,7 +309,7 @@ def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
 
 def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:
     """Masks of one design at one budget, and the distribution of their values."""
-    masks, photons = rails.shape[1], photons_text(point.photons)
+    masks, photons = rails.shape[1], photons_text(point.trained_at)
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
     if masks <= MASKS_SHOWN:
         shown = f"all {masks} masks" if masks > 1 else "its one mask"

@@ -54,7 +54,7 @@ function drawTrained(add, budget, { x, y, left, right, top, bottom, chance }) {
 }
 
 export function drawCurve(holder, model, photons) {
-  const { curve, budget, classes } = model;
+  const { curve, budget } = model;
   const height = 210;
   const { width, add } = begin(holder, height);
   const [left, right, top, bottom] = [42, width - 10, 12, height - 24];
@@ -64,7 +64,7 @@ export function drawCurve(holder, model, photons) {
     add("path", { class: "axis", d: `M${left} ${y(share)}H${right}` });
     add("text", { x: left - 6, y: y(share) + 4, "text-anchor": "end" }, `${share * 100} %`);
   }
-  const chance = 1 / classes.length;
+  const chance = model.test.commonest;
   add("path", { class: "axis", d: `M${left} ${y(chance)}H${right}`, "stroke-dasharray": "3 3" });
   for (let exponent = 1; exponent <= 7; exponent++) {
     add("text", { x: x(10 ** exponent), y: height - 6, "text-anchor": "middle" }, power(exponent));
