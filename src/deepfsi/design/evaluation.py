@@ -50,9 +50,10 @@ class Result:
         Photons that the detectors count, in the mean over the test scenes; without dark counts.
     throughput : float
         Share of the budget that the detectors count, in the training mean; where dwells are
-        chosen, at the training's budget.
+        chosen, at the training's budget. Of masks that are quantised for a test only, it is that
+        of the masks before.
     photons_per_mask : list of float
-        Expected counts of each mask's rails together, in the training mean.
+        Expected counts of each mask's rails together, in the training mean; likewise.
 
     Examples
     --------

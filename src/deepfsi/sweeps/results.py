@@ -86,7 +86,8 @@ class Point(Frozen):
     counts : float
         Photons that the detectors count, in the mean over test scenes and trials.
     throughput : float
-        Share of the budget that reaches a detector.
+        Share of the budget that the detectors count, in the training mean; of masks that are
+        quantised for a test only, that of the masks before.
     seconds : float
         Mean time of a training.
     accuracies : tuple of float
