@@ -25,7 +25,7 @@ def test_scenes_are_written_and_read_back(digits, tmp_path):
         write_display(digits, tmp_path / "again", per_class=1)
 
 
-@pytest.mark.parametrize("label", ["../out", "/tmp/out", "T-shirt/top", ".hidden", ".."])
+@pytest.mark.parametrize("label", ["../out", "/out", "T-shirt/top", ".hidden", ".."])
 def test_classes_that_are_no_folders_are_refused(digits, tmp_path, label):
     named = replace(digits, classes=(label, *digits.classes[1:]))
     with pytest.raises(InputError, match="cannot be a folder"):

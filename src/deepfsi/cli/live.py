@@ -114,7 +114,7 @@ def camera_live(
                 camera.ask_for_room(_events(patterns, images, acquisition))
             bench = _virtual(patterns, images, acquisition, times, as_json)
         else:
-            bench = _real(counter, acquisition, images.names, out, counter_config, alp_version)
+            bench = _real(counter, acquisition, images.names, counter_config, alp_version)
         table = _Table(acquisition, patterns, as_json)
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
             for each in decided:
@@ -197,7 +197,6 @@ def _real(
     counter: str,
     acquisition: "Acquisition",
     names: Sequence[str],
-    out: Path,
     config: Path | None,
     alp_version: str | None,
 ) -> "Bench":
