@@ -150,10 +150,8 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
     [
         ("--projector dlp", "unknown projector"),
         ("--projector vialux", "do not go together"),
-        ("--projector vialux --counter picoquant", "ALP4lib"),
         ("--counter-config levels.ini", "for --counter picoquant"),
         ("--alp-version 4.1", "for --projector vialux"),
-        ("--projector vialux --counter picoquant --counter-config levels.ini", "levels.ini"),
         ("--latency comand=1ms", "did you mean 'command'"),
         ("--latency command=fast", "is not a time"),
         ("--latency block=0", "block"),
@@ -173,6 +171,24 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
 def test_bad_words_are_refused_in_one_line(refuse, lab, tmp_path, words, message):
     run = ["camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT]
     assert message in refuse(*run, "-o", tmp_path / "run", *words.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("", "ALP4lib"),
+        ("--counter-config levels.ini", "levels.ini"),
+        ("--flux 1e7", "--flux is for virtual devices"),
+        ("--camera pmt", "--camera is for virtual devices"),
+        ("--latency command=1ms", "--latency is for virtual devices"),
+        ("--seed 0", "--seed is for virtual devices"),
+        ("--yes", "--yes is for virtual devices"),
+    ],
+)
+def test_real_devices_refuse_words_of_virtual_ones(refuse, lab, tmp_path, words, message):
+    run = ["--scene", lab / "images", "--exposure", "10ms", "-o", tmp_path / "run"]
+    real = ["--projector", "vialux", "--counter", "picoquant", *words.split()]
+    assert message in refuse("camera", "live", lab / "patterns", *run, *real)
 
 
 def test_virtual_devices_need_a_flux(refuse, lab, tmp_path):

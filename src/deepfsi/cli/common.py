@@ -25,6 +25,12 @@ if TYPE_CHECKING:
     from deepfsi.sweeps.results import Data
 
 
+def is_given(context: typer.Context, parameter: str) -> bool:
+    """True of a parameter that stands on the command line."""
+    source = context.get_parameter_source(parameter)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def help_if_bare(context: typer.Context) -> None:
     """Print the help of a group of commands that is given without one."""
     if context.invoked_subcommand is None:

@@ -20,9 +20,18 @@ if TYPE_CHECKING:
 
 PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed")
 """Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
+_OF_VIRTUAL = {
+    "flux": "flux",
+    "settings": "camera",
+    "latency": "latency",
+    "seed": "seed",
+    "yes": "yes",
+}
+"""Parameters of virtual devices alone, and their options."""
 
 
 def camera_live(
+    context: typer.Context,
     source: Annotated[
         Path, typer.Argument(help="folder of patterns; or a design file, shown on a DLP7000")
     ],
@@ -79,17 +88,9 @@ def camera_live(
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """
     paths.check_new_folder(out)
-    check_known("projector", projector, PROJECTORS)
-    check_known("counter", counter, COUNTERS)
-    virtual = projector == "virtual"
-    if virtual != (counter == "virtual"):
-        raise InputError("virtual and real devices do not go together: give both, or neither")
+    virtual = _check_devices(context, projector, counter)
     if counter_config is not None:
-        if counter != "picoquant":
-            raise InputError("--counter-config is for --counter picoquant: leave it out")
         paths.check_there(counter_config, "counter configuration")
-    if alp_version is not None and projector != "vialux":
-        raise InputError("--alp-version is for --projector vialux: leave it out")
     if virtual and not (flux or 0.0) > 0:
         raise InputError("virtual devices need a flux above 0: give --flux, such as --flux 1e6")
     times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
@@ -97,7 +98,7 @@ def camera_live(
     from deepfsi.hardware.live.run import plan_live, run_live
     from deepfsi.hardware.recording.acquisition import Scene
 
-    told: dict[str, Any] = {"flux": flux or None, **options.wiring(inputs, marker)}
+    told: dict[str, Any] = {"flux": flux, **options.wiring(inputs, marker)}
     if dead := options.dead_time(dead_time, dead_time_model):
         told["dead_time"] = dead
     if virtual:
@@ -122,6 +123,23 @@ def camera_live(
         if counter == "followed":
             print("end the recording in the counter's software", file=sys.stderr)
     table.finish(out, images.preprocessing)
+
+
+def _check_devices(context: typer.Context, projector: str, counter: str) -> bool:
+    """True of virtual devices; `InputError` for devices or options that do not go together."""
+    check_known("projector", projector, PROJECTORS)
+    check_known("counter", counter, COUNTERS)
+    virtual = projector == "virtual"
+    if virtual != (counter == "virtual"):
+        raise InputError("virtual and real devices do not go together: give both, or neither")
+    if counter != "picoquant" and context.params["counter_config"] is not None:
+        raise InputError("--counter-config is for --counter picoquant: leave it out")
+    if projector != "vialux" and context.params["alp_version"] is not None:
+        raise InputError("--alp-version is for --projector vialux: leave it out")
+    for parameter, option in _OF_VIRTUAL.items():
+        if not virtual and common.is_given(context, parameter):
+            raise InputError(f"--{option} is for virtual devices: leave it out")
+    return virtual
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deepfsi.cli import common
 from deepfsi.errors import InputError, check_known
 
 if TYPE_CHECKING:
@@ -393,8 +394,7 @@ def light_settings(photons: str | None, counts: str | None) -> dict[str, float]:
 
 def check_sigma(context: typer.Context, *noises: str | None) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
-    source = context.get_parameter_source("sigma")
-    if source and source.name == "COMMANDLINE" and not {"gaussian", "camera"} & {*noises}:
+    if common.is_given(context, "sigma") and not {"gaussian", "camera"} & {*noises}:
         named = " and ".join(dict.fromkeys(filter(None, noises)))
         raise InputError(
             f"--sigma is not of {named} noise: leave it out, or give --noise gaussian or camera"

@@ -73,8 +73,7 @@ def compare(
     asked = dict(context.params)
     if recipe:
         base = only(base)
-        source = context.get_parameter_source("data")
-        asked["data"] = data if source and source.name == "COMMANDLINE" else None
+        asked["data"] = data if common.is_given(context, "data") else None
     elif data == "digits" and not (ratios or masks or trials):
         base = QUICK
     chosen = check_recipe(options.recipe_settings(asked, base), own)
