@@ -429,6 +429,6 @@ def test_experiments_are_listed(done):
     listed = json.loads(done("reproduce", "list", "--json"))["experiments"]
     assert {row["name"] for row in listed} == {
         *("mnist", "compression", "mlgauss", "quantization", "indian-pines", "hardware"),
-        *("flexible", "detectors", "ovit", "ovit-full"),
+        *("flexible", "detectors", "ovit", "ovit-images", "ovit-full"),
     }
     assert "compression" in done("reproduce", "list")

@@ -11,7 +11,7 @@ from deepfsi import experiments
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.experiments.ovit import claims as ovit
-from deepfsi.experiments.ovit.claims import EXPERIMENT
+from deepfsi.experiments.ovit.claims import EXPERIMENT, IMAGES
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.sweeps import patch_trials
 from deepfsi.sweeps.patch_trials import PatchRecipe, plan_patches
@@ -221,3 +221,9 @@ def test_names_keep_their_distance_on_a_short_axis():
     heights = sorted(text.get_position()[1] for text in ax.texts if text.get_text())
     assert heights[-1] < 0.52
     assert np.diff(heights).min() >= 0.029
+
+
+def test_more_images_are_trained_as_fewer_are():
+    [few], [many] = (each.recipes(quick=False).values() for each in (EXPERIMENT, IMAGES))
+    assert (many.images, few.images) == (None, 12_000)
+    assert (many.training, many.patch, many.size) == (few.training, few.patch, few.size)

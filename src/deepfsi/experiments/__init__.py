@@ -23,6 +23,7 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "quantization": (quantization.EXPERIMENT,),
     "indian-pines": (indian_pines.EXPERIMENT,),
     "ovit": (ovit.EXPERIMENT,),
+    "ovit-images": (ovit.IMAGES,),
     "ovit-full": (ovit.FULL,),
     "hardware": (camera_study.EXPERIMENT,),
     "flexible": (flexible.EXPERIMENT,),

@@ -327,6 +327,7 @@ def grows(
 
 TITLE = "A vision transformer with an optical front end (OViT)"
 EXPERIMENT = PatchExperiment(name="ovit", title=TITLE, paper=PAPER, show=show)
+IMAGES = PatchExperiment(name="ovit-images", title=f"{TITLE}, all images", paper=PAPER, show=show)
 FULL = PatchExperiment(
     name="ovit-full", title=f"{TITLE}, all images and a larger transformer", paper=PAPER, show=show
 )
