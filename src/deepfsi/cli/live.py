@@ -20,14 +20,12 @@ if TYPE_CHECKING:
 
 PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed")
 """Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
-_OF_VIRTUAL = {
-    "flux": "flux",
-    "settings": "camera",
-    "latency": "latency",
-    "seed": "seed",
-    "yes": "yes",
+_OWN = {
+    "counter_config": "--counter picoquant",
+    "alp_version": "--projector vialux",
+    **dict.fromkeys(("flux", "settings", "latency", "seed", "yes"), "virtual devices"),
 }
-"""Parameters of virtual devices alone, and their options."""
+"""Parameters that only some devices take."""
 
 
 def camera_live(
@@ -132,13 +130,11 @@ def _check_devices(context: typer.Context, projector: str, counter: str) -> bool
     virtual = projector == "virtual"
     if virtual != (counter == "virtual"):
         raise InputError("virtual and real devices do not go together: give both, or neither")
-    if counter != "picoquant" and context.params["counter_config"] is not None:
-        raise InputError("--counter-config is for --counter picoquant: leave it out")
-    if projector != "vialux" and context.params["alp_version"] is not None:
-        raise InputError("--alp-version is for --projector vialux: leave it out")
-    for parameter, option in _OF_VIRTUAL.items():
-        if not virtual and common.is_given(context, parameter):
-            raise InputError(f"--{option} is for virtual devices: leave it out")
+    chosen = f"--counter {counter}", "virtual devices" if virtual else f"--projector {projector}"
+    words = {each.name: each.opts[0] for each in context.command.params}
+    for parameter, owner in _OWN.items():
+        if owner not in chosen and common.is_given(context, parameter):
+            raise InputError(f"{words[parameter]} is for {owner}: leave it out")
     return virtual
 
 
