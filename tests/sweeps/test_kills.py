@@ -48,7 +48,7 @@ def sweep(tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MA
     return ["sweep", str(recipe), "--json", "-o", str(tmp_path / "out"), "--workers", str(workers)]
 
 
-def start(tmp_path: Path, trials: int = 12, workers: int = 2) -> subprocess.Popen:
+def start(tmp_path: Path, trials: int = 40, workers: int = 2) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-m", "deepfsi", *sweep(tmp_path, trials, workers)],
         stdout=subprocess.PIPE,
