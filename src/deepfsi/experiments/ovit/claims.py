@@ -193,8 +193,9 @@ def _found(results: Results) -> str:
     )
     return (
         f"{results.data.name} in grey, {size[0]} x {size[1]} pixels, in {patch} x {patch} "
-        f"patches. The same {patch * patch} masks are applied to every patch, under `column`; a "
-        "budget is of the whole image, and is shared by the patches as their light is. "
+        f"patches. The same {patch * patch} masks are applied to every patch, under "
+        "the light law column; a budget is of the whole image, and is shared by the patches as "
+        "their light is. "
         f"Trained on {results.data.train} images, tested on {results.data.test} under "
         f"exact photon noise. At {photons_text(middle)} photons: "
         + ", ".join(f"{each.label} {each.accuracy:.3f}" for each in ranks)
