@@ -30,26 +30,7 @@ class InputError(ValueError):
 
 
 def closest(name: str, allowed: Iterable[str]) -> str:
-    """Say what to write instead of an unknown name, as the end of an error message.
-
-    Parameters
-    ----------
-    name
-        What was given.
-    allowed
-        The names that are known, in the order in which to list them.
-
-    Returns
-    -------
-    str
-        ``"did you mean 'mnist'? Known: digits, mnist"``, or ``"give one of digits, mnist"`` where
-        nothing is close.
-
-    Examples
-    --------
-    >>> closest("MNITS", ["digits", "mnist"])
-    "did you mean 'mnist'? Known: digits, mnist"
-    """
+    """Say what to write instead of an unknown name, as the end of an error message."""
     allowed = list(allowed)
     by_lower_case = {known.lower(): known for known in allowed}
     matches = get_close_matches(name.lower(), by_lower_case, n=1)
@@ -60,36 +41,14 @@ def closest(name: str, allowed: Iterable[str]) -> str:
 
 
 def check_known(what: str, name: str, known: Iterable[str]) -> None:
-    """Raise `InputError` with the closest known name unless a name is known.
-
-    Parameters
-    ----------
-    what : str
-        What it names.
-    known : iterable of str
-        The names.
-    """
+    """Raise `InputError` with the closest known name unless a name is known."""
     if name not in (known := list(known)):
         raise InputError(f"unknown {what} {name!r}: {closest(name, known)}")
 
 
 @contextmanager
 def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
-    """Turn pydantic's errors into one `InputError`.
-
-    Parameters
-    ----------
-    file : str
-        File whose content is validated. Its first bad field is then named; without a file every
-        bad field, with what was given.
-    advice : str
-        What to do about the file.
-
-    Raises
-    ------
-    InputError
-        In place of a `pydantic.ValidationError`.
-    """
+    """Turn pydantic's errors into one `InputError`."""
     from pydantic import ValidationError
 
     try:

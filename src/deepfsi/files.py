@@ -48,13 +48,7 @@ def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 @contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Make a folder that takes an empty one's place, or none's, when the block ends well.
-
-    Raises
-    ------
-    InputError
-        If the path holds something already.
-    """
+    """Make a folder that takes an empty one's place, or none's, when the block ends well."""
     target = Path(path)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")

@@ -23,13 +23,7 @@ UNNAMED = "own"
 
 
 def named(path: str) -> Any:
-    """Import a part from an installed package, or from a file in the current folder.
-
-    Raises
-    ------
-    InputError
-        If there is no such module, it cannot be imported, or has no such name.
-    """
+    """Import a part from an installed package, or from a file in the current folder."""
     module, _, name = path.partition(":")
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)  # as for `python -m`; the command's own folder is there instead

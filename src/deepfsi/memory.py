@@ -11,17 +11,7 @@ def free_memory() -> float:
 
 
 def check_memory(needed: float, free: float, what: str, advice: str) -> None:
-    """Raise `InputError` where something would not fit.
-
-    Parameters
-    ----------
-    needed, free : float
-        Bytes.
-    what : str
-        What needs them.
-    advice : str
-        What to do instead.
-    """
+    """Raise `InputError` where something would not fit."""
     if needed > free:
         raise InputError(
             f"{what} need {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free: "

@@ -24,24 +24,12 @@ PATTERN = r"[0-9a-f]{12}-\d+-\d+-[0-9a-f]{8}"
 
 
 class Owner(NamedTuple):
-    """A process, and a number that tells apart what it owns.
+    """A process, and a number that tells apart what it owns."""
 
-    Attributes
-    ----------
-    place : str
-        Hash of its host.
-    process : int
-        Its number there.
-    started : int
-        Seconds from the host's start to its own.
-    own : str
-        Random.
-    """
-
-    place: str
-    process: int
-    started: int
-    own: str
+    place: str  # hash of its host
+    process: int  # its number there
+    started: int  # seconds from the host's start to its own
+    own: str  # random
 
     def __str__(self) -> str:
         return f"{self.place}-{self.process}-{self.started}-{self.own}"

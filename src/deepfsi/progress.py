@@ -15,24 +15,7 @@ def _nothing(share: float, what: str) -> None:
 
 @dataclass(frozen=True)
 class Report:
-    """Where a task says how far it is.
-
-    Parameters
-    ----------
-    show : callable
-        Called with the share of the whole work that is done, 0 to 1, and what is being done; the
-        words are empty where the task has none.
-    begin, end : float
-        Part of the whole work that this task is.
-
-    Examples
-    --------
-    >>> report = Report(lambda share, what: print(f"{share:.2f}", what))
-    >>> report(0.5, "halfway")
-    0.50 halfway
-    >>> report.part(0.5, 1.0)(0.5, "the second half")
-    0.75 the second half
-    """
+    """Where a task says how far it is."""
 
     show: Callable[[float, str], None] = _nothing
     begin: float = 0.0
@@ -85,15 +68,7 @@ WHOLE_TASK = 1e7
 
 @contextmanager
 def terminal_bar(what: str, hidden: bool = False) -> Iterator[Report]:
-    """Progress with the time left on standard error: a bar on a terminal, else a line at times.
-
-    Parameters
-    ----------
-    what : str
-        Words before the bar, where the task has none.
-    hidden : bool
-        Show nothing.
-    """
+    """Progress with the time left on standard error: a bar on a terminal, else a line at times."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import TimeRemainingColumn as TimeLeft

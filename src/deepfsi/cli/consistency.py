@@ -35,22 +35,7 @@ def check_counts(
 
     The exposures of a scene count as one of their budgets together.
 
-    Parameters
-    ----------
-    design : Design
-        As its patterns realise it.
-    counts : Counts
-    usable : array, shape (S, R)
-        bool; the exposures that are looked at.
-    budgets : array, shape (S,)
-        Of an exposure of each scene.
-    force : bool
-        Go on where the counts do not.
-
-    Raises
-    ------
-    InputError
-        Where they do not.
+    Shapes: usable (S, R); budgets (S,).
     """
     from deepfsi.design.consistency import REFUSED, UNSURE
 

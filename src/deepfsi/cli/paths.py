@@ -27,17 +27,7 @@ def check_there(path: Path, what: str) -> None:
 
 
 def check_file(path: Path, ends: tuple[str, ...], made: Path | None = None) -> None:
-    """Raise `InputError` unless a file can be written to a path.
-
-    Parameters
-    ----------
-    path : Path
-        Its folder is there, or is `made` or above that.
-    ends : tuple of str
-        Of its name.
-    made : Path, optional
-        Folder that the command makes.
-    """
+    """Raise `InputError` unless a file can be written to a path."""
     allowed = " or ".join(ends)
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file name ending in {allowed}")

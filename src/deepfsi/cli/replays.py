@@ -97,16 +97,6 @@ def print_live_classes(file: Path, folder: Path, photons: float | None, as_json:
     """Replay the decisions of a live run from its counts, and compare them with the run's.
 
     Photons are counted first where that was not done.
-
-    Parameters
-    ----------
-    file : path
-        Of the design whose patterns were shown.
-    folder : path
-        Of the run.
-    photons : float or None
-        Budget that is asked for, which is refused.
-    as_json : bool
     """
     from deepfsi.hardware.live.networks import read_loop
     from deepfsi.hardware.live.replay import COUNTS, count_live, replay_run

@@ -59,23 +59,7 @@ def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int
 
 
 def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
-    """Variable of a ``.mat`` or HDF5 file.
-
-    Parameters
-    ----------
-    path : Path
-    name : str
-        One of those that `list_variables` gives.
-    shape : tuple of int
-        Its shape according to `list_variables`.
-    largest : int
-        Values at most: a small file may claim more than memory holds.
-
-    Raises
-    ------
-    InputError
-        If it is larger, damaged or complex.
-    """
+    """Variable of a ``.mat`` or HDF5 file."""
     from scipy.io import loadmat
 
     if np.prod(shape, dtype=float) > largest:

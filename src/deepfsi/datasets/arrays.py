@@ -285,14 +285,7 @@ def draw_stratified(
 ) -> npt.NDArray[np.intp]:
     """Sorted indices of scenes drawn so that each class has as nearly its share as can be.
 
-    Parameters
-    ----------
-    labels : array, shape (n,)
-    count : int
-        How many scenes to draw, at least one of each class.
-    seed : int
-    name : str
-        Name of the data set, for messages.
+    Shapes: labels (n,).
     """
     check_seed(seed)
     labels = np.asarray(labels)

@@ -69,12 +69,6 @@ def download(name: str) -> Path:
     What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
     into it, each from the first mirror that gives it whole. Of names that cannot be downloaded,
     this finds the files that are here. Gives the folder or file.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to download under this name, a file in ``$DEEPFSI_DATA`` is damaged,
-        or no mirror gives a file.
     """
     if name == "digits":
         raise InputError(

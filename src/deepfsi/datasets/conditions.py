@@ -31,29 +31,7 @@ def ambient(data: Dataset, share: float) -> Dataset:
 
 
 def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> Dataset:
-    """Scenes displaced at random, each by itself, training and test scenes alike.
-
-    Parameters
-    ----------
-    data : Dataset
-        Images.
-    shift : float
-        Standard deviation of the shift along each axis, pixels, at least 0.
-    turn : float
-        Standard deviation of a turn about the centre, degrees, at least 0.
-    seed : int
-        Draws the displacements.
-
-    Returns
-    -------
-    Dataset
-        Interpolated linearly; what comes in at the edges is like the edge.
-
-    Raises
-    ------
-    InputError
-        If the data is not images, or a displacement is negative or not finite.
-    """
+    """Scenes displaced at random, each by itself, training and test scenes alike."""
     if len(data.image_shape) != 2:
         raise InputError(f"{data.name} has scenes of {data.image_shape}: jitter is for images")
     if not (math.isfinite(shift) and math.isfinite(turn) and min(shift, turn) >= 0):

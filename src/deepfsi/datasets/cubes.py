@@ -34,28 +34,7 @@ def read_cube(
     wavelengths: npt.NDArray[np.float64] | None = None,
     origin: str = "Spectra",
 ) -> SpectralImage:
-    """Read a cube and its label map.
-
-    Parameters
-    ----------
-    path : Path
-        The cube, (H, W, B): a ``.mat`` file up to version 7 with one three-dimensional variable,
-        an ``.npy`` file, or the ``.hdr`` header of an ENVI file (needs the package ``spectral``).
-    labels : Path, optional
-        The label map, (H, W) integers with 0 for no label, in any of the three. By default
-        the file beside the cube that is named as it is with ``_gt`` added, or put in place of
-        ``_corrected``: ``Salinas_gt.mat`` for ``Salinas_corrected.mat``.
-    variables : (str or None, str or None)
-        Names of the cube's and the label map's variable in ``.mat`` files; by default the only
-        one of that many dimensions.
-    name, classes, wavelengths, origin : optional
-        As in `SpectralImage`; by default the file's name, and what an ENVI header says.
-
-    Raises
-    ------
-    InputError
-        If a file is missing, damaged, or holds something else.
-    """
+    """Read a cube and its label map."""
     labels = _find_labels(path) if labels is None else labels
     cube = _read(path, 3, variables[0])
     label_map = _read(labels, 2, variables[1])

@@ -33,32 +33,19 @@ DEPTHS: dict[Family, str] = {"byte": "8 bits", "integer": "more than 8 bits", "f
 
 @dataclass
 class Tally:
-    """Count of pictures that were read, and their range.
+    """Count of pictures that were read, and their range."""
 
-    Attributes
-    ----------
-    count, coloured, transparent, several, deep_colours : int
-        Pictures; of them those in colour, with transparency, the first of several in one file, and
-        those in colours of 16 bits.
-    sizes : set of (int, int)
-        Heights and widths.
-    family : str
-        "byte", "integer" or "float"; None before the first.
-    first : str
-        Name of the first, for messages.
-    low, high : float
-        Smallest and largest value, before any averaging.
-    """
-
+    # Pictures; of them those in colour, with transparency, the first of several in one file, and
+    # those in colours of 16 bits
     count: int = 0
     coloured: int = 0
     transparent: int = 0
     several: int = 0
     deep_colours: int = 0
-    sizes: set[Shape] = field(default_factory=set)
-    family: Family | None = None
-    first: str = ""
-    low: float = math.inf
+    sizes: set[Shape] = field(default_factory=set)  # heights and widths
+    family: Family | None = None  # "byte", "integer" or "float"; None before the first
+    first: str = ""  # name of the first, for messages
+    low: float = math.inf  # smallest and largest value, before any averaging
     high: float = -math.inf
 
     def grey(self, image: "PillowImage", where: str) -> "PillowImage":

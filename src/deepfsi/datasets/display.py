@@ -19,27 +19,13 @@ from deepfsi.files import new_folder
 
 
 class Display(NamedTuple):
-    """Pictures to be shown one after another.
+    """Pictures to be shown one after another."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of their files.
-    labels : tuple of str or None
-        Class of each, if there is a folder for each class.
-    x : array, shape (S, H, W), float32
-        Reflectance in [0, 1].
-    levels : Levels
-        Range of the values, and their white.
-    preprocessing : str
-        What was done to the pictures, in words.
-    """
-
-    names: tuple[str, ...]
-    labels: tuple[str, ...] | None
-    x: Reflectance
-    levels: Levels
-    preprocessing: str
+    names: tuple[str, ...]  # names of their files
+    labels: tuple[str, ...] | None  # class of each, if there is a folder for each class
+    x: Reflectance  # (S, H, W): Reflectance in [0, 1]
+    levels: Levels  # range of the values, and their white
+    preprocessing: str  # what was done to the pictures, in words
 
 
 def read_display(path: str | os.PathLike[str], white: float | None = None) -> Display:
@@ -70,24 +56,7 @@ def read_display(path: str | os.PathLike[str], white: float | None = None) -> Di
 def write_display(
     data: Dataset, folder: str | os.PathLike[str], per_class: int, seed: int = 0
 ) -> list[Path]:
-    """Write test scenes as pictures, a sub-folder for each class.
-
-    Parameters
-    ----------
-    data : Dataset
-        Images.
-    folder : str or path
-        New or empty.
-    per_class : int
-        Scenes of each class, drawn without repetition.
-    seed : int
-        Draws them.
-
-    Raises
-    ------
-    InputError
-        If the scenes are no images, a class has too few, or the folder holds something.
-    """
+    """Write test scenes as pictures, a sub-folder for each class."""
     if len(data.image_shape) != 2:
         raise InputError(f"{data.name}: scenes of shape {data.image_shape} are no images")
     rng = np.random.default_rng(seed)

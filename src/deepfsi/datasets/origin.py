@@ -4,27 +4,19 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Origin(BaseModel):
-    """Name or path of a data set, and the options it was loaded with.
-
-    Attributes
-    ----------
-    data : str
-        Name, or absolute path.
-    size, seed, rescale, images, split, white : optional
-        As in `load_dataset`; white is the one in force, where the type of the values has none.
-    view : str or None
-        Absolute path of the calibration folder of the camera that sees the scenes.
-    """
+    """Name or path of a data set, and the options it was loaded with."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    data: str
+    data: str  # name, or absolute path
+    # As in `load_dataset`; white is the one in force, where the type of the values has none
     size: tuple[int, int] | None = None
     seed: int = 0
     rescale: tuple[float, float] | None = None
     images: int | None = None
     split: str | None = None
     white: float | None = None
+    # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
 
     @property

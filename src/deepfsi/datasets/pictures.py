@@ -49,13 +49,7 @@ class Picture(NamedTuple):
 
 
 def load_pictures(path: Path, options: Options) -> Dataset:
-    """Load a folder or a zip file of images.
-
-    Raises
-    ------
-    InputError
-        If the folders are not as above, or an image cannot be read or differs in size.
-    """
+    """Load a folder or a zip file of images."""
     name = path.resolve().stem if path.is_file() else path.resolve().name
     with open_listings(path) as listings:
         return from_listings(listings, name, options)
@@ -258,16 +252,7 @@ def is_image(name: str) -> bool:
 def read_all(
     pictures: list[Picture], shape: Shape | None, bilinear: bool
 ) -> tuple[npt.NDArray[Any], Tally]:
-    """Grey images (n, H, W), all of one shape: uint8, or else float32 in their own values.
-
-    Parameters
-    ----------
-    pictures : list of Picture
-    shape : (int, int) or None
-        Height and width to which they are brought; without it they must agree.
-    bilinear : bool
-        Resize bilinearly instead of averaging over areas.
-    """
+    """Grey images (n, H, W), all of one shape: uint8, or else float32 in their own values."""
     from PIL import Image
 
     if shape is not None:

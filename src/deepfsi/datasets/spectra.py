@@ -37,37 +37,18 @@ GUARD = 1
 
 @dataclass(frozen=True, eq=False)
 class SpectralImage:
-    """A hyperspectral image with a label for some of its pixels.
+    """A hyperspectral image with a label for some of its pixels."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables and records.
-    cube : array, shape (H, W, B)
-        Value of each pixel in each band, integers or floats. Floats in [0, 1] are
-        reflectance; any other cube is mapped linearly from its lowest and highest value to [0, 1].
-    labels : array, shape (H, W)
-        Class of each pixel, an integer, 0 where it has none.
-    classes : sequence of str, optional
-        Names of the classes 1, 2, ..; by default the labels themselves. Those without a pixel are
-        left out.
-    wavelengths : array, shape (B,), optional
-        Centre of each band in nm.
-    origin : str
-        Kind of the values, in a few words, for `Dataset.preprocessing`.
-
-    Raises
-    ------
-    InputError
-        If shapes or values do not fit.
-    """
-
-    name: str
+    name: str  # name in tables and records
+    # (H, W, B): Value of each pixel in each band, integers or floats. Floats in [0, 1] are
+    # reflectance; any other cube is mapped linearly from its lowest and highest value to [0, 1]
     cube: npt.NDArray[np.generic]
-    labels: npt.NDArray[np.integer]
+    labels: npt.NDArray[np.integer]  # (H, W): Class of each pixel, an integer, 0 where it has none
+    # Names of the classes 1, 2, ..; by default the labels themselves. Those without a pixel are
+    # left out
     classes: Sequence[str] | None = None
-    wavelengths: npt.NDArray[np.float64] | None = None
-    origin: str = "Spectra"
+    wavelengths: npt.NDArray[np.float64] | None = None  # (B,): Centre of each band in nm
+    origin: str = "Spectra"  # kind of the values, in a few words, for `Dataset.preprocessing`
 
     def __post_init__(self) -> None:
         cube, labels = self.cube, self.labels
@@ -197,24 +178,7 @@ class SpectralImage:
         bands: int | None = None,
         rescale: Range | None = None,
     ) -> Dataset:
-        """Make a data set of the labelled pixels.
-
-        Parameters
-        ----------
-        split, seed
-            As in `parts`. The seed draws the order of the training scenes, too.
-        bands : int, optional
-            N, to which the spectra are padded with darkness; by default as many as there are.
-        rescale : (float, float), optional
-            Low and high, to which [0, 1] is mapped. The padding stays dark only without.
-
-        Returns
-        -------
-        Dataset
-            Its test scenes are in the order of the image, row by row; its training scenes
-            shuffled. What `Dataset.hold_out` sets aside has neighbours among the rest under
-            either split: only the test part of ``"blocks"`` is apart.
-        """
+        """Make a data set of the labelled pixels."""
         spectra = self.scenes(bands)
         y = np.searchsorted(np.unique(self.labels[self.labels != 0]), self.labels.ravel())
         train, test = (np.flatnonzero(part) for part in self.parts(split, seed))

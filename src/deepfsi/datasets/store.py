@@ -62,18 +62,7 @@ def check_file(path: Path, known_hash: str) -> FileCheck:
 
 
 def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) -> None:
-    """Bring one file into the cache, unless it is there whole, from the first mirror that can.
-
-    Parameters
-    ----------
-    name : str
-        Data set.
-    file : str
-    known_hash : str
-        "algorithm:hex".
-    mirrors : tuple of str
-        Addresses before the name of the file.
-    """
+    """Bring one file into the cache, unless it is there whole, from the first mirror that can."""
     import pooch
 
     pooch.get_logger().setLevel("WARNING")

@@ -69,20 +69,7 @@ def simulate(
 ) -> npt.NDArray[np.uint16]:
     """Simulate the readings of an imaging spectrometer over a label map.
 
-    Parameters
-    ----------
-    labels : array, shape (H, W)
-        Class of each pixel in the order of `CLASSES` from 1, 0 for none. Pixels without
-        a class continue the nearest field with more scatter.
-    wavelengths : array, shape (B,)
-        Centre of each band in nm.
-    seed : int
-        Draws everything that varies.
-
-    Returns
-    -------
-    array, shape (H, W, B), uint16
-        Digital numbers.
+    Shapes: labels (H, W); wavelengths (B,).
     """
     rng = np.random.default_rng(seed)
     shares, chlorophyll, water = _cover(labels, rng)

@@ -37,20 +37,11 @@ SEPARATORS = ",;\t "
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers in rows and columns, and columns of words beside them.
+    """Numbers in rows and columns, and columns of words beside them."""
 
-    Attributes
-    ----------
-    values : array, shape (rows, columns)
-        float64.
-    names : tuple of str
-        Of the columns; empty where they have none.
-    words : dict
-        From the name of a column of words to those of each row.
-    """
-
-    values: np.ndarray
-    names: tuple[str, ...] = ()
+    values: np.ndarray  # (rows, columns): float64
+    names: tuple[str, ...] = ()  # of the columns; empty where they have none
+    # From the name of a column of words to those of each row
     words: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -60,23 +51,7 @@ def is_table(source: str | Path) -> bool:
 
 
 def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
-    """Read a table.
-
-    Parameters
-    ----------
-    source : str or path
-        A text file of numbers between commas, semicolons, tabs or spaces, whose first line may name
-        its columns (lines that begin with # are left out); a ``.parquet`` file; a ``.npy`` file; a
-        ``.mat`` or HDF5 file with one numeric variable of two axes, or one called "counts"; or
-        FILE:VARIABLE.
-    words : sequence of str
-        Names of the columns that hold words, where there are such.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it is damaged, or it holds something else.
-    """
+    """Read a table."""
     path, variable = _split(str(source))
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

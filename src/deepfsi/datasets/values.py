@@ -34,25 +34,13 @@ Family = Literal["truth", "byte", "integer", "float"]
 
 
 class Levels(NamedTuple):
-    """Range of the values of a source.
+    """Range of the values of a source."""
 
-    Attributes
-    ----------
-    kind : str
-        Type of the values: "uint16", "8-bit".
-    low, high : float
-        Smallest and largest.
-    white : float
-        Value that is reflectance 1.
-    chosen : bool
-        True if `white` is no property of the type: other scenes need to be told it.
-    """
-
-    kind: str
-    low: float
+    kind: str  # type of the values: "uint16", "8-bit"
+    low: float  # smallest and largest
     high: float
-    white: float
-    chosen: bool
+    white: float  # value that is reflectance 1
+    chosen: bool  # true if `white` is no property of the type: other scenes need to be told it
 
     @property
     def words(self) -> str:
@@ -80,24 +68,7 @@ def measure(parts: Mapping[str, Values], white: float | None = None) -> Levels:
 def levels_of(
     reach: Mapping[str, tuple[float, float]], family: Family, kind: str, white: float | None
 ) -> Levels:
-    """Levels of values that reach so far.
-
-    Parameters
-    ----------
-    reach : mapping of (float, float)
-        Smallest and largest value of each part, by its name in messages.
-    family : str
-        "truth", "byte", "integer" or "float".
-    kind : str
-        Type of the values for people.
-    white : float or None
-        Of integers wider than a byte; found by the rule of this module unless given.
-
-    Raises
-    ------
-    InputError
-        If they cannot be reflectances.
-    """
+    """Levels of values that reach so far."""
     for what, (low, high) in reach.items():
         _check_reach(what, low, high, family, white)
     low, high = min(low for low, _ in reach.values()), max(high for _, high in reach.values())

@@ -31,18 +31,11 @@ from deepfsi.optics.masks import through
 
 @dataclass(frozen=True)
 class Dwells:
-    """Dwells of a look: one for each frame of one device.
+    """Dwells of a look: one for each frame of one device."""
 
-    Attributes
-    ----------
-    masks : int
-        m.
-    each_rail : bool
-        Whether the two rails of a mask are frames, one after the other, with dwells of their own:
-        not so on two arms, which see both at once.
-    """
-
-    masks: int
+    masks: int  # m
+    # Whether the two rails of a mask are frames, one after the other, with dwells of their own: not
+    # so on two arms, which see both at once
     each_rail: bool
 
     @classmethod
@@ -99,23 +92,7 @@ def expose(
 ) -> Iterator[Exposure]:
     """Exposures after each look: one loop for training, tests and a camera, for one or many.
 
-    Parameters
-    ----------
-    choose : callable
-        Network from (..., k + q + 1), the inputs of the classifier so far and the share of the
-        exposure that is left, to scores (..., q): dwells of the next look are their softmax.
-    show : callable
-        Shows the masks for given shares of the exposure; returns counts over the budget, and the
-        shares that it did show.
-    looks : int
-        K, each 1 / K of the exposure.
-    dwells : int
-        q.
-    mean, std : tensor, shape (..., k)
-        As for `Exposure.inputs`, with the leading axes of the exposures.
-    shortest : float
-        Shortest dwell that the device shows, a share of the exposure, see `share_out`. The gradient
-        is that of the chosen dwells.
+    Shapes: mean, std (..., k).
     """
     features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
     seen = Exposure(features, total)
@@ -144,22 +121,12 @@ class AdaptiveDwells(ExposureKind):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
     The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
-
-    Attributes
-    ----------
-    dwells : Dwells
-    network : Mlp
-        From k + q + 1 inputs to q outputs.
-    looks : int
-        K.
-    shortest : float
-        Shortest dwell of a frame that is shown, a share of the exposure.
     """
 
     dwells: Dwells
-    network: Mlp
-    looks: int
-    shortest: float = 0.0
+    network: Mlp  # from k + q + 1 inputs to q outputs
+    looks: int  # K
+    shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
     kind = "adaptive"
 
     def header(self) -> "AdaptiveShape":
@@ -203,13 +170,7 @@ class AdaptiveDwells(ExposureKind):
         return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
     def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
-        """Share (m,) of the exposure that each mask is shown in the first look.
-
-        Parameters
-        ----------
-        rails, light, mean, std
-            Of the design.
-        """
+        """Share (m,) of the exposure that each mask is shown in the first look."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             return torch.zeros_like(mean), dwell

@@ -161,16 +161,7 @@ class Header(BaseModel):
 def pack(
     header: Header, tensors: Mapping[str, Tensor], weights: Mapping[str, Mapping[str, Tensor]]
 ) -> bytes:
-    """Content of a design file.
-
-    Parameters
-    ----------
-    header : Header
-    tensors : mapping of tensor
-        Those named in `TENSORS`.
-    weights : mapping of mapping of tensor
-        Of each network, and of the distribution, by part of the design.
-    """
+    """Content of a design file."""
     every = dict(tensors)
     for part, state in weights.items():
         every |= {f"{part}.{key}": value for key, value in state.items()}

@@ -32,17 +32,7 @@ IN_TAIL = 10
 
 
 def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
-    """Places of the training scenes, of `count`, that are looked at.
-
-    Parameters
-    ----------
-    count : int
-        Training scenes.
-    readouts : int
-        Of a scene.
-    seed : int
-        Of the choice.
-    """
+    """Places of the training scenes, of `count`, that are looked at."""
     most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
 
@@ -54,15 +44,7 @@ def find_distribution(
 
     Too few of one class are too few: they do not tell how others of it look.
 
-    Parameters
-    ----------
-    rates : tensor, shape (n, rails, m)
-        Expected counts for a budget of one photon, as from `Design.rates`.
-    labels : array of int, shape (n,)
-    classes : int
-        Of the design: its labels are 0 .. classes-1.
-    seed : int
-        Of the order of scenes and the noise of the calibration.
+    Shapes: rates (n, rails, m); labels (n,).
     """
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([seed, 12])

@@ -103,30 +103,6 @@ class Vit(nn.Module):
     Each patch's features are embedded by one linear layer and get a learned position; `depth`
     layers of attention over the patches follow (normalised first, as deep ones train best), then
     the mean over patches and a linear layer. There is no dropout.
-
-    Parameters
-    ----------
-    inputs : int
-        m, features of each patch.
-    patches : int
-        P.
-    classes : int
-        C.
-    width : int
-        Of the embedding; a multiple of `heads`.
-    depth : int
-        Number of layers, at least 1.
-    heads : int
-        Of each layer's attention.
-    hidden : int
-        Width of each layer's two-layer network.
-    generator : torch.Generator, optional
-        For the initial weights; torch's global one unless given.
-
-    Raises
-    ------
-    InputError
-        If the heads cannot share the width.
     """
 
     def __init__(
@@ -187,20 +163,7 @@ def restored(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -
 
 
 class Replicas(nn.Module):
-    """Networks of one shape that learn side by side, each from its own features.
-
-    Parameters
-    ----------
-    networks : sequence of nn.Module
-        R of them, each an `Mlp` where they are stacked. They are in training mode and keep their
-        own generators.
-    stacked : bool
-        Whether their weights are stacked, so that one product serves all: a GPU needs that, while
-        a processor is as fast with one after another (`benchmarks/sweep.py`). Call `hand_back`
-        after training.
-    dtype : torch.dtype
-        Type of their products; weights stay float32, and logits are returned as such.
-    """
+    """Networks of one shape that learn side by side, each from its own features."""
 
     def __init__(
         self, networks: Sequence[nn.Module], stacked: bool, dtype: torch.dtype = torch.float32

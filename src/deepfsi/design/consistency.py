@@ -75,30 +75,20 @@ class Consistency:
 
 @dataclass(frozen=True)
 class ReadoutDistribution:
-    """Distribution of the readouts of training scenes, and the tails of the two statistics.
+    """Distribution of the readouts of training scenes, and the tails of the two statistics."""
 
-    Attributes
-    ----------
-    mean : tensor, shape (rails, m)
-        Share of the budget that each readout counts, in the mean over scenes.
-    spread : tensor, shape ()
-        Standard deviation of the brightness.
-    directions : tensor, shape (k, rails, m)
-        Patterns of one standard deviation each, along the principal axes of their covariance.
-    rest : tensor, shape (rails, m)
-        Variance of the patterns beyond these.
-    tails : tensor, shape (2, 2, counts, chances)
-        Of all scenes and of the class that fits worst; of brightness and pattern; at each of
-        `COUNTS`: logarithm of the value that is exceeded with each of `CHANCES`.
-    pairs : tensor, shape (counts, chances)
-        The same of the likeness of two scenes, in the class whose scenes are most alike.
-    """
-
+    # (rails, m): Share of the budget that each readout counts, in the mean over scenes
     mean: Tensor
-    spread: Tensor
+    spread: Tensor  # (): Standard deviation of the brightness
+    # (k, rails, m): Patterns of one standard deviation each, along the principal axes of their
+    # covariance
     directions: Tensor
-    rest: Tensor
+    rest: Tensor  # (rails, m): Variance of the patterns beyond these
+    # (2, 2, counts, chances): Of all scenes and of the class that fits worst; of brightness and
+    # pattern; at each of `COUNTS`: logarithm of the value that is exceeded with each of `CHANCES`
     tails: Tensor
+    # (counts, chances): The same of the likeness of two scenes, in the class whose scenes are most
+    # alike
     pairs: Tensor
 
     @property
@@ -108,15 +98,7 @@ class ReadoutDistribution:
 
     @classmethod
     def restored(cls, tensors: dict[str, Tensor], rails: int, masks: int) -> "ReadoutDistribution":
-        """Distribution from a design file, or `ValueError` if it holds none.
-
-        Parameters
-        ----------
-        tensors : dict of tensor
-            By name.
-        rails, masks : int
-            Of the design.
-        """
+        """Distribution from a design file, or `ValueError` if it holds none."""
         axes = len(tensors["directions"])
         shapes = {
             "mean": (rails, masks),
@@ -154,14 +136,7 @@ class ReadoutDistribution:
     def test(self, counts: ArrayLike, photons: ArrayLike, background: ArrayLike) -> Consistency:
         """Consistency of exposures of different scenes.
 
-        Parameters
-        ----------
-        counts : array, shape (..., rails, m)
-            Of each readout, less the background.
-        photons : array, shape (...)
-            Budget of each exposure.
-        background : array, broadcastable to counts
-            Counts that were subtracted: they add their own Poisson noise.
+        Shapes: counts (..., rails, m); photons (...).
         """
         model = self._model
         read = np.asarray(counts, dtype=float)

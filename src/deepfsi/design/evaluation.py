@@ -189,22 +189,7 @@ def tally_scenes(
     draws: int,
     report: Report,
 ) -> list[Tally]:
-    """Tally of the answers of a rule to the test scenes of a data set, at each budget.
-
-    Parameters
-    ----------
-    data : Dataset
-    rates_of : callable
-        From scenes (b, N) to expected counts (b, ...) for a budget of one photon.
-    guess : callable
-        From these, a generator and a budget to classes, with noise drawn once.
-    budgets : sequence of float
-    generators : sequence of torch.Generator
-        One for each budget.
-    draws : int
-        Noise draws of each scene.
-    report : Report
-    """
+    """Tally of the answers of a rule to the test scenes of a data set, at each budget."""
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     counts = np.zeros(len(budgets))
     chunks = torch.arange(len(data.x_test)).split(1024)
@@ -248,18 +233,7 @@ def check_draws(draws: object, seed: int) -> None:
 
 
 def result_of(budget: float, noise: str, tally: Tally, draws: int, share: list[float]) -> Result:
-    """`Result` of a test.
-
-    Parameters
-    ----------
-    budget : float
-    noise : str
-    tally : Tally
-    draws : int
-        Noise draws of each scene.
-    share : list of float
-        Share of the budget that each mask counts.
-    """
+    """`Result` of a test."""
     confusion = tally.confusion
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())

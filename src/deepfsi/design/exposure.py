@@ -31,18 +31,12 @@ Show = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 @dataclass(frozen=True)
 class Exposure:
-    """Counts and dwells of an exposure so far.
+    """Counts and dwells of an exposure so far."""
 
-    Attributes
-    ----------
-    features : tensor, shape (..., k)
-        What is read of the first masks over the budget (`detection`), of all looks together.
-    dwell : tensor, shape (..., q), optional
-        Share of the whole exposure that each frame had, where dwells are chosen; sums to 1 after
-        the last look.
-    """
-
+    # (..., k): What is read of the first masks over the budget (`detection`), of all looks together
     features: Tensor
+    # (..., q): Share of the whole exposure that each frame had, where dwells are chosen; sums to 1
+    # after the last look
     dwell: Tensor | None = None
 
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
@@ -71,27 +65,13 @@ class BudgetLevel(NamedTuple):
 
 
 class ExposureKind:
-    """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own.
+    """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own."""
 
-    Attributes
-    ----------
-    kind : str
-        Name in the design file.
-    looks : int
-        K, number of looks.
-    used : float
-        Share of the light law that the masks take within the whole sequence.
-    network : Mlp, optional
-        A network besides the classifier.
-    width : int
-        Features of each mask, for nested masks.
-    """
-
-    kind: str
-    width: int = 1
-    looks: int = 1
-    used: float = 1.0
-    network: Mlp | None = None
+    kind: str  # name in the design file
+    width: int = 1  # features of each mask, for nested masks
+    looks: int = 1  # K, number of looks
+    used: float = 1.0  # share of the light law that the masks take within the whole sequence
+    network: Mlp | None = None  # A network besides the classifier
 
     def header(self) -> Any:
         """Entry of the design file's header, of which `restored` makes the kind again."""
@@ -100,17 +80,7 @@ class ExposureKind:
     def restored(
         self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
     ) -> "ExposureKind":
-        """The kind with its network's weights from a design file.
-
-        Parameters
-        ----------
-        weights : dict of tensor
-            Of the network.
-        features : int
-            k.
-        rails, light
-            Of the design.
-        """
+        """The kind with its network's weights from a design file."""
         return self
 
     def to(self, device: str | torch.device) -> "ExposureKind":
@@ -148,16 +118,7 @@ class ExposureKind:
     ) -> Iterator[Exposure]:
         """Exposures at each stop: after each number of masks that do, or after each look.
 
-        Parameters
-        ----------
-        read : callable
-            Draws counts.
-        rates : tensor, shape (..., rails, m · D)
-            Expected counts for a budget of one photon.
-        photons : float
-            Budget Φ.
-        mean, std : tensor, shape (k,)
-            Of the features.
+        Shapes: rates (..., rails, m · D); mean, std (k,).
         """
         features = read(rates * photons) / photons
         masks = features.shape[-1] // self.width
@@ -167,12 +128,7 @@ class ExposureKind:
     def shown(self, rates: Tensor, seen: Exposure) -> Tensor:
         """Expected counts (..., rails, m · D) of an exposure for a budget of one photon.
 
-        Parameters
-        ----------
-        rates : tensor, shape (..., rails, m · D)
-            Those of the masks; where dwells are chosen, of equal ones.
-        seen : Exposure
-            The exposure.
+        Shapes: rates (..., rails, m · D).
         """
         return rates
 
@@ -208,11 +164,6 @@ class ExposureKind:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells.
 
         Of several looks those of the first, which are the same for every scene.
-
-        Parameters
-        ----------
-        rails, light, mean, std
-            Of the design.
         """
         if light == "column":
             return None
@@ -280,13 +231,7 @@ class PatchExposure(ExposureKind):
 def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
     """Patches (..., P, side²) of images (..., H · W), row by row; `InputError` if a rest stays.
 
-    Parameters
-    ----------
-    scenes : tensor, shape (..., H · W)
-    image_shape : tuple of int
-        H and W.
-    side : int
-        Of a patch, pixels.
+    Shapes: scenes (..., H · W).
     """
     height, width = image_shape
     if height % side or width % side:

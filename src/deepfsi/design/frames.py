@@ -13,22 +13,7 @@ from deepfsi.hardware.patterns.sequence import Brightness
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
-    """Rails of a design file, as `export_patterns` takes them.
-
-    Raises
-    ------
-    InputError
-        If the file is no design, or one that no single device can show.
-
-    Examples
-    --------
-    >>> import tempfile, deepfsi
-    >>> from pathlib import Path
-    >>> design = deepfsi.learn("digits", photons=1e4, masks=4, epochs=1, light="equal-dwell")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     design_rails(design.save(Path(folder) / "four.safetensors")).image_shape
-    (8, 8)
-    """
+    """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
     made = Design.load(path)
     if made.name == "impulse":

@@ -17,24 +17,14 @@ from deepfsi.hardware.calibration.view import view_from
 
 
 class Memory(BaseModel):
-    """Data of a training, an entry of `Design.info`.
-
-    Attributes
-    ----------
-    name, hash : str
-        Of the data set without the scenes that were left out.
-    held_out : int
-        Last training scenes that were left out.
-    origin : Origin or None
-        None for arrays in memory, and for scenes changed after loading.
-    """
+    """Data of a training, an entry of `Design.info`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str
+    name: str  # of the data set without the scenes that were left out
     hash: str
-    held_out: int = 0
-    origin: Origin | None = None
+    held_out: int = 0  # last training scenes that were left out
+    origin: Origin | None = None  # none for arrays in memory, and for scenes changed after loading
 
     @property
     def words(self) -> str:
@@ -76,23 +66,7 @@ def data_of(
     size: tuple[int, int] | None = None,
     view: Path | None = None,
 ) -> Told:
-    """Load the data to test a design on: what is told, else what it was trained on.
-
-    Parameters
-    ----------
-    design : Design
-    data : str, optional
-        Name or path.
-    size : (int, int), optional
-        Height and width.
-    view : Path, optional
-        Folder of a camera's calibration.
-
-    Raises
-    ------
-    InputError
-        If neither is there, or cannot be loaded.
-    """
+    """Load the data to test a design on: what is told, else what it was trained on."""
     memory = memory_of(design)
     known = memory.origin if memory else None
     if data is None and known is None:

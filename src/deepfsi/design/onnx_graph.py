@@ -34,32 +34,7 @@ Shape = tuple[int, ...]
 
 
 def to_onnx(design: Design) -> bytes:
-    """Write a design as an ONNX graph that does what `Design.classify` does.
-
-    Parameters
-    ----------
-    design : Design
-        With an `Mlp`, or a module of one's own, which torch traces.
-
-    Returns
-    -------
-    bytes
-        Content of an ``.onnx`` file. Its inputs are float32 ``counts``, (batch, 2, m) for dual-rail
-        designs and (batch, m) for single-rail ones, with D numbers each of D detectors, and
-        ``photons``, (batch,), each finite and the budgets above 0, which the graph does not check;
-        its output ``probabilities``, (batch, C). Metadata: each value as JSON.
-
-        Of a design of several looks ``counts`` are those of all looks so far. Further inputs are
-        ``dwell``, the share of the exposure that each frame had, (batch, m) or (batch, 2, m) as for
-        `Design.classify`; ``left``, (batch,), the share of the exposure that is left; ``shortest``,
-        (batch,), the shortest dwell that the device shows. The second output ``next``, as
-        ``dwell``, is for how long the next look shows each frame.
-
-    Raises
-    ------
-    InputError
-        If the package onnx is not there, or the classifier cannot be exported.
-    """
+    """Write a design as an ONNX graph that does what `Design.classify` does."""
     graph = _Graph()
     if not isinstance(design.classifier, Mlp | OwnClassifier):
         raise InputError(
@@ -206,16 +181,7 @@ class _Graph:
         return to
 
     def network(self, name: str, layers: Sequence[Sequence[np.ndarray]], hidden: str) -> str:
-        """Add layers of weights (outputs, inputs) and biases, each with ReLU but the last.
-
-        Parameters
-        ----------
-        name : str
-            What their names begin with.
-        layers : sequence of (weights, biases)
-        hidden : str
-            Input of the first; the name of the output of the last is returned.
-        """
+        """Add layers of weights (outputs, inputs) and biases, each with ReLU but the last."""
         for place, (weight, bias) in enumerate(layers):
             pair = (
                 self.constant(f"{name}weight_{place}", weight.T),

@@ -129,23 +129,7 @@ def describe(given: Given, arguments: Mapping[str, Any] | None) -> tuple[str, di
 def make(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
-    """Classifier for so many inputs and classes, tried on zeros.
-
-    Parameters
-    ----------
-    given : nn.Module, callable or str
-        A module is copied.
-    arguments : mapping
-        Of the factory.
-    inputs, classes : int
-    seed : int
-        Of the initial weights that a factory draws.
-
-    Raises
-    ------
-    InputError
-        If it is none, cannot be made so, or its logits have another shape.
-    """
+    """Classifier for so many inputs and classes, tried on zeros."""
     name, every = describe(given, arguments)
     factory = given.func if isinstance(given, functools.partial) else given
     factory = imports.named(factory) if isinstance(factory, str) else factory

@@ -37,26 +37,7 @@ LARGEST_SHORT = 2**16 - 1
 def playable(
     design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Report = SILENT
 ) -> dict[str, Any]:
-    """Payload of a page: JSON types only.
-
-    Parameters
-    ----------
-    design : Design
-    data : Dataset
-        Its test part is shown and measured; where an exposure may stop early, that is calibrated on
-        the training scenes that the design's training left out.
-    draws : int
-        Noise draws of each scene in the measured accuracy.
-    seed : int
-        Of the noise, and of the choice of scenes.
-    report : Report
-        Where to say how far it is.
-
-    Raises
-    ------
-    InputError
-        If a page cannot play the design, or the data does not fit it.
-    """
+    """Payload of a page: JSON types only."""
     classifier = check_playable(design)
     check_data(design, data)
     trained = _trained(design)

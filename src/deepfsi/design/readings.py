@@ -20,17 +20,7 @@ def check_readouts(
     wanted: tuple[int, ...],
     frames: tuple[int, ...] | None = None,
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked.
-
-    Parameters
-    ----------
-    counts, photons, dwell
-        As for `Design.classify`; dwell may be None.
-    wanted : tuple of int
-        Shape of one exposure's counts.
-    frames : tuple of int, optional
-        Of its dwells.
-    """
+    """Counts (..., *wanted), budgets (..., 1) and dwells as counts, of exposures, checked."""
 
     def tensor(values: Any) -> Tensor:
         return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
@@ -70,17 +60,7 @@ def check_readouts(
 def check_look(
     read: Callable[[np.ndarray], Any], asked: np.ndarray, wanted: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of one look of a camera and the dwells shown, checked.
-
-    Parameters
-    ----------
-    read : callable
-        Of `Design.classify_live`.
-    asked : array
-        Dwells that it is given.
-    wanted : tuple of int
-        Shape of the counts.
-    """
+    """Counts of one look of a camera and the dwells shown, checked."""
     seen = read(asked.copy())
     pair = seen if isinstance(seen, tuple) else (seen, asked)
     try:

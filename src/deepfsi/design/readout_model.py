@@ -25,27 +25,14 @@ SMALLEST = 1e-12
 
 @dataclass(frozen=True)
 class ReadoutModel:
-    """Mean and covariance of the R readouts of scenes.
+    """Mean and covariance of the R readouts of scenes."""
 
-    Attributes
-    ----------
-    total : float
-        All counts of the mean scene over the budget.
-    share : array, shape (R,)
-        What each readout has of them; above 0.
-    spread : float
-        Standard deviation of the brightness.
-    directions : array, shape (k, R)
-        Patterns of one standard deviation each, along the principal axes of their covariance.
-    rest : array, shape (R,)
-        Variance of the patterns beyond these.
-    """
-
-    total: float
-    share: np.ndarray
-    spread: float
+    total: float  # all counts of the mean scene over the budget
+    share: np.ndarray  # (R,): What each readout has of them; above 0
+    spread: float  # standard deviation of the brightness
+    # (k, R): Patterns of one standard deviation each, along the principal axes of their covariance
     directions: np.ndarray
-    rest: np.ndarray
+    rest: np.ndarray  # (R,): Variance of the patterns beyond these
 
     @classmethod
     def fit(cls, rates: np.ndarray) -> "ReadoutModel":
@@ -66,14 +53,7 @@ class ReadoutModel:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Brightness and pattern of counts (n, R), each a squared distance (n,) from the mean.
 
-        Parameters
-        ----------
-        read : array, shape (n, R)
-            Less the background.
-        expected : array, shape (n,)
-            All counts of the mean scene.
-        dark : array, shape (n, R)
-            Background.
+        Shapes: read (n, R); expected (n,); dark (n, R).
         """
         scale = expected[:, None]
         sums = read.sum(axis=1, keepdims=True)
@@ -89,13 +69,7 @@ class ReadoutModel:
         return brightness, pattern
 
     def likeness(self, one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> np.ndarray:
-        """Inverse (n,) of the mean squared distance of exposures' patterns in units of their noise.
-
-        Parameters
-        ----------
-        one, other : tuple of array
-            Parameters of `statistics`.
-        """
+        """Inverse (n,) of the mean squared distance of patterns in units of their noise."""
         power, off = np.zeros(self.share.shape), 0.0
         for sign, (read, expected, dark) in ((1, one), (-1, other)):
             scale, mean = expected[:, None], read.sum(axis=1, keepdims=True) * self.share

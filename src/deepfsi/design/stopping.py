@@ -188,17 +188,7 @@ def logits_at_stops(
 ) -> np.ndarray:
     """Logits (K, E, C) of exposures at each of K stops; draws of a scene follow one another.
 
-    Parameters
-    ----------
-    design : Design
-    x : array, shape (n, N)
-        Scenes.
-    photons : float
-        Budget Φ of a whole exposure.
-    draws : int
-        Noise draws of each scene: E is n times as many.
-    seed : int
-        Of the noise; that of `evaluation.evaluate`.
+    Shapes: x (n, N).
     """
     scanner = design.scanner()
     generator = torch.Generator(design.rails.device).manual_seed(seed)
@@ -386,14 +376,7 @@ def fit_temperatures(
     was fitted on the other: no scene has a say in its own confidence. A rule has the geometric
     means of both.
 
-    Parameters
-    ----------
-    logits : array, shape (K, E, C)
-        From `logits_at_stops`.
-    labels : array of int, shape (n,)
-        Of the scenes.
-    seed : int
-        Of the halves.
+    Shapes: logits (K, E, C); labels (n,).
     """
     draws = logits.shape[1] // len(labels)
     # at random: the images of MNIST come from two sources by turns

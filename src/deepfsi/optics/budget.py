@@ -38,17 +38,7 @@ def check_budget(photons: float) -> float:
 
 
 def check_one_budget(photons: float | None, counts: float | None, span: float) -> float:
-    """Return what is given of a budget of photons and one of counts, or raise `InputError`.
-
-    Parameters
-    ----------
-    photons : float or None
-        Expected photons on the coding device.
-    counts : float or None
-        Photons that the detectors are to count.
-    span : float
-        Highest over lowest of a range of budgets.
-    """
+    """Return what is given of a budget of photons and one of counts, or raise `InputError`."""
     if photons is not None and counts is None:
         return check_budget(photons)
     if counts is None or photons is not None:
@@ -72,13 +62,7 @@ def summed_reflectance(x: np.ndarray) -> float:
 
 
 def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
-    """By how much scenes (n, N) of some classes differ in summed reflectance.
-
-    Returns
-    -------
-    dict or None
-        The fields of `hardware.patterns.sequence.Brightness`; None if a class is all black.
-    """
+    """By how much scenes (n, N) of some classes differ in summed reflectance."""
     sums = x.sum(axis=1, dtype=np.float64)
     groups = [sums[labels == label] for label in np.unique(labels)]
     means = np.array([group.mean() for group in groups])

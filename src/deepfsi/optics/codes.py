@@ -86,17 +86,7 @@ def mask_count(ratio: float, pixels: float) -> int:
 
 
 def count_allowed(name: str, image_shape: tuple[int, ...], classes: int) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have for one detector.
-
-    Parameters
-    ----------
-    name : str
-        A key of `DESIGNS`.
-    image_shape : tuple of int
-        Of a scene.
-    classes : int
-        C.
-    """
+    """Smallest and largest number of masks that a design can have for one detector."""
     pixels = int(np.prod(image_shape))
     if name in ("impulse", "raster"):
         return pixels, pixels
@@ -267,12 +257,7 @@ def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     As frames of one rail a pair is what one class has more than the other, and the reverse. Where
     there are fewer pairs of different means than masks, principal components follow.
 
-    Parameters
-    ----------
-    x : array, shape (n, N)
-    y : array of int, shape (n,)
-    masks : int
-        m.
+    Shapes: x (n, N); y (n,).
     """
     means = np.stack([x[y == label].mean(axis=0, dtype=np.float64) for label in np.unique(y)])
     first, second = np.triu_indices(len(means), k=1)
@@ -300,10 +285,6 @@ def s_matrix(pixels: int) -> np.ndarray:
 
     Its order p is `s_matrix_order`; pixels beyond the scene's own are dark. Entries are 0 or 1, and
     every full row holds (p + 1) / 2 ones.
-
-    References
-    ----------
-    M. Harwit and N. J. A. Sloane, *Hadamard Transform Optics*, Academic Press, 1979, appendix A.
     """
     order = s_matrix_order(pixels)
     row = np.zeros(order)

@@ -160,18 +160,12 @@ ONE = Detection()
 
 
 class Readouts(NamedTuple):
-    """Rails of masks as detectors read them, the positive ones first.
+    """Rails of masks as detectors read them, the positive ones first."""
 
-    Attributes
-    ----------
-    shown : tensor, shape (2, ..., k)
-        Which are not dark by construction, and are read out.
-    time : tensor, shape (2, ..., k)
-        Share of the exposure that each takes: the peak of its frame, the shortest in which one
-        device can pass its light. Two rails that share pixels are two arms, and see them at once.
-    """
-
-    shown: Tensor
+    shown: Tensor  # (2, ..., k): Which are not dark by construction, and are read out
+    # (2, ..., k): Share of the exposure that each takes: the peak of its frame, the shortest in
+    # which one device can pass its light. Two rails that share pixels are two arms, and see them at
+    # once
     time: Tensor
 
     @property
@@ -181,13 +175,7 @@ class Readouts(NamedTuple):
 
 
 def read_detectors(name: str) -> str | tuple[int, ...]:
-    """Detectors of an option or a recipe: a map (N,) from its .npy file, any other name as it is.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it holds no whole numbers.
-    """
+    """Detectors of an option or a recipe: a map (N,) of a .npy file, any other name as it is."""
     if not name.endswith(".npy"):
         return name.lower()
     labels = read_npy(Path(name))

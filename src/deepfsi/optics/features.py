@@ -23,33 +23,16 @@ CHUNK = 4096
 
 @dataclass
 class FeatureNoise:
-    """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts.
+    """Noise of the features x D, whose unit is one fully reflecting pixel: Φ / s counts."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of a noise, the same for all.
-    gain : tensor, shape (R, 1)
-        Counts of one fully reflecting pixel, Φ / s.
-    sigma : tensor, shape (R, 1)
-        Read noise, counts rms per readout.
-    dark : tensor, shape (R, 1)
-        Expected dark counts of a detector in a whole exposure.
-    own : callable or None
-        The noise, where it is a user's own.
-    generators : list of torch.Generator
-        One for each training, since what a Poisson draw takes from its generator depends on rates.
-    unit : tensor, shape (R, 1)
-        Standard deviation of photon noise where x S is 1.
-    """
-
-    kind: str
-    gain: Tensor
-    sigma: Tensor
-    dark: Tensor
-    own: OwnNoise | None
+    kind: str  # name of a noise, the same for all
+    gain: Tensor  # (R, 1): Counts of one fully reflecting pixel, Φ / s
+    sigma: Tensor  # (R, 1): Read noise, counts rms per readout
+    dark: Tensor  # (R, 1): Expected dark counts of a detector in a whole exposure
+    own: OwnNoise | None  # the noise, where it is a user's own
+    # One for each training, since what a Poisson draw takes from its generator depends on rates
     generators: list[torch.Generator]
-    unit: Tensor = field(init=False)
+    unit: Tensor = field(init=False)  # (R, 1): Standard deviation of photon noise where x S is 1
 
     def __post_init__(self) -> None:
         self.unit = self.gain.rsqrt()
@@ -93,12 +76,7 @@ class FeatureNoise:
     def counted(self, mean: Tensor, total: Tensor, read: Readouts | None) -> Tensor:
         """Features (B, R, m) from counts of two rails.
 
-        Parameters
-        ----------
-        mean, total : tensor, shape (B, R, m)
-            x D and x S.
-        read : Readouts or None
-            Of the masks, (2, R or 1, m); under photon noise alone it need not be known.
+        Shapes: mean, total (B, R, m).
         """
         with torch.set_grad_enabled(self.own is not None and torch.is_grad_enabled()):
             rates = torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
@@ -128,12 +106,7 @@ class FeatureNoise:
     def deviation(self, total: Tensor, lit: Tensor) -> Tensor:
         """Standard deviation of features (..., R, m) under a noise that is no counting.
 
-        Parameters
-        ----------
-        total : tensor, shape (..., R, m)
-            x S.
-        lit : tensor, shape (R, m)
-            Number of rails that are read out.
+        Shapes: total (..., R, m); lit (R, m).
         """
         if self.kind == "ml_gauss":
             return root(total) * self.unit
@@ -154,12 +127,7 @@ class FeatureNoise:
 def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
     """Divide centred features by the standard deviation of their batch.
 
-    Parameters
-    ----------
-    features : tensor, shape (B, R, m)
-    scale : {"each", "common"}
-    shown : tensor, broadcastable to (B, R, m), optional
-        Which features count; all unless given.
+    Shapes: features (B, R, m).
     """
     if shown is not None:
         over = (0,) if scale == "each" else (0, 2)
@@ -175,13 +143,7 @@ def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> 
 def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Tensor:
     """Standard deviation (..., m) of features of known variance; 1 where that is 0.
 
-    Parameters
-    ----------
-    power : tensor, shape (..., m)
-        Variance.
-    scale : {"each", "common"}
-    weights : tensor, shape (m,), optional
-        Of the features in a common scale; equal unless given.
+    Shapes: power (..., m); weights (m,).
     """
     if scale == "common":
         weights = torch.ones_like(power) if weights is None else weights
@@ -201,24 +163,7 @@ def feature_statistics(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Mean and standard deviation of features over scenes and noise, and mean x S.
 
-    Parameters
-    ----------
-    scenes : tensor, shape (n, N)
-    masks : Fixed or Learned
-        Of R replicas, or of one for all.
-    noise : FeatureNoise
-        Of R jobs.
-    scale : {"each", "common"}
-    detection : Detection
-    exposures : tuple of tensor, optional
-        From `mean_over_exposures`, where budgets or numbers of masks differ.
-    means : tensor, shape (n, R or 1, k), optional
-        x D of all scenes, where it is known.
-
-    Returns
-    -------
-    tuple of tensor
-        Each (R, k), for scenes of unit reflectance: to be divided by the summed reflectance s.
+    Shapes: scenes (n, N); means (n, R or 1, k).
     """
     arranged = detection.arrange_both(*masks())
     if noise.own is not None:
@@ -268,20 +213,7 @@ def _sampled_statistics(
 def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
     """Noise of each mask in the mean over the budgets and numbers of masks of a training.
 
-    Parameters
-    ----------
-    used : tensor, shape (R or 1, m)
-        Share of the light law that the first masks take, from `constraints.used`.
-    span : float
-        Highest budget over the lowest.
-    chances : tensor, shape (m,)
-        Of each number of masks to be shown.
-
-    Returns
-    -------
-    tuple of tensor
-        Noise variance (R or 1, m) over that of the lowest budget and all masks, in the mean over
-        exposures that show the mask; and the share (m,) of exposures that do.
+    Shapes: used (R or 1, m); chances (m,).
     """
     dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
     later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)

@@ -16,11 +16,6 @@ def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
     M (m, N) are shares of each pixel's photons, in masks of which each pixel is on one rail (on two
     arms it is on both), x̄ (N,) the mean reflectance of each pixel over the training scenes. For a
     single detector it is at most 1.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit, a number is not finite, or the scene has no light.
     """
     masks = _masks(matrix)
     scene = np.asarray(mean_scene, dtype=np.float64)
@@ -44,11 +39,6 @@ def effective_directions(matrix: np.ndarray) -> float:
     not their squares, as in the published definition; and it is to them that the counts along a
     direction are proportional. The masks' signs, order and common scale do not matter; their scales
     relative to each other do.
-
-    References
-    ----------
-    O. Roy and M. Vetterli, "The effective rank: A measure of effective dimensionality", European
-    Signal Processing Conference (EUSIPCO), 2007.
     """
     strengths = scipy.linalg.svdvals(_masks(matrix))
     if not strengths.any():

@@ -66,14 +66,7 @@ def resolve(noise: str | OwnNoise) -> tuple[str, OwnNoise | None]:
 
 
 def try_own(own: OwnNoise, learning: bool) -> None:
-    """Raise `InputError` unless a user's noise draws counts, and masks can learn under it.
-
-    Parameters
-    ----------
-    own : callable
-    learning : bool
-        Whether masks are to learn.
-    """
+    """Raise `InputError` unless a user's noise draws counts, and masks can learn under it."""
     rates = torch.tensor([0.5, 3.0, 50.0]).repeat(64, 1).requires_grad_(learning)
     try:
         counts = own(rates, torch.Generator().manual_seed(0))
@@ -123,16 +116,7 @@ def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
 def gaussian(
     rate: Tensor, sigma: float | Tensor, generator: torch.Generator | None = None
 ) -> Tensor:
-    """Add read noise to each readout; shapes as `poisson`.
-
-    Parameters
-    ----------
-    rate : tensor, any shape
-        Expected counts.
-    sigma : float
-        Standard deviation, counts per readout.
-    generator : torch.Generator, optional
-    """
+    """Add read noise to each readout; shapes as `poisson`."""
     return rate + sigma * _normal(rate, generator)
 
 
@@ -234,21 +218,7 @@ def variance(
 ) -> Tensor:
     """Variance of the difference of two rails, y⁺ − y⁻.
 
-    Parameters
-    ----------
-    total : tensor, shape (..., m)
-        Sum of the rails' expected counts.
-    lit : tensor, shape (m,)
-        Number of rails that are read out, 0, 1 or 2.
-    noise, sigma
-        As for `readout`.
-    dark : float or tensor, shape (..., m)
-        Expected dark counts of both rails together, for camera noise.
-
-    Returns
-    -------
-    tensor, broadcastable to (..., m)
-        Counts squared.
+    Shapes: total (..., m); lit (m,); dark (..., m).
     """
     if noise == "none":
         return torch.zeros_like(lit, dtype=total.dtype)

@@ -160,12 +160,7 @@ def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
     Multiplies in the type of the scenes and returns the wider of theirs and the masks'. For several
     parts, of arranged scenes and masks (`detection`), the product of each: (..., *lead, m · parts).
 
-    Parameters
-    ----------
-    photons : tensor, shape (..., N)
-    masks : tensor, shape (*lead, m, N)
-    parts : int
-        Detectors, D.
+    Shapes: photons (..., N); masks (*lead, m, N).
     """
     low = masks.flatten(0, -2).to(photons.dtype)
     if parts == 1:
@@ -184,14 +179,7 @@ def project_pair(
 
     A single rail's difference is its total, and so is their product.
 
-    Parameters
-    ----------
-    photons : tensor, shape (..., N)
-    difference, total : tensor, shape (*lead, m, N)
-    both : bool
-        If not, the product with the difference is returned twice.
-    parts : int
-        As for `project`.
+    Shapes: photons (..., N); difference, total (*lead, m, N).
     """
     if difference is total or not both:
         mean = project(photons, difference, parts)
@@ -210,18 +198,7 @@ def measure(
     With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
     less the constant x̄ D.
 
-    Parameters
-    ----------
-    scenes : tensor, shape (B + 1, N)
-        x_c, and x̄ as the last row. The products have its type; the rest that of the masks.
-    rails : tensor, shape (*lead, m, N) or (2, *lead, m, N)
-        D and S, or D alone where S follows from it.
-    epsilon : tensor, shape (B, *lead, k)
-        k = m · parts. Normal draws, times the root of the noise's variance for unit x S.
-    disjoint : bool
-        Whether S = |D|.
-    parts : int
-        As for `project`.
+    Shapes: scenes (B + 1, N); rails (*lead, m, N) or (2, *lead, m, N); epsilon (B, *lead, k).
     """
     return _Measure.apply(scenes, rails, epsilon, disjoint, parts)  # type: ignore[no-untyped-call]
 

@@ -31,32 +31,14 @@ def parts(image_shape: tuple[int, ...], detection: Detection) -> Iterator[Part]:
 
 
 def count_allowed(name: str, data: Dataset, detection: Detection = ONE) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have, that of the largest part.
-
-    Parameters
-    ----------
-    name : str
-        A key of `codes.DESIGNS`.
-    data : Dataset
-    detection : Detection
-    """
+    """Smallest and largest number of masks that a design can have, that of the largest part."""
     shapes = {shape for _, shape in parts(data.image_shape, detection)}
     each = [codes.count_allowed(name, shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in each), max(high for _, high in each)
 
 
 def check_count(name: str, masks: int, data: Dataset, detection: Detection = ONE) -> int:
-    """Return a mask count, or raise `InputError` if the design cannot have it on this data.
-
-    Parameters
-    ----------
-    name : str
-        A key of `codes.DESIGNS`.
-    masks : int
-        m.
-    data : Dataset
-    detection : Detection
-    """
+    """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
     low, high = count_allowed(name, data, detection)
     whole = not isinstance(masks, bool) and float(masks).is_integer()
     if not whole or not low <= masks <= high:
@@ -74,23 +56,6 @@ def sensing_matrix(
     """Sensing matrix (m, N) of a fixed design, float64, signed; each detector sees its part of it.
 
     Where a part can have fewer masks, the others are dark there.
-
-    Parameters
-    ----------
-    name : str
-        A key of `codes.DESIGNS` that is neither learned nor custom.
-    masks : int
-        m.
-    data : Dataset
-        Gives the scene's shape, and the training scenes for `pca`, `lda` and `class-pairs`.
-    seed : int
-        For `random` only.
-    detection : Detection
-
-    Raises
-    ------
-    InputError
-        If the design cannot have so many masks.
     """
     masks = check_count(name, masks, data, detection)
     if detection.count == 1:

@@ -100,16 +100,7 @@ def series(points: Iterable[T], axes: Fields) -> dict[tuple[str, ...], list[T]]:
 def series_names(
     points: Iterable[Measured], axes: Fields, field: str = "label"
 ) -> dict[tuple[str, ...], str]:
-    """Name of each series: the design's, and the other axes where these tell two apart.
-
-    Parameters
-    ----------
-    points : iterable
-    axes : tuple of str
-        Fields that tell series apart, the design first.
-    field : {"label", "title"}
-        Name of a design that is taken.
-    """
+    """Name of each series: the design's, and the other axes where these tell two apart."""
     rows = list(series(points, axes).items())
     names = {}
     for key, members in rows:
@@ -287,26 +278,7 @@ def accuracy_axes(
     filled: Callable[[M], bool] | None = None,
     top: float = 1.0,
 ) -> None:
-    """Draw accuracies over a quantity, one line for each series, named at the right edge.
-
-    Parameters
-    ----------
-    ax : Axes
-    points : iterable
-        Measured accuracies.
-    axes : tuple of str
-        Fields that tell series apart, the design first.
-    across : callable
-        Quantity of a point.
-    chance : float
-        Accuracy of guessing.
-    span : tuple of float, optional
-        Quantity at the left and at the right, where panels share an axis; it may fall.
-    filled : callable, optional
-        Points whose markers are filled; those of a design's first series unless given.
-    top : float
-        End of the axis of accuracy.
-    """
+    """Draw accuracies over a quantity, one line for each series, named at the right edge."""
     rows_of = list(points)
     groups, names = series(rows_of, axes), figure_names(rows_of, axes)
     tried = [across(point) for members in groups.values() for point in members]

@@ -57,11 +57,6 @@ def build(folder: str | os.PathLike[str]) -> Path:
 
     The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
     The accuracy figure is written beside it on its own, as `accuracy.png`.
-
-    Raises
-    ------
-    InputError
-        If there are no results, or they cannot be read.
     """
     home = Path(folder)
     if not (home / "results.json").is_file():

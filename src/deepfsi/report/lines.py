@@ -38,42 +38,21 @@ class Reached(Protocol):
 
 @dataclass(frozen=True)
 class Line:
-    """Accuracies along an axis.
+    """Accuracies along an axis."""
 
-    Attributes
-    ----------
-    name : str
-        For the key; empty for none.
-    look : mapping
-        Colour, marker and kind of the line, as matplotlib's keywords.
-    across : sequence of float
-        Rising.
-    accuracy, low, high : sequence of float
-        With its interval; none is drawn where both ends are left out.
-    start : str
-        Words at its left end.
-    """
-
-    name: str
-    look: Mapping[str, Any]
-    across: Sequence[float]
-    accuracy: Sequence[float]
+    name: str  # for the key; empty for none
+    look: Mapping[str, Any]  # colour, marker and kind of the line, as matplotlib's keywords
+    across: Sequence[float]  # rising
+    accuracy: Sequence[float]  # with its interval; none is drawn where both ends are left out
     low: Sequence[float] = ()
     high: Sequence[float] = ()
-    start: str = ""
+    start: str = ""  # words at its left end
 
     @classmethod
     def through(
         cls, name: str, look: Mapping[str, Any], at: Iterable[tuple[float, Reached]]
     ) -> "Line":
-        """Line with intervals through accuracies, each with its place on the axis.
-
-        Parameters
-        ----------
-        name : str
-        look : mapping
-        at : iterable of tuple
-        """
+        """Line with intervals through accuracies, each with its place on the axis."""
         across, every = zip(*sorted(at, key=lambda each: each[0]), strict=True)
         return cls(
             name,

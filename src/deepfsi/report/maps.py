@@ -45,27 +45,7 @@ class Cell(Protocol):
 def accuracy_grid(
     points: Iterable[Cell], budgets: Sequence[float], ratios: Sequence[float]
 ) -> np.ndarray:
-    """Accuracy of one design's points by compression ratio and budget.
-
-    Parameters
-    ----------
-    points : iterable
-        Points that differ in `ratio` and `photons` only.
-    budgets : sequence of float
-        Photons.
-    ratios : sequence of float
-        m / N, as in the points.
-
-    Returns
-    -------
-    array, shape (len(ratios), len(budgets))
-        NaN where there is no point.
-
-    Raises
-    ------
-    ValueError
-        If two points have the same place.
-    """
+    """Accuracy of one design's points by compression ratio and budget."""
     grid = np.full((len(ratios), len(budgets)), np.nan)
     for point in points:
         if point.ratio in ratios and point.photons in budgets:
@@ -87,16 +67,7 @@ def heat_figure(
 
     All panels share one colour scale. Values stand in the cells where they fit.
 
-    Parameters
-    ----------
-    panels : mapping of str to array, shape (len(ratios), len(budgets))
-        Heading → accuracy, 0 to 1; NaN where it is missing.
-    budgets : sequence of float
-        Budgets of the tests, photons, rising.
-    ratios : sequence of float
-        m / N, rising; drawn as categories.
-    trained_at : float, optional
-        Budget of the training, photons; its column is framed.
+    Shapes: panels (len(ratios), len(budgets)).
     """
     edges = _edges(np.log10(budgets))
     columns = 2 if len(panels) == 4 else min(3, len(panels))
@@ -176,21 +147,7 @@ def contour_figure(
     The accuracies share one scale; the difference, second minus first, has one that is
     symmetric about 0. Where no difference reaches `DRAWN`, words take the place of its panel.
 
-    Parameters
-    ----------
-    first, second : array, shape (len(ratios), len(budgets))
-        Accuracy, 0 to 1; NaN where it is missing.
-    budgets : sequence of float
-        Photons, rising.
-    ratios : sequence of float
-        m / N, rising.
-    names : tuple of str
-        Headings of the two accuracies.
-    pixels : int, optional
-        N; with it a line is drawn where Φ / (N m) is 0.1 photons per pixel and measurement.
-    apart : array of bool, shape (len(ratios), len(budgets)), optional
-        Where the difference is larger than its uncertainty. These points are triangles that point
-        up where the second is higher and down where it is lower.
+    Shapes: first, second (len(ratios), len(budgets)); apart (len(ratios), len(budgets)).
     """
     difference = second - first
     largest = np.nanmax(np.abs(difference), initial=0.0)

@@ -67,19 +67,7 @@ def masks_figure(
     Above each mask stands its number, from 1 in the order in which masks are shown. The scale ends
     at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
 
-    Parameters
-    ----------
-    rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
-        Shares of each pixel's photons.
-    image_shape : tuple of int
-        Two sides, or one for spectra.
-    title : str
-    count : int
-        Masks to show at most.
-    dwells : array, shape (m,), optional
-        Share of the exposure that each mask is shown, written below it.
-    parts : array, shape (N,), optional
-        Detector that sees each pixel; a line is drawn between two detectors.
+    Shapes: rails_or_matrix (2 or 1, m, N) or (m, N); dwells (m,); parts (N,).
     """
     matrix, chosen = signed(rails_or_matrix), brightest(rails_or_matrix, count)
     images = len(image_shape) == 2
@@ -132,12 +120,7 @@ def _percent(share: float) -> str:
 def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
     """Draw a mask as an image.
 
-    Parameters
-    ----------
-    ax : Axes
-    mask : array, shape (height, width)
-    scale : ScalarMappable
-        Its colours.
+    Shapes: mask (height, width).
     """
     finer = _finer(mask.shape)
     low, high = scale.get_clim()

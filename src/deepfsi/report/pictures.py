@@ -23,11 +23,6 @@ def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
 
     Pictures (S, down, across) or (S, bands), NaN where a scene was lost; at most the first 48. The
     scale ends at the brightest cell, and begins at 0 or at the darkest cell below it.
-
-    Raises
-    ------
-    InputError
-        If the two differ in number.
     """
     if len(pictures) != len(names) or len(pictures) == 0:
         raise InputError(f"{len(pictures)} pictures and {len(names)} names: give one name of each")

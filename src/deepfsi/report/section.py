@@ -20,23 +20,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement that the study tests.
-
-    Attributes
-    ----------
-    text : str
-    holds : bool or None
-        None where these data do not decide it.
-    measured : str
-        What was measured, with its interval.
-    why : str
-        How the answer follows from it.
-    """
+    """A statement that the study tests."""
 
     text: str
-    holds: bool | None
-    measured: str
-    why: str = ""
+    holds: bool | None  # none where these data do not decide it
+    measured: str  # what was measured, with its interval
+    why: str = ""  # how the answer follows from it
 
 
 @dataclass(frozen=True)
@@ -50,31 +39,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """One experiment.
+    """One experiment."""
 
-    Attributes
-    ----------
-    name : str
-        Its address on the page: letters, digits, `-`, `_` and `.`.
-    title : str
-    found, paper : str
-        A paragraph each: what we find, and what the paper found.
-    pictures, claims, tables
-    files : tuple of str
-        CSV files behind the figures, relative to the page.
-    command : str
-        What repeats the experiment.
-    facts : mapping
-        Provenance, nested as you like.
-    """
-
-    name: str
+    name: str  # its address on the page: letters, digits, `-`, `_` and `.`
     title: str
-    found: str
+    found: str  # A paragraph each: what we find, and what the paper found
     paper: str
     pictures: tuple[Picture, ...]
     claims: tuple[Claim, ...]
     tables: tuple[Table, ...]
-    files: tuple[str, ...]
-    command: str
-    facts: Mapping[str, Any]
+    files: tuple[str, ...]  # CSV files behind the figures, relative to the page
+    command: str  # what repeats the experiment
+    facts: Mapping[str, Any]  # provenance, nested as you like

@@ -32,22 +32,7 @@ class Shown:
 
 
 def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
-    """Write `report.html` into a folder, all or nothing.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it is not there.
-    title : str
-    sections : sequence of Section
-        In the order of the page.
-
-    Raises
-    ------
-    InputError
-        If there is no section, two share a name, a name cannot be an address, a file lies outside
-        the folder, or a table's rows do not fit its heads.
-    """
+    """Write `report.html` into a folder, all or nothing."""
     check(sections)
     text = render(
         "study.html.jinja",

@@ -137,14 +137,6 @@ def svg(figure: Figure, name: str, words: str) -> str:
 
     It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
     pixels; where the page has less room, the box scrolls.
-
-    Parameters
-    ----------
-    figure : Figure
-    name : str
-        Prefix of its ids, unique on the page.
-    words : str
-        What a reader who cannot see it is told.
     """
     text = io.StringIO()
     with matplotlib.rc_context(STYLE):
@@ -203,17 +195,7 @@ def inches(words: str, size: float) -> float:
 
 
 def columns(words: Iterable[str], width: float, size: float) -> int:
-    """Number of columns of a key that fit a figure, all as wide as the widest entry.
-
-    Parameters
-    ----------
-    words : iterable of str
-        Of the entries.
-    width : float
-        Of the figure, in inches.
-    size : float
-        Of the words, in points.
-    """
+    """Number of columns of a key that fit a figure, all as wide as the widest entry."""
     return max(1, int(width / max(inches(each, size) for each in words)))
 
 

@@ -36,20 +36,13 @@ class Interval(NamedTuple):
 
 
 class Wilcoxon(NamedTuple):
-    """Outcome of a two-sided Wilcoxon signed-rank test.
+    """Outcome of a two-sided Wilcoxon signed-rank test."""
 
-    Attributes
-    ----------
-    statistic : float
-        The smaller of the two rank sums, of the classes where one side wins and where the other.
-    pvalue : float
-    rank_biserial : float
-        Their difference over their sum: 1 where one side wins everywhere, 0 where neither does.
-        It has no sign, as in the paper: the means say which side it is that wins.
-    """
-
+    # The smaller of the two rank sums, of the classes where one side wins and where the other
     statistic: float
     pvalue: float
+    # Their difference over their sum: 1 where one side wins everywhere, 0 where neither does. It
+    # has no sign, as in the paper: the means say which side it is that wins
     rank_biserial: float
 
 
@@ -59,8 +52,6 @@ def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
     The rates, (C,), are those of two classes or more: a single class says nothing of others. Of no
     width where all classes have one rate.
 
-    Notes
-    -----
     Too narrow for few classes, since a resample's variance is (C − 1) / C of the unbiased one and
     the percentiles are not Student's: with ten classes and normal rates it covers the true mean in
     90.4 % of experiments, with thirty in 93.6 %.
@@ -80,8 +71,6 @@ def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
 def studentised_bootstrap(rates: ArrayLike, seed: int) -> Interval:
     """Bootstrap-t interval of the mean rate, as `cluster_bootstrap`; not held inside 0 to 1.
 
-    Notes
-    -----
     With ten classes whose rates vary freely it covers the true mean in 95 % of experiments. A
     resample whose classes are all alike has no spread to divide by and is left out, so that where
     most classes share one rate the interval is too narrow: for ten classes of Beta(9.7, 0.3) and
@@ -108,8 +97,6 @@ def wilcoxon_signed_rank(a: ArrayLike, b: ArrayLike) -> Wilcoxon:
     one order; which of the two is the reference does not matter. Statistic 0, p 1 and
     rank-biserial 0 where all rates are equal: nothing speaks for a difference.
 
-    Notes
-    -----
     Equal sizes of differences (see `DECIMALS`) share their mean rank. The exact distribution is
     that of ranks without ties, and a statistic that ties put between two of its values takes the
     larger p. C classes cannot give less than p = 2 / 2^C: a single one always gives 1, five 0.0625.

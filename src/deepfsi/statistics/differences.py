@@ -30,20 +30,11 @@ class Trials(Protocol):
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference with its standard error.
-
-    Attributes
-    ----------
-    mean : float
-    error : float
-        Standard error; infinite where one trial cannot give one.
-    freedom : float
-        Degrees of freedom of the error, infinite for a normal one.
-    """
+    """A difference with its standard error."""
 
     mean: float
-    error: float
-    freedom: float = math.inf
+    error: float  # standard error; infinite where one trial cannot give one
+    freedom: float = math.inf  # degrees of freedom of the error, infinite for a normal one
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
         """Both ends of an interval of that confidence."""

@@ -21,13 +21,6 @@ def balanced(rates: Sequence[float | None], images: Sequence[int]) -> tuple[floa
     times the number of classes, and those of the upper ends likewise. So a class of one image,
     right or wrong, still has its say in the width. It covers the truth in 95 of 100 tests of 40
     images a class, and in 90 to 97 where classes have one to three.
-
-    Parameters
-    ----------
-    rates : sequence of float or None
-        Accuracy of each class; None where the test has no scene of it.
-    images : sequence of int
-        Scenes of each class.
     """
     known = [(rate, count) for rate, count in zip(rates, images, strict=True) if rate is not None]
     mean = sum(rate for rate, _ in known) / len(known)

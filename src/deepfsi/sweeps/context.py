@@ -37,14 +37,7 @@ Batch = list[Trial]
 class SweepContext:
     """Work on the trials of a sweep, and what it needs.
 
-    Parameters
-    ----------
-    data : Dataset
-    held_out : int
-        Training scenes that are for validation.
-    device : {"auto", "cpu", "cuda"}
-    matrix : array, shape (m, N), optional
-        Sensing matrix of "custom" designs.
+    Shapes: matrix (m, N).
     """
 
     def __init__(

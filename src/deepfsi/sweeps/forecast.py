@@ -33,34 +33,21 @@ TIMED_SCENES = 500
 
 @dataclass(frozen=True)
 class Forecast:
-    """Cost of a sweep.
+    """Cost of a sweep."""
 
-    Attributes
-    ----------
-    trials, done, batches, workers : int
-        Trials in all and of them done already; batches that the others train in, and processes.
-    operations : float
-        Floating-point operations of the products of scenes with masks that are left.
-    seconds : float
-        Expected on this machine for what is left, if other programs go on to load it as they did
-        while it was timed.
-    seconds_free : float
-        The same on this machine without other programs.
-    others : float
-        Cores that other programs kept busy, in the mean while it was timed.
-    cores : int
-        Of this machine, for this process.
-    """
-
+    # Trials in all and of them done already; batches that the others train in, and processes
     trials: int
     done: int
     batches: int
     workers: int
+    # Floating-point operations of the products of scenes with masks that are left
     operations: float
+    # Expected on this machine for what is left, if other programs go on to load it as they did
+    # while it was timed
     seconds: float
-    seconds_free: float
-    others: float
-    cores: int
+    seconds_free: float  # the same on this machine without other programs
+    others: float  # cores that other programs kept busy, in the mean while it was timed
+    cores: int  # of this machine, for this process
 
 
 def forecast_cost(
@@ -76,17 +63,6 @@ def forecast_cost(
     What only needs other tests of a design that is there is not counted, nor are the products of
     all scenes that fixed designs take once. Every kind of training is timed with its fewest and its
     most masks, on a few scenes and the threads of one worker; what lies between is interpolated.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    folder : Path
-        Of the sweep's output.
-    device : {"auto", "cpu", "cuda"}
-    workers : int, optional
-        Processes that will share the work; as many as `run_trials` takes unless given.
-    report : Report
     """
     trials = plan(recipe, data)
     records = Records(folder)
@@ -126,17 +102,7 @@ def forecast_cost(
 
 
 def slowdown(others: float, own: int, cores: int) -> float:
-    """Times that processes of ours take as long as on a free machine, where all share its cores.
-
-    Parameters
-    ----------
-    others : float
-        Cores that other programs would keep busy.
-    own : int
-        Processes of ours, of one core's work each at least.
-    cores : int
-        Of the machine.
-    """
+    """Times that processes of ours take as long as on a free machine, where all share its cores."""
     return max(1.0, (others + own) / cores)
 
 

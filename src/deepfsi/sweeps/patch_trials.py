@@ -114,18 +114,7 @@ def plan_patches(recipe: PatchRecipe, data: Dataset) -> list[PatchTrial]:
 
 
 class PatchContext:
-    """Work on trials of patches, each a batch of its own, and what it needs.
-
-    Parameters
-    ----------
-    data : Dataset
-        Images.
-    held_out : int
-        Training images that are for validation.
-    side : int
-        Of a patch, pixels.
-    device : {"auto", "cpu", "cuda"}
-    """
+    """Work on trials of patches, each a batch of its own, and what it needs."""
 
     def __init__(self, data: Dataset, held_out: int, side: int, device: str = "auto") -> None:
         self.data, self.held_out, self.side, self.device = data, held_out, side, device

@@ -43,23 +43,16 @@ Curve = dict[float, Point]
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where a curve of accuracy over photons meets a target.
+    """Where a curve of accuracy over photons meets a target."""
 
-    Attributes
-    ----------
-    photons : float or None
-        Best estimate; None if the curve does not meet the target within the tried budgets.
-    low, high : float or None
-        Its 95 % interval. An end beyond the tried budgets is None; where all of the interval is,
-        the other end is the budget that it lies beyond.
-    found : {"within", "below", "beyond"}
-        Whether the estimate is within the tried budgets, the target is reached at the lowest
-        already, or not even at the highest.
-    """
-
+    # Best estimate; None if the curve does not meet the target within the tried budgets
     photons: float | None
+    # Its 95 % interval. An end beyond the tried budgets is None; where all of the interval is, the
+    # other end is the budget that it lies beyond
     low: float | None
     high: float | None
+    # Whether the estimate is within the tried budgets, the target is reached at the lowest already,
+    # or not even at the highest
     found: Literal["within", "below", "beyond"]
 
 
@@ -74,20 +67,6 @@ def crossing(
     images (Wilson) and of training seeds (Student, with one variance for all budgets; none where
     each has one trial), added in squares, about any shape that the curve may plausibly have
     between tried budgets.
-
-    Parameters
-    ----------
-    photons : sequence of float, length k
-        Tried budgets, rising; three or more.
-    accuracies : k sequences of float
-        Accuracy of each trial.
-    images : int
-        Scenes that each was tested with.
-    target : float
-
-    Returns
-    -------
-    Crossing
     """
     from scipy.interpolate import PchipInterpolator
     from sklearn.isotonic import IsotonicRegression
@@ -163,14 +142,6 @@ def next_budget(
     """Where one more training tells most: at the crossing, but `LEAST_DECADES` from tried budgets.
 
     None where the crossing is beyond the tried budgets, or between two that are close already.
-
-    Parameters
-    ----------
-    photons : sequence of float
-        Tried budgets, rising.
-    accuracies : sequence of float
-    target : float
-        Accuracy.
     """
     found = crossing(photons, [[accuracy] for accuracy in accuracies], 1, target).photons
     if found is None:
@@ -195,35 +166,6 @@ def photons_needed(
 
     Mask counts and the budgets that are added are chosen on validation data, and the crossings
     found on test data.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        First comparison: designs, three budgets or more, mask counts or ratios, light, rails,
-        detectors and readout, under one noise and with one training setting each.
-    data : Dataset
-    target : float
-        Accuracy, above that of guessing and below 1.
-    folder : Path
-        Records and designs; stopped, it goes on where it was.
-    command : str
-        For the results.
-    device : {"auto", "cpu", "cuda"}
-    workers : Workers
-    report : Report
-
-    Returns
-    -------
-    plan : dict
-        JSON types only. ``plan["needs"]`` has for each curve the fields of its `Crossing`, its
-        ``design``, ``light``, ``rails``, ``detectors`` and ``readout``, the ``masks`` that were
-        best at the tried budget nearest to the crossing, and what was ``tried``.
-    results : Results
-
-    Raises
-    ------
-    InputError
-        If the target is out of range or the recipe has other axes.
     """
     check_plan(recipe, data, target)
     context = SweepContext(data, recipe.held_out(data), device)
@@ -257,15 +199,7 @@ def _plan(recipe: Recipe, results: Results, target: float) -> dict[str, Any]:
 
 
 def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
-    """Raise `InputError` for what cannot be planned.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    target : float
-        Accuracy.
-    """
+    """Raise `InputError` for what cannot be planned."""
     chance = float(np.bincount(data.y_test).max() / len(data.y_test))
     if not chance < target < 1:
         raise InputError(

@@ -57,24 +57,7 @@ def run_trials(
     workers: Workers = HERE,
     report: Report = SILENT,
 ) -> list[dict[str, Any]]:
-    """Train and test whatever the folder does not hold yet.
-
-    Parameters
-    ----------
-    trials : sequence of trials
-    context : Context
-        Of these trials.
-    folder : Path
-        Made if need be. May be stopped at any moment and started again, and several processes may
-        work on it: each trains what no other does.
-    workers : Workers
-    report : Report
-
-    Returns
-    -------
-    list of dict
-        The records, in the order of `trials`.
-    """
+    """Train and test whatever the folder does not hold yet."""
     records = Records(folder)
     try:
         lost = _work_off(trials, context, records, workers, report)

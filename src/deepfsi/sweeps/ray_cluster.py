@@ -37,32 +37,6 @@ def run_on_ray(
 
     Stopping early cancels the rest, and stops a cluster that was started here. Where every node
     that could run a task has gone, it waits for one to come.
-
-    Parameters
-    ----------
-    work : callable
-        Runs in another process, perhaps twice where a node dies: it should give the same result
-        again and leave nothing behind.
-    shared : object
-        Sent into Ray's object store once; on the workers its arrays are read-only.
-    tasks : iterable
-        Taken one by one, as the cluster can run them; small.
-    address : str
-        `auto` is the running cluster (`$RAY_ADDRESS` or this machine's), and where there is none
-        one started here for this call; `local` always starts one; else `host:port` of the head of
-        a cluster that this machine belongs to. A process that is connected to one stays with it.
-    cpus, gpus : float
-        Share of a node that a task holds. Workers see `OMP_NUM_THREADS` = `cpus` rounded down.
-        A fraction of a GPU shares it.
-    retries : int
-        Times that a task is run again after its worker or node died.
-
-    Raises
-    ------
-    InputError
-        Ray is missing, nothing answers at `address`, no node has what a task asks for, or a task
-        died more than `retries` times. What `work` raises arrives as it was raised, and is not
-        tried again.
     """
     check_request(cpus, gpus)
     with _connected(address):

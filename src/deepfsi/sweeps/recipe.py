@@ -305,17 +305,7 @@ def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
 
 
 def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
-    """Settings of one recipe of a file.
-
-    Parameters
-    ----------
-    file : mapping
-        A whole recipe file.
-    part : str, optional
-        Needed where the file has several.
-    quick : bool
-        The coarse version.
-    """
+    """Settings of one recipe of a file."""
     found = parts(file, quick)
     if part is None and "" not in found:
         raise InputError(

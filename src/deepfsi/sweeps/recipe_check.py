@@ -26,20 +26,7 @@ def check_recipe(
 ) -> tuple[Recipe, Dataset]:
     """Recipe of settings, and its data.
 
-    Parameters
-    ----------
-    settings : mapping
-        Fields of a `Recipe`.
-    load : callable
-        Recipe → its data.
-    matrix : array, shape (m, N), optional
-        Sensing matrix of the design "custom", which is then added.
-
-    Raises
-    ------
-    InputError
-        That names every mistake: of the fields, and, as far as these are sound, of the data and the
-        trials.
+    Shapes: matrix (m, N).
     """
     recipe, found, lost = _read(settings)
     if matrix is not None and "custom" not in recipe.designs:

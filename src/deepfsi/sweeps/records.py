@@ -46,16 +46,7 @@ def content_hash(settings: Mapping[str, Any]) -> str:
 def record_of(
     trial: RecordedTrial, design: Design, validation: list[Any], test: list[Any]
 ) -> dict[str, Any]:
-    """Record of a trial: its settings and what its tests gave.
-
-    Parameters
-    ----------
-    trial : trial
-    design : Design
-        Trained for it.
-    validation, test : list of dict
-        Results on either data; JSON types only.
-    """
+    """Record of a trial: its settings and what its tests gave."""
     return {
         "schema": SCHEMA,
         "key": trial.key,
@@ -96,16 +87,7 @@ class Records:
             return None
 
     def write(self, trial: RecordedTrial, record: Mapping[str, Any], design: bytes | None) -> None:
-        """Keep what a trial gave, and give up the claim on it.
-
-        Parameters
-        ----------
-        trial : trial
-        record : mapping
-            JSON types only.
-        design : bytes, optional
-            Content of the design file, where it is new.
-        """
+        """Keep what a trial gave, and give up the claim on it."""
         if design is not None:
             write_atomically(self._design_path(trial), design)
         write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())

@@ -48,17 +48,6 @@ def summarise(
 
     The interval of a point is Student's over its trials (training seeds); of a single trial, the
     one over its test images.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    records : sequence of mapping
-        From `run_trials`, of the recipe's trials.
-    command : str
-        Command that repeats the comparison.
-    seconds : float
-        Time that it took.
     """
     held_out = recipe.held_out(data)
     groups = defaultdict(list)
@@ -137,19 +126,7 @@ def point(
     pixels: float,
     chosen_by: str = "accuracy",
 ) -> Point:
-    """One point of a summary: trials averaged.
-
-    Parameters
-    ----------
-    axes : mapping
-        What tells the point apart: a value for each of `AXES`.
-    members : sequence of tuple
-        Records, each with the place of the test in it that belongs here.
-    pixels : float
-        Those that a detector sees in the mean, N / D.
-    chosen_by : {"accuracy", "balanced"}
-        What mask counts are chosen by on validation data.
-    """
+    """One point of a summary: trials averaged."""
     tests = [record["test"][index] for record, index in members]
     accuracy, low, high = _over_trials(tests, "accuracy", "low", "high")
     balanced, lower, upper = _over_trials(tests, "balanced", "balanced_low", "balanced_high")

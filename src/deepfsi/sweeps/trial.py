@@ -175,23 +175,14 @@ def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 
 
 class Kind(NamedTuple):
-    """Design, optics and noise of tests of some trials.
-
-    Attributes
-    ----------
-    detectors : str
-        Name of them.
-    labels : str or tuple of int
-        The same as `Job.detectors`.
-    detection : Detection
-    """
+    """Design, optics and noise of tests of some trials."""
 
     design: str
     noise: str
     light: Light
     rails: Rails
-    detectors: str
-    labels: str | tuple[int, ...]
+    detectors: str  # name of them
+    labels: str | tuple[int, ...]  # the same as `Job.detectors`
     detection: Detection
 
 

@@ -46,18 +46,7 @@ class Resources(BaseModel):
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes that train.
-
-    Parameters
-    ----------
-    count : int, optional
-        On this machine, each with its share of the cores; None for one a core, or one for a GPU.
-        With more than one, a script of yours needs ``if __name__ == "__main__":``.
-    ray : str, optional
-        Address of a Ray cluster to work on instead, or "auto".
-    resources : Resources
-        Share of the cluster that each batch takes.
-    """
+    """Processes that train."""
 
     count: int | None = 1
     ray: str | None = None
@@ -87,30 +76,7 @@ def processes(
     workers: int,
     watch: Callable[[dict[int, float]], None] = lambda shares: None,
 ) -> Generator[Result, None, None]:
-    """Results of tasks as they finish.
-
-    Parameters
-    ----------
-    work : callable
-        Of a module, so that another process can import it. It may say how far it is with
-        `report_of_task`.
-    shared : object
-        What every task needs; sent once to each process.
-    tasks : iterable
-        Taken one by one, when a process is about to become free.
-    workers : int
-        Processes, each with an equal share of the cores.
-    watch : callable
-        Called every moment with the places, in the order in which they were taken, of the tasks
-        that run, and the shares of them that are done.
-
-    Raises
-    ------
-    InputError
-        If a process was killed, most likely for want of memory.
-    Exception
-        Whatever `work` raises. The other processes are then stopped.
-    """
+    """Results of tasks as they finish."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     shares = spawn.RawArray("d", workers)

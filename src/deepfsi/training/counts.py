@@ -25,15 +25,6 @@ def train_for_counts(
 
     Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget of
     its training times the sum of its shares.
-
-    Parameters
-    ----------
-    counts : float
-    share : float
-        Share of the budget that the masks count before the training.
-    train : callable
-        From a budget to a trained design.
-    report : Report
     """
     for number in range(MOST_TRAININGS):
         photons = counts / share

@@ -15,17 +15,7 @@ from deepfsi.training.job import Job
 class SeedStream:
     """Draws of the jobs of one seed, the same for all of them.
 
-    Parameters
-    ----------
-    seed : int
-    replicas : slice
-        Places of these jobs among all.
-    noise : FeatureNoise
-        Of all jobs.
-    labels : tensor, shape (n,)
-        Of the training scenes.
-    batch : int
-        Scenes of a step, B.
+    Shapes: labels (n,).
     """
 
     rows: Tensor
@@ -68,12 +58,7 @@ class SeedStream:
     def noisy(self, mean: Tensor, total: Tensor, lit: Tensor) -> Tensor:
         """Noisy features (B, R, m) of expected ones.
 
-        Parameters
-        ----------
-        mean, total : tensor, shape (B, R, m)
-            Difference x D and sum x S of the rails' expected features.
-        lit : tensor, shape (R, m)
-            Rails that are read out, for read noise.
+        Shapes: mean, total (B, R, m); lit (R, m).
         """
         if self.noise.kind == "poisson":
             return self.noise.counted(mean, total, None)

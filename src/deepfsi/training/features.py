@@ -114,20 +114,12 @@ class FixedFeatures(Features):
 
 @dataclass
 class LearnedFeatures(Features):
-    """Features of masks that learn.
-
-    Attributes
-    ----------
-    streams : list of SeedStream
-    masks : Learned
-    x : tensor, shape (n + 1, N)
-        Centred scenes and their mean, from `TrainingSet.centred`, arranged as the masks are.
-    scale : {"each", "common"}
-    detection : Detection
-    """
+    """Features of masks that learn."""
 
     streams: Streams
     masks: Learned
+    # (n + 1, N): Centred scenes and their mean, from `TrainingSet.centred`, arranged as the masks
+    # are
     x: Tensor
     scale: Scale
     detection: Detection
@@ -209,20 +201,12 @@ class ConditionedFeatures(Features):
 
     The fewer masks share the light, the more each has. The gradient includes the light that a mask
     takes from later ones.
-
-    Attributes
-    ----------
-    streams, masks, x, scale
-        As for `LearnedFeatures`; masks may be fixed.
-    conditioning : Conditioning
-        Of the lowest budget.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
     """
 
-    streams: Streams
+    streams: Streams  # as for `LearnedFeatures`; masks may be fixed
     masks: Fixed | Learned
     x: Tensor
-    conditioning: Conditioning
+    conditioning: Conditioning  # of the lowest budget
     light: Light
     scale: Scale
     detection: Detection
@@ -263,33 +247,18 @@ class ConditionedFeatures(Features):
 
 @dataclass
 class AdaptiveFeatures(Features):
-    """Inputs of classifiers after each of several looks, with masks of equal dwells.
+    """Inputs of classifiers after each of several looks, with masks of equal dwells."""
 
-    Attributes
-    ----------
-    streams, masks, x, scale
-        As for `LearnedFeatures`; masks may be fixed.
-    choose : Replicas
-        Networks that choose dwells.
-    looks : int
-        K.
-    gain : tensor, shape (R, 1)
-        Of all jobs, from `FeatureNoise`.
-    dwells : Dwells
-    shortest : float
-        As for `AdaptiveDwells`.
-    """
-
-    streams: Streams
+    streams: Streams  # as for `LearnedFeatures`; masks may be fixed
     masks: Fixed | Learned
     x: Tensor
-    choose: Replicas
-    looks: int
-    gain: Tensor
+    choose: Replicas  # networks that choose dwells
+    looks: int  # K
+    gain: Tensor  # (R, 1): Of all jobs, from `FeatureNoise`
     scale: Scale
     detection: Detection
     dwells: Dwells
-    shortest: float = 0.0
+    shortest: float = 0.0  # as for `AdaptiveDwells`
 
     def at(self, step: int) -> Tensor:
         """Features and dwells (K · B, R, k + q) after each of K looks."""

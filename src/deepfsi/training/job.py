@@ -342,12 +342,7 @@ def _rounded(job: Job, device: torch.device) -> torch.dtype:
 def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
     """Raise `InputError` for whatever a job asks that cannot be had on this data.
 
-    Parameters
-    ----------
-    job : Job
-    data : Dataset
-    matrix : array, shape (m, N), optional
-        Of a "custom" design.
+    Shapes: matrix (m, N).
     """
     if faults := job_faults(job, data, matrix):
         raise InputError("; ".join(faults))
@@ -411,11 +406,6 @@ def check_jobs(
     """Return the first of jobs that are to be trained together, each checked.
 
     Parameters as for `check_job`.
-
-    Raises
-    ------
-    ValueError
-        If the jobs differ in more than `Job.companions` allows.
     """
     if len({job.companions(device) for job in jobs}) > 1:
         raise ValueError("jobs that train together may differ in photons, sigma and seed only")

@@ -230,18 +230,7 @@ def train(
 ) -> list[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-        R jobs that agree in `Job.companions`, those of one seed one after another.
-    matrix : array, shape (m, N), optional
-        Sensing matrix of "custom" designs.
-    report : Report
-    classifier : nn.Module or callable, optional
-        A user's own, where it is not imported by its name in the settings.
-    own_noise : callable, optional
-        The same for the noise.
+    Shapes: matrix (m, N).
     """
     began = time.perf_counter()
     trained = _optimised(training_set, jobs, matrix, report, classifier, own_noise)

@@ -125,21 +125,7 @@ def descend(
     loss: Callable[[int], Tensor],
     report: Report,
 ) -> None:
-    """Minimise a loss with AdamW on a one-cycle schedule.
-
-    Parameters
-    ----------
-    groups : list of dict
-        From `parameter_group`.
-    epochs, steps : int
-        Number of epochs, and of steps in each.
-    shuffle : callable
-        Called before each epoch.
-    loss : callable
-        From the place of a step in its epoch to its loss.
-    report : Report
-        Called after each epoch, and within one that takes long.
-    """
+    """Minimise a loss with AdamW on a one-cycle schedule."""
     optimiser = torch.optim.AdamW(groups, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, [group["lr"] for group in groups], total_steps=epochs * steps
@@ -219,15 +205,7 @@ def _threads(elements: int) -> Iterator[None]:
 
 
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
-    """Raise `InputError` where training jobs together would take more memory than is free.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-    processes : int
-        That train as much at one time; each has scenes of its own.
-    """
+    """Raise `InputError` where training jobs together would take more memory than is free."""
     scenes, pixels = training_set.full.shape
     held = training_set.full.nbytes
     check_memory(

@@ -76,22 +76,7 @@ class PatchJob(BaseModel):
 
 
 class Patches:
-    """Training images cut in patches, on a device, with what the trainings on them share.
-
-    Parameters
-    ----------
-    data : Dataset
-        Images.
-    side : int
-        Of a patch, pixels.
-    device : str
-        "auto" (a GPU if there is one), "cpu" or "cuda".
-
-    Raises
-    ------
-    InputError
-        If the data is no images, or these cannot be cut so.
-    """
+    """Training images cut in patches, on a device, with what the trainings on them share."""
 
     def __init__(self, data: Dataset, side: int = 8, device: str = "auto") -> None:
         if len(data.image_shape) != 2:

@@ -18,16 +18,7 @@ Matrices = dict[tuple[str, int, int, bytes], np.ndarray]
 
 
 class TrainingSet:
-    """A data set on a device, with what several trainings on it share.
-
-    Parameters
-    ----------
-    data : Dataset
-    device : str
-        "auto" (a GPU if there is one), "cpu" or "cuda".
-    matrices : dict, optional
-        Sensing matrices that another `TrainingSet` of the same data has made, to be shared.
-    """
+    """A data set on a device, with what several trainings on it share."""
 
     def __init__(
         self, data: Dataset, device: str = "auto", matrices: Matrices | None = None
@@ -63,12 +54,6 @@ class TrainingSet:
         The products of the last row with the masks, added to those of a scene, give the scene's
         own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
         moves no mask through rounding. Arranged by the detectors that see them.
-
-        Parameters
-        ----------
-        light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-        kind : torch.dtype
-        detection : Detection
         """
         pixels = self.pixels(light)
         key = (kind, bool(pixels.all()), detection.key)

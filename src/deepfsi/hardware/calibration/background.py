@@ -32,17 +32,7 @@ def expected_background(
     The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
     spread evenly over the cells.
 
-    Parameters
-    ----------
-    exposure_s : float
-        Total exposure, seconds; a frame's gate is its share of it.
-    dark, ambient : float or array, shape (rails,)
-        Counts/s; one for each detector on two arms.
-
-    Returns
-    -------
-    array, shape (rails, m)
-        Counts; 0 for a rail that is not shown.
+    Shapes: dark, ambient (rails,).
     """
     manifest = patterns.manifest
     dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))

@@ -16,25 +16,7 @@ CLEAR_SIGMAS = 5.0
 
 
 def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
-    """Detector of each cell: the one that counts most of its light, in all scenes together.
-
-    Parameters
-    ----------
-    counts : Counts
-        Of several detectors.
-    patterns : Patterns
-        Of the scan that was shown: its masks tell all cells apart.
-
-    Returns
-    -------
-    int64 array, shape image_shape
-        0 .. D-1, in the order of the counter's inputs.
-
-    Raises
-    ------
-    InputError
-        If a cell is seen by no detector clearly, or a detector sees no cell.
-    """
+    """Detector of each cell: the one that counts most of its light, in all scenes together."""
     shape, read = patterns.manifest.image_shape, counts.lengths_s > 0
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
     signal = counts.signal().sum(axis=(0, 1), where=usable)[read]

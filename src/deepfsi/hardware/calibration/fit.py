@@ -45,44 +45,16 @@ CELLS_PER_TERM = 4
 
 @dataclass(frozen=True)
 class Homography:
-    """Homography fitted to the centres of spots.
+    """Homography fitted to the centres of spots."""
 
-    Attributes
-    ----------
-    matrix : array, shape (3, 3)
-        Display → device in unit squares.
-    agreed : array of bool, shape (n,)
-        Spots that it rests on.
-    """
-
-    matrix: np.ndarray
-    agreed: np.ndarray
+    matrix: np.ndarray  # (3, 3): Display → device in unit squares
+    agreed: np.ndarray  # (n,): Spots that it rests on
 
 
 def spot_scenes(
     image_shape: tuple[int, int], count: tuple[int, int] = (5, 5), side: int = 2
 ) -> np.ndarray:
-    """Scenes of one bright square each, on a regular grid over the display.
-
-    Parameters
-    ----------
-    image_shape : tuple of int
-        Pixels of the display, down and across.
-    count : tuple of int
-        Spots down and across, at least 2 each.
-    side : int
-        Pixels of a square.
-
-    Returns
-    -------
-    array, shape (spots, down, across)
-        Reflectance, float32: 1 in the square, 0 elsewhere.
-
-    Raises
-    ------
-    InputError
-        If fewer than 2 x 2 spots are asked for, or they do not fit side by side.
-    """
+    """Scenes of one bright square each, on a regular grid over the display."""
     room = np.array(image_shape) - np.array(count) * side
     if min(count) < 2 or side < 1 or room.min() < 0:
         raise InputError(
@@ -183,20 +155,7 @@ def calibrate_run(
 ) -> Calibration:
     """Calibrate from one acquisition of spots, a white and a black picture.
 
-    Parameters
-    ----------
-    shown : mapping of str to array, shape (h, w)
-        Displayed pictures by name; `WHITE` and `BLACK` are uniform, all others are spots.
-    pictures : array, shape (S, down, across)
-        What was measured of each, as `reconstruct` gives it.
-    counts : Counts
-        Of the acquisition: its all-OFF frames tell the dark rate, and all frames of the black
-        picture the ambient light.
-
-    Raises
-    ------
-    InputError
-        If a scene was not among those shown, or the fit fails.
+    Shapes: shown (h, w); pictures (S, down, across).
     """
     unknown = sorted(set(names) - set(shown))
     if unknown:
@@ -268,19 +227,7 @@ def find_homography(
 
     Spots that lie more than a cell from what the others say are left out (RANSAC).
 
-    Parameters
-    ----------
-    display, device : array, shape (n, 2)
-        (across, down) in unit squares; NaN where a spot was not seen.
-    cells : tuple of int
-        Down and across, the unit of residuals.
-    seed : int
-        Of RANSAC's draws.
-
-    Raises
-    ------
-    InputError
-        If fewer than four spots agree on one, or they lie on a line.
+    Shapes: display, device (n, 2).
     """
     seen = np.isfinite(device).all(axis=1)
     scale = np.array(cells[::-1], dtype=float)

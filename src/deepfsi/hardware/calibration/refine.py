@@ -34,27 +34,13 @@ STEP_CELLS = 0.02
 
 @dataclass(frozen=True)
 class FittedView:
-    """Homography and blur fitted to pictures of spots.
+    """Homography and blur fitted to pictures of spots."""
 
-    Attributes
-    ----------
-    matrix : array, shape (3, 3)
-        Display → device in unit squares.
-    blur : tuple of float
-        Standard deviation down and across, in the device's unit square.
-    used : array of bool, shape (spots,)
-        Spots that it rests on.
-    residual : float
-        Root mean square distance of those from it, cells.
-    error : float
-        Standard error of the place of the display's worst corner, cells.
-    """
-
-    matrix: np.ndarray
-    blur: tuple[float, float]
-    used: np.ndarray
-    residual: float
-    error: float
+    matrix: np.ndarray  # (3, 3): Display → device in unit squares
+    blur: tuple[float, float]  # standard deviation down and across, in the device's unit square
+    used: np.ndarray  # (spots,): Spots that it rests on
+    residual: float  # root mean square distance of those from it, cells
+    error: float  # standard error of the place of the display's worst corner, cells
 
 
 class _Spots:
@@ -100,16 +86,7 @@ def fit_view(
 ) -> FittedView:
     """Fit homography and blur to pictures of spots, from a first homography.
 
-    Parameters
-    ----------
-    scenes : array, shape (spots, h, w)
-        One bright spot each on black.
-    pictures : array, shape (spots, down, across)
-        What the camera measured of each, less the black picture.
-    matrix : array, shape (3, 3)
-        First homography, good to a cell or so.
-    agreed : array of bool, shape (spots,)
-        Spots that agree on it.
+    Shapes: scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,).
     """
     spots = _Spots(scenes, grid)
     used, view = agreed, np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)

@@ -24,19 +24,6 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
     """Rails of a scan with equal dwells; its mean scene is one of uniform white.
 
     Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
-
-    Parameters
-    ----------
-    name : {"raster", "hadamard"}
-    cells : tuple of int
-        Down and across.
-    detectors : int
-        How many see the device; which cells each sees need not be known.
-
-    Raises
-    ------
-    InputError
-        If there is no such scan, or the cells are too many or one.
     """
     check_known("scan", name, SCANS)
     down, across = cells

@@ -172,24 +172,7 @@ def camera_view(
 ) -> np.ndarray:
     """Scenes as the cells of a mask see them.
 
-    Parameters
-    ----------
-    x : array, shape (n, h * w)
-        Reflectance in [0, 1].
-    image_shape : tuple of int
-        (h, w) of a scene.
-    cells_shape : tuple of int, optional
-        Down and across; as the scene unless given.
-
-    Returns
-    -------
-    array, shape (n, down * across), float32
-        Relative light in [0, 1].
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit.
+    Shapes: x (n, h * w).
     """
     x = np.asarray(x, dtype=np.float32)
     if len(image_shape) != 2 or x.ndim != 2 or x.shape[1] != np.prod(image_shape):
@@ -250,20 +233,6 @@ def geometry_matrix(
 
     The average over a cell of the blurred image is separable, so it is applied to the points'
     pixels one axis after the other.
-
-    Parameters
-    ----------
-    image_shape, cells_shape : tuple of int
-        Pixels of the display and cells of a mask, down and across.
-    homography : 3 x 3 numbers
-        Display → device, in unit squares.
-    blur : tuple of float
-        Standard deviation down and across, in the device's unit square.
-
-    Returns
-    -------
-    sparse array, shape (cells, pixels)
-        Its rows sum to at most 1.
     """
     (h, w), (down, across) = image_shape, cells_shape
     average_down, tops = _axis_average(down, blur[0], POINTS_PER_CELL[0])

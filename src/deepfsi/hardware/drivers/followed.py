@@ -22,26 +22,7 @@ POLL_S = 0.0001
 
 
 class FollowedCounter:
-    """Streaming counter over a file, or a named pipe, that other software writes.
-
-    Parameters
-    ----------
-    inputs : tuple of int
-        One for each detector; 0 is input 1.
-    marker_bit : {1, 2, 4, 8}
-        Which of the counter's marker inputs the device's trigger is wired to.
-    appears_s : float
-        Time within which the file must appear after `start`, seconds.
-    waits : callable, optional
-        Called with the path and `appears_s` when this time begins.
-
-    Examples
-    --------
-    >>> with FollowedCounter() as counter:  # doctest: +SKIP
-    ...     counter.start(Path("photons.ptu"))  # then start the recording in the vendor's software
-    ...     counter.expect(FrameGates.of(10e-6, [34e-6]))
-    ...     counter.counts_since_marker(1.0)
-    """
+    """Streaming counter over a file, or a named pipe, that other software writes."""
 
     def __init__(
         self,

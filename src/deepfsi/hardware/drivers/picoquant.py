@@ -33,34 +33,7 @@ POLL_S = 0.0002
 
 
 class SnapiCounter:
-    """Streaming counter of a PicoQuant device. Untested on hardware: see the module.
-
-    Parameters
-    ----------
-    inputs : tuple of int
-        One for each detector; 0 is input 1.
-    marker_bit : {1, 2, 4, 8}
-        Which of the counter's marker inputs the device's trigger is wired to; it is to rise at the
-        start of a frame. The others are switched off.
-    serial : str, optional
-        Of the device; by default the first that is found.
-    config : path, optional
-        Ini file with the levels and offsets of the inputs, as snAPI's `loadIniConfig` takes it.
-    buffer : int
-        Records that may wait for the thread; snAPI throws them away when there are more.
-
-    Raises
-    ------
-    InputError
-        On entering, if snAPI or the device is not there; later, if the device refuses something.
-
-    Examples
-    --------
-    >>> with SnapiCounter() as counter:  # doctest: +SKIP
-    ...     counter.start(Path("photons.ptu"))
-    ...     counter.expect(FrameGates.of(10e-6, [34e-6]))
-    ...     counter.counts_since_marker(1.0)
-    """
+    """Streaming counter of a PicoQuant device. Untested on hardware: see the module."""
 
     def __init__(
         self,

@@ -108,17 +108,7 @@ def scan(
     show: Callable[[np.ndarray], None],
     path: Path,
 ) -> None:
-    """Record one pass over the loaded patterns for each scene, into one PTU file.
-
-    Parameters
-    ----------
-    projector, counter : PatternProjector, PhotonCounter
-        Open, with patterns loaded.
-    scenes : iterable of array
-        Reflectance (h, w).
-    show : callable
-        Displays a scene; returns when the display has settled.
-    """
+    """Record one pass over the loaded patterns for each scene, into one PTU file."""
     counter.start(path)
     for scene in scenes:
         show(scene)

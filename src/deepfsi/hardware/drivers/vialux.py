@@ -69,17 +69,7 @@ PROJ_STATE, PROJ_ACTIVE = 2400, 1200
 
 
 class _Board(ABC):
-    """A Vialux device that is open, and the frames in it.
-
-    Parameters
-    ----------
-    version : str
-        Of the ALP interface that is installed, "4.1" to "5.1".
-    library : path, optional
-        Folder of Vialux's library; by default where its installer puts it.
-    serial : int, optional
-        Of the device; by default the first that is found.
-    """
+    """A Vialux device that is open, and the frames in it."""
 
     def __init__(
         self, version: str = "4.3", library: Path | None = None, serial: int | None = None
@@ -237,30 +227,7 @@ class _Board(ABC):
 
 
 class VialuxProjector(_Board):
-    """Projector of pattern folders on a Vialux device. Untested on hardware: see the module.
-
-    Parameters
-    ----------
-    version : str
-        Of the ALP interface that is installed, "4.1" to "5.1".
-    library : path, optional
-        Folder of Vialux's library; by default where its installer puts it.
-    serial : int, optional
-        Of the device; by default the first that is found.
-
-    Raises
-    ------
-    InputError
-        On entering, if ALP4lib, Vialux's library or the device is not there; later, if the device
-        refuses something.
-
-    Examples
-    --------
-    >>> with VialuxProjector() as projector:  # doctest: +SKIP
-    ...     projector.load(Path("patterns"))
-    ...     projector.run()
-    ...     projector.wait()
-    """
+    """Projector of pattern folders on a Vialux device. Untested on hardware: see the module."""
 
     _pass_s = 0.0
 
@@ -302,27 +269,6 @@ class VialuxLooks(_Board):
 
     A frame is held for a whole number of picture times, and gives a marker with each. Lists that
     are longer than the controller's table are shown with a longer picture time.
-
-    Parameters
-    ----------
-    version, library, serial
-        As of `VialuxProjector`.
-    trigger_s : float, optional
-        Period of a signal at the device's trigger input, seconds, each edge of which starts a
-        picture (slave mode), so that frames keep another clock than the device's: such as that of
-        the counter. Without it the device keeps its own.
-
-    Raises
-    ------
-    InputError
-        On entering, if ALP4lib, Vialux's library or the device is not there; later, if the device
-        refuses something.
-
-    Examples
-    --------
-    >>> with VialuxLooks() as projector:  # doctest: +SKIP
-    ...     projector.load(Path("patterns"))
-    ...     projector.show(np.array([0, 5, 2]), np.array([44e-6, 200e-6, 88e-6]))
     """
 
     def __init__(
@@ -347,17 +293,7 @@ class VialuxLooks(_Board):
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show a list of frames when the last list has ended; may return before its end.
 
-        Parameters
-        ----------
-        frames : array of int, shape (F,)
-            Places in the folder.
-        dwells_s : array, shape (F,)
-            For how long each is held at least, seconds.
-
-        Raises
-        ------
-        InputError
-            As `pictures`; if there is no such frame, or the device refuses.
+        Shapes: frames (F,); dwells_s (F,).
         """
         picture_us, repeats = self._plan(dwells_s)
         if len(frames) != len(dwells_s) or not np.isin(frames, np.arange(self._frames)).all():

@@ -38,21 +38,11 @@ SENTINELS = -1
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames that are shown one after another, and counted.
+    """Frames that are shown one after another, and counted."""
 
-    Attributes
-    ----------
-    look : int
-        From 0; `SENTINELS` for the frames that begin a scene.
-    frames : integer array, shape (F,)
-        Places among the frames of the manifest.
-    gate_ns : int64 array, shape (F,)
-        For how long each is counted.
-    """
-
-    look: int
-    frames: np.ndarray
-    gate_ns: np.ndarray
+    look: int  # from 0; `SENTINELS` for the frames that begin a scene
+    frames: np.ndarray  # (F,): Places among the frames of the manifest
+    gate_ns: np.ndarray  # (F,): For how long each is counted
 
 
 Count = Callable[[FrameList], np.ndarray]
@@ -61,42 +51,18 @@ Count = Callable[[FrameList], np.ndarray]
 
 @dataclass(frozen=True)
 class Decision:
-    """Answer after a look at a scene.
+    """Answer after a look at a scene."""
 
-    Attributes
-    ----------
-    scene, look : int
-        From 0.
-    chances : array, shape (C,)
-        Probabilities of the classes.
-    photons : float
-        Budget of a whole exposure, in counts.
-    light_s : float
-        Exposure so far, seconds.
-    final : bool
-        True if no look follows.
-    """
-
-    scene: int
+    scene: int  # from 0
     look: int
-    chances: np.ndarray
-    photons: float
-    light_s: float
-    final: bool
+    chances: np.ndarray  # (C,): Probabilities of the classes
+    photons: float  # budget of a whole exposure, in counts
+    light_s: float  # exposure so far, seconds
+    final: bool  # true if no look follows
 
 
 class Observer:
-    """Decisions on scene after scene of a live run.
-
-    Parameters
-    ----------
-    loop : Loop
-        Of the design.
-    manifest : Manifest
-        Of its patterns.
-    acquisition : Acquisition
-        Of a live run.
-    """
+    """Decisions on scene after scene of a live run."""
 
     def __init__(self, loop: Loop, manifest: Manifest, acquisition: Acquisition) -> None:
         if acquisition.live is None or manifest.looks is None:
@@ -118,15 +84,7 @@ class Observer:
         self._sentinels = FrameList(SENTINELS, np.array([ON, OFF]), gates)
 
     def observe(self, scene: int, count: Count) -> Iterator[Decision]:
-        """Decisions after each look at the next scene; none if there is no light.
-
-        Parameters
-        ----------
-        scene : int
-            Its number, from 0, as the decisions have it.
-        count : callable
-            Asked for the counts of a list of frames, one list after another.
-        """
+        """Decisions after each look at the next scene; none if there is no light."""
         about = self.loop.about
         arrivals = self._arrivals(count, self._sentinels)
         if not self._lit.add(arrivals, self._sentinels.gate_ns):

@@ -19,22 +19,7 @@ def share_out(dwell: Shares, shortest: float) -> Shares:
     many frames are shown as can be, and the longest one always is. What is left can be
     differentiated: the choice of the frames is fixed, their times are not.
 
-    Parameters
-    ----------
-    dwell : array or tensor, shape (..., q)
-        Shares of the exposure, one for each frame, with a positive sum.
-    shortest : float
-        Shortest dwell, as such a share; where a whole look is shorter, it is one frame.
-
-    Returns
-    -------
-    array or tensor, shape (..., q)
-        With the same sums; 0 for frames that are not shown.
-
-    Examples
-    --------
-    >>> share_out(np.array([0.5, 0.25, 0.15, 0.1]), 0.2).round(3).tolist()
-    [0.667, 0.333, 0.0, 0.0]
+    Shapes: dwell (..., q).
     """
     order, longest_first = _longest_first(dwell)
     total = dwell.sum(-1)[..., None]

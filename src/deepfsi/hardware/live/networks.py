@@ -30,40 +30,22 @@ Layer = tuple[np.ndarray, np.ndarray]
 
 
 class About(BaseModel):
-    """Facts of a loop besides its numbers.
-
-    Attributes
-    ----------
-    looks : int
-        K, each 1 / K of the exposure.
-    masks, rails, detectors : int
-        m, 2 or 1, and D.
-    each_rail : bool
-        Whether the two rails of a mask are frames with dwells of their own.
-    readout : {"difference", "both"}
-        What is read of two rails.
-    classes : tuple of str
-    largest_score : float
-        Bound of the scores whose softmax dwells are.
-    shortest : float
-        Shortest dwell that the design was learned for, a share of the exposure.
-    rule : StopRule or None
-        Of the design, where it has one.
-    """
+    """Facts of a loop besides its numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = 1
-    looks: int = Field(ge=2, le=64)
-    masks: int = Field(ge=1)
+    looks: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure
+    masks: int = Field(ge=1)  # m, 2 or 1, and D
     rails: Literal[1, 2]
     detectors: int = Field(ge=1)
-    each_rail: bool
-    readout: Readout
+    each_rail: bool  # whether the two rails of a mask are frames with dwells of their own
+    readout: Readout  # what is read of two rails
     classes: tuple[str, ...] = Field(min_length=1)
-    largest_score: float = Field(gt=0)
+    largest_score: float = Field(gt=0)  # bound of the scores whose softmax dwells are
+    # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
-    rule: StopRule | None = None
+    rule: StopRule | None = None  # of the design, where it has one
 
     @property
     def frames(self) -> int:
@@ -79,19 +61,11 @@ class About(BaseModel):
 
 @dataclass(frozen=True)
 class Loop:
-    """Networks of a loop: one says the class, the other the dwells of the next look.
-
-    Attributes
-    ----------
-    about : About
-    mean, std : array, shape (k,)
-        float32, of the features for equal dwells.
-    classifier, chooser : tuple of Layer
-    """
+    """Networks of a loop: one says the class, the other the dwells of the next look."""
 
     about: About
-    mean: np.ndarray
-    std: np.ndarray
+    mean: np.ndarray  # (k,): float32, of the features for equal dwells
+    std: np.ndarray  # (k,)
     classifier: tuple[Layer, ...]
     chooser: tuple[Layer, ...]
 
@@ -117,14 +91,7 @@ class Loop:
     def choose(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
         """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together.
 
-        Parameters
-        ----------
-        inputs : array, shape (k + q,)
-            Of the classifier.
-        look : int
-            From 0.
-        shortest : float
-            Shortest dwell that the device shows, a share of the exposure.
+        Shapes: inputs (k + q,).
         """
         about, (weight, bias) = self.about, self.chooser[0]
         left = np.float32(1 - look / about.looks)  # the last input
@@ -227,14 +194,7 @@ def _softmax(scores: np.ndarray) -> np.ndarray:
 def judge(chances: np.ndarray, look: int, rule: StopRule | None) -> tuple[np.ndarray, bool]:
     """Probabilities (C,) as a rule calibrates them, and whether the exposure may stop.
 
-    Parameters
-    ----------
-    chances : array, shape (C,)
-        Of the classifier.
-    look : int
-        From 0.
-    rule : StopRule or None
-        None never stops.
+    Shapes: chances (C,).
     """
     if rule is None:
         return chances, False

@@ -32,17 +32,10 @@ PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 
 @dataclass(frozen=True)
 class LiveCounts:
-    """Counts of the finished scenes of a live run.
+    """Counts of the finished scenes of a live run."""
 
-    Attributes
-    ----------
-    scenes : tuple of ShownScene
-        With their frames and gates.
-    counts : int64 array, shape (n, inputs)
-        Photons in the gates, scene by scene, list by list, frame by frame.
-    """
-
-    scenes: tuple[ShownScene, ...]
+    scenes: tuple[ShownScene, ...]  # with their frames and gates
+    # (n, inputs): Photons in the gates, scene by scene, list by list, frame by frame
     counts: np.ndarray
 
     @property
@@ -121,21 +114,12 @@ def read_live_counts(folder: Path) -> LiveCounts:
 
 @dataclass(frozen=True)
 class Replayed:
-    """A scene of a run replayed.
+    """A scene of a run replayed."""
 
-    Attributes
-    ----------
-    shown : ShownScene
-        As the run has it.
-    decisions : tuple of Decision
-        After each look, from its counts; none without light.
-    agrees : bool
-        True if every list is the one that was shown, and the last probabilities are those of the
-        run, bit for bit.
-    """
-
-    shown: ShownScene
-    decisions: tuple[Decision, ...]
+    shown: ShownScene  # as the run has it
+    decisions: tuple[Decision, ...]  # after each look, from its counts; none without light
+    # True if every list is the one that was shown, and the last probabilities are those of the run,
+    # bit for bit
     agrees: bool
 
 

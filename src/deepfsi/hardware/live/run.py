@@ -55,20 +55,11 @@ class Bench:
 
 @dataclass(frozen=True)
 class Decided:
-    """A decision, and when it fell.
+    """A decision, and when it fell."""
 
-    Attributes
-    ----------
-    decision : Decision or None
-        None where a scene had no light.
-    scene : int
-    clock_s : float
-        After the scene's first command, seconds.
-    """
-
-    decision: Decision | None
+    decision: Decision | None  # none where a scene had no light
     scene: int
-    clock_s: float
+    clock_s: float  # after the scene's first command, seconds
 
 
 def plan_live(
@@ -81,32 +72,7 @@ def plan_live(
     dead_time: DeadTime = NO_DEAD_TIME,
     **others: object,
 ) -> Acquisition:
-    """Settings of a live run of the patterns in a folder.
-
-    Parameters
-    ----------
-    patterns_folder : path
-        Of a design of several looks.
-    scenes : tuple of Scene
-    exposure_s : float
-        Of all looks together, seconds.
-    shortest_s : float, optional
-        Shortest dwell; not less than what the device's shortest picture leaves after settling, or
-        than the share of the exposure that the design was learned for.
-    photons : float, optional
-        Budget of an exposure in counts, where it is known.
-    until : float, optional
-        Confidence above which an exposure stops; the design's own rule unless given, if it has one.
-    dead_time : DeadTime
-        Of the counter, to be corrected for.
-    **others
-        Further fields of `Acquisition`.
-
-    Raises
-    ------
-    InputError
-        If the patterns are of another kind of design, or a setting is not allowed.
-    """
+    """Settings of a live run of the patterns in a folder."""
     manifest = read_patterns(patterns_folder).manifest
     if manifest.looks is None:
         raise InputError(

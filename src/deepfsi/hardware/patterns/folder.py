@@ -42,26 +42,7 @@ ARMS_SLACK = 1e-4
 class DesignRails:
     """Rails of a design that are to be shown.
 
-    Parameters
-    ----------
-    rails : array, shape (2 or 1, m, N)
-        Shares of each pixel's photons, as a design holds them.
-    image_shape : tuple of int
-        Cells of a mask, 1 or 2 axes.
-    summed_reflectance : float
-        s, mean summed reflectance of the training scenes.
-    file : bytes, optional
-        The design's file, to be kept beside the frames.
-    brightness : Brightness, optional
-        By how much training scenes differ in it.
-    detectors : Detectors, optional
-        Which see which cells; one sees all unless given.
-    readout : {"difference", "both"}
-        What the design's network reads of two rails.
-    looks : Looks, optional
-        Of a design that chooses its dwells while the exposure runs.
-    loop : bytes, optional
-        Content of the file of the networks that do.
+    Shapes: rails (2 or 1, m, N).
     """
 
     rails: np.ndarray

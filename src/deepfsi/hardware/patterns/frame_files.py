@@ -36,10 +36,7 @@ def write_frames(
 ) -> list[str]:
     """Write frames as they come, and give the SHA-256 of the packed bits of each.
 
-    Parameters
-    ----------
-    frames : iterable of array, shape (rows, bytes of a row)
-        Packed.
+    Shapes: frames (rows, bytes of a row).
     """
     hashes, device, format = [], settings.device, settings.format
     if format == "planes":
@@ -104,21 +101,7 @@ def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...])
 def open_array(
     path: Path, kind: str | None, shape: tuple[int, ...], first: int = 0
 ) -> Iterator[IO[bytes]]:
-    """Open a file at the start of an array's data, certain that all of it is there.
-
-    Parameters
-    ----------
-    kind : str or None
-        Type of the numbers, if the file has a header of numpy's, which must say it and the shape.
-    shape : tuple of int
-    first : int
-        Frame of the array's first row, for what an error says.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, cut, too long or another array's.
-    """
+    """Open a file at the start of an array's data, certain that all of it is there."""
     again = "export the patterns again"
     with reading(str(path)), path.open("rb") as file:
         dtype = np.dtype(kind or "u1")

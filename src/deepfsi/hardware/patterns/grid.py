@@ -16,27 +16,15 @@ from deepfsi.hardware.patterns.devices import Device
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF.
+    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF."""
 
-    Attributes
-    ----------
-    down, across : int
-        Cells.
-    height, width : int
-        Rows and columns of mirrors of a cell.
-    top, left : int
-        Rows and columns of mirrors before the first cell.
-    diamond : bool
-        True where odd rows lie half a column to the right.
-    """
-
-    down: int
+    down: int  # cells
     across: int
-    height: int
+    height: int  # rows and columns of mirrors of a cell
     width: int
-    top: int
+    top: int  # rows and columns of mirrors before the first cell
     left: int
-    diamond: bool = False
+    diamond: bool = False  # true where odd rows lie half a column to the right
 
     @property
     def mirrors(self) -> int:

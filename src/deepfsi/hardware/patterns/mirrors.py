@@ -36,19 +36,13 @@ POTENTIAL_UNIT = 2**15
 
 
 class MaskFrames(NamedTuple):
-    """Frames that show the rails of masks, mask by mask, dark rails left out.
-
-    Attributes
-    ----------
-    shown : list of (mask, rail)
-    peaks : array, shape (f,)
-        float64; largest share of a pixel's photons in each frame, on two arms the time of the mask.
-    on : array, shape (f, N)
-        uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K.
-    """
+    """Frames that show the rails of masks, mask by mask, dark rails left out."""
 
     shown: list[tuple[int, Rail]]
+    # (f,): float64; largest share of a pixel's photons in each frame, on two arms the time of the
+    # mask
     peaks: np.ndarray
+    # (f, N): uint32; mirrors ON in each cell, 0 to K: the rail over its peak in steps of 1/K
     on: np.ndarray
 
     @property
@@ -65,11 +59,7 @@ class MaskFrames(NamedTuple):
 def count_mirrors(rails: np.ndarray, light: Light, mirrors: int) -> MaskFrames:
     """Mirrors that show rails, frame by frame.
 
-    Parameters
-    ----------
-    rails : array, shape (2 or 1, m, N)
-    mirrors : int
-        K, mirrors of a cell.
+    Shapes: rails (2 or 1, m, N).
     """
     shown: list[tuple[int, Rail]] = []
     peaks = []
@@ -102,17 +92,7 @@ def make_frames(
 ) -> Iterator[np.ndarray]:
     """Packed frames, one at a time.
 
-    Parameters
-    ----------
-    on : iterable of array, shape (N,)
-        Mirrors ON in each cell.
-    seed : int
-        For `random`.
-
-    Yields
-    ------
-    array, shape (rows, bytes of a row)
-        uint8; mirrors outside the grid are OFF. A new array each.
+    Shapes: on (N,).
     """
     if selection == "random":
         yield from _draw(on, device, grid, np.random.default_rng(seed))
@@ -143,10 +123,6 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
     order represents the cell. Of very large cells whole blocks of mirrors are chosen, as often as
     they have mirrors, and each gives those in an order of its own. Places are 0 to
     height · width - 1, each once, in an array (height, width) that is read only.
-
-    References
-    ----------
-    Y. Chen, M. Welling and A. Smola, "Super-samples from kernel herding", UAI, 2010.
     """
     rows, columns = height, width
     while rows * columns > MOST_ORDERED_SINGLY:

@@ -45,10 +45,7 @@ def write_planes(
 ) -> list[str]:
     """Write frames as they come, and give the SHA-256 of the packed bits of each.
 
-    Parameters
-    ----------
-    frames : iterable of array, shape (rows, bytes of a row)
-        Packed.
+    Shapes: frames (rows, bytes of a row).
     """
     (folder / "images").mkdir()
     hashes, together = [], device.packed_frames(total)

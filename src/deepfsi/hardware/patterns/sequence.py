@@ -56,22 +56,7 @@ Format = Literal["npy", "raw", "png", "planes"]
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """Settings of an export: the device, how long it holds frames, their mirrors and their files.
-
-    Parameters
-    ----------
-    dwell_s : float
-        Mean picture time of the masks' frames in seconds, at least the device's shortest.
-    selection : {"ordered", "random"}
-        Choice of the mirrors of a grey cell.
-    seed : int
-        Of the random selection.
-
-    Raises
-    ------
-    InputError
-        If one of them is not allowed.
-    """
+    """Settings of an export: device, mean picture time, choice of mirrors and kind of file."""
 
     device: Device
     dwell_s: float
@@ -105,20 +90,7 @@ class FrameSettings:
         return max(self.device.shortest_us, _whole(self.dwell_s * 1e6))
 
     def times_us(self, shares: np.ndarray, light: Light, sentinels: int) -> tuple[list[int], int]:
-        """Picture times of the masks' frames and of a sentinel, µs: one for all in a video.
-
-        Parameters
-        ----------
-        shares, light
-            As of `picture_us`.
-        sentinels : int
-            Frames of a pass that show no mask.
-
-        Raises
-        ------
-        InputError
-            As of `picture_us`, or if the one time is longer than the device allows.
-        """
+        """Picture times of the masks' frames and of a sentinel, µs: one for all in a video."""
         pictures, sentinel = self.picture_us(shares, light), self.sentinel_us
         if self.device.video_us:
             total = len(shares) + sentinels
@@ -378,15 +350,10 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True)
 class Patterns:
-    """Manifest and mirror counts of a folder of patterns.
-
-    Attributes
-    ----------
-    on : array, shape (f, N)
-        Mirrors ON in each cell of each mask's frame, in the order of `Manifest.shown`.
-    """
+    """Manifest and mirror counts of a folder of patterns."""
 
     manifest: Manifest
+    # (f, N): Mirrors ON in each cell of each mask's frame, in the order of `Manifest.shown`
     on: np.ndarray
 
     @property

@@ -24,20 +24,11 @@ USUAL_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Gates:
-    """Gates of the masks' frames, in seconds after each frame's start.
+    """Gates of the masks' frames, in seconds after each frame's start."""
 
-    Attributes
-    ----------
-    settle_s : float
-        Before the first gate of each frame.
-    length_s : array, shape (f,)
-        Duration of a gate: share times exposure.
-    repeats : int
-        R, gates that follow each other in every frame; gate r of all frames is one exposure.
-    """
-
-    settle_s: float
-    length_s: np.ndarray
+    settle_s: float  # before the first gate of each frame
+    length_s: np.ndarray  # (f,): Duration of a gate: share times exposure
+    # R, gates that follow each other in every frame; gate r of all frames is one exposure
     repeats: int
 
     @property
@@ -60,22 +51,7 @@ def longest_exposure(manifest: Manifest, settle_s: float) -> float:
 def find_gates(
     manifest: Manifest, exposure_s: float, settle_s: float | None = None, repeats: int | None = None
 ) -> Gates:
-    """Gates of an exposure, as many of them in a frame as fit all frames.
-
-    Parameters
-    ----------
-    exposure_s : float
-        Total exposure, seconds: the sum over frames is at most this.
-    settle_s : float, optional
-        The device's unless given.
-    repeats : int, optional
-        Fewer than fit.
-
-    Raises
-    ------
-    InputError
-        If the exposure is not above 0, or a gate does not fit its frame.
-    """
+    """Gates of an exposure, as many of them in a frame as fit all frames."""
     settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
@@ -103,21 +79,12 @@ def find_gates(
 
 @dataclass(frozen=True)
 class Cost:
-    """Shares of a pass in which nothing is counted.
+    """Shares of a pass in which nothing is counted."""
 
-    Attributes
-    ----------
-    sentinels : float
-        Frames for alignment, flux and dark.
-    settling : float
-        Starts of the masks' frames, while mirrors move.
-    idle : float
-        What the gates leave of the masks' frames: pictures that are longer than their share because
-        no device shows shorter ones, and what is left where one more gate does not fit.
-    """
-
-    sentinels: float
-    settling: float
+    sentinels: float  # frames for alignment, flux and dark
+    settling: float  # starts of the masks' frames, while mirrors move
+    # What the gates leave of the masks' frames: pictures that are longer than their share because
+    # no device shows shorter ones, and what is left where one more gate does not fit
     idle: float
 
     @property

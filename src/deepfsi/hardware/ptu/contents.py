@@ -8,38 +8,20 @@ from deepfsi.hardware.ptu.records import LATEST_TICK, Part
 
 
 class Contents(BaseModel):
-    """Contents of a PTU file.
-
-    Attributes
-    ----------
-    tick_s : float
-        Seconds of a tick.
-    records : int
-        Records read. Fewer than the file's if `problems` says that one is damaged.
-    photons : dict
-        Photons on each input that has any; 0 is input 1.
-    markers : dict
-        Markers with each bit, 1, 2, 4 and 8, that is ever set.
-    syncs : int
-        Sync records (T2).
-    first, last : int or None
-        Times of the earliest and latest photon, marker or sync, ticks.
-    span_s : float
-        Seconds from the start of the recording to the latest of them.
-    """
+    """Contents of a PTU file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: str
-    tick_s: float
-    records: int
-    photons: dict[int, int]
-    markers: dict[int, int]
+    tick_s: float  # seconds of a tick
+    records: int  # records read. Fewer than the file's if `problems` says that one is damaged
+    photons: dict[int, int]  # photons on each input that has any; 0 is input 1
+    markers: dict[int, int]  # markers with each bit, 1, 2, 4 and 8, that is ever set
     overflows: int
-    syncs: int
-    first: int | None
+    syncs: int  # sync records (T2)
+    first: int | None  # times of the earliest and latest photon, marker or sync, ticks
     last: int | None
-    span_s: float
+    span_s: float  # seconds from the start of the recording to the latest of them
     problems: tuple[str, ...]
 
 

@@ -12,19 +12,7 @@ from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part
 class GateCounter:
     """Counter of the photons in gates.
 
-    Parameters
-    ----------
-    kind : Kind
-        Type of the records.
-    inputs : sequence of int
-        Which inputs; 0 is input 1. Sync events are none. `InputError` if there is no such input.
-    name : object
-        What to call the file in errors.
-
-    Attributes
-    ----------
-    reached : int
-        No photon of parts to come is earlier.
+    `reached`: No photon of parts to come is earlier.
     """
 
     def __init__(self, kind: Kind, inputs: Sequence[int], name: object) -> None:
@@ -45,15 +33,7 @@ class GateCounter:
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
         """Count gates that follow those before.
 
-        Parameters
-        ----------
-        starts, stops : integer arrays, shape (gates,)
-            Ticks; a photon counts if start <= time < stop. Gates rise and do not overlap.
-
-        Raises
-        ------
-        InputError
-            If they do not, or one begins before the end of what was read.
+        Shapes: starts, stops (gates,).
         """
         edges = _join_edges(starts, stops)
         if not len(edges):

@@ -48,36 +48,16 @@ _SIZED = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of record.
+    """A type of record."""
 
-    Attributes
-    ----------
-    name : str
-        Device and mode.
-    code : int
-        Of the tag `TTResultFormat_TTTRRecType`.
-    mode : {"T2", "T3"}
-        Times count ticks of the device, or periods of the sync.
-    shift : int
-        Bits below the channel field.
-    time_bits : int
-        Lowest bits, which hold the time.
-    wrap : int
-        Ticks of an overflow.
-    counted : bool
-        Whether one record can stand for many overflows, their number in its time field.
-    first, inputs : int
-        Channel field of the first input, and how many inputs there can be.
-    """
-
-    name: str
-    code: int
-    mode: Literal["T2", "T3"]
-    shift: int
-    time_bits: int
-    wrap: int
-    counted: bool
-    first: int
+    name: str  # device and mode
+    code: int  # of the tag `TTResultFormat_TTTRRecType`
+    mode: Literal["T2", "T3"]  # times count ticks of the device, or periods of the sync
+    shift: int  # bits below the channel field
+    time_bits: int  # lowest bits, which hold the time
+    wrap: int  # ticks of an overflow
+    counted: bool  # whether one record can stand for many overflows, their number in its time field
+    first: int  # channel field of the first input, and how many inputs there can be
     inputs: int
 
     @property
@@ -124,34 +104,17 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a PTU file: its tags and the type of its records.
+    """Header of a PTU file: its tags and the type of its records."""
 
-    Attributes
-    ----------
-    path : Path
-        Of the file, or what to call a stream.
-    tags : dict
-        Values by name; of a tag with an index, by `Name(index)`. Dates are days since 1899-12-30.
-    offset : int
-        Bytes before the first record.
-    tick_s : float
-        Seconds of a tick.
-    delay_s : float or None
-        T3: seconds of one unit of the delay after the sync, if the header says.
-    claimed : int
-        Records that the header says there are; 0 or less if it does not say.
-    size : int or None
-        Bytes of the file; None while they still arrive.
-    """
-
-    path: Path
+    path: Path  # of the file, or what to call a stream
+    # Values by name; of a tag with an index, by `Name(index)`. Dates are days since 1899-12-30
     tags: dict[str, Any]
     kind: Kind
-    offset: int
-    tick_s: float
-    delay_s: float | None
-    claimed: int
-    size: int | None = None
+    offset: int  # bytes before the first record
+    tick_s: float  # seconds of a tick
+    delay_s: float | None  # T3: seconds of one unit of the delay after the sync, if the header says
+    claimed: int  # records that the header says there are; 0 or less if it does not say
+    size: int | None = None  # bytes of the file; None while they still arrive
 
     @property
     def records(self) -> int:

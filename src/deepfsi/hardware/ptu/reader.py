@@ -80,23 +80,7 @@ def count_gates(
 ) -> np.ndarray:
     """Count the photons in each gate.
 
-    Parameters
-    ----------
-    starts, stops : integer arrays, shape (gates,)
-        Ticks; a photon counts if start <= time < stop. Gates rise and do not overlap.
-    inputs : sequence of int
-        Which inputs; 0 is input 1. Sync events are none.
-
-    Returns
-    -------
-    int64 array, shape (gates, len(inputs))
-
-    Raises
-    ------
-    InputError
-        As `read_header`; if a record is damaged; if gates do not rise or an input cannot be; if
-        the file is cut, or holds more or less than its header says, and a gate ends after the last
-        time that it holds.
+    Shapes: starts, stops (gates,).
     """
     header = read_header(path)
     counter = GateCounter(header.kind, inputs, path)

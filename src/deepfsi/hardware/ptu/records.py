@@ -30,23 +30,13 @@ MARKER_SLACK_S = 1e-6
 
 @dataclass(frozen=True)
 class Runs:
-    """Photons between two specials; runs without any are left out.
+    """Photons between two specials; runs without any are left out."""
 
-    Attributes
-    ----------
-    begin, end : arrays, shape (r,)
-        Place of the first photon, and the place after the last.
-    base : array, shape (r,)
-        The time from which their fields count.
-    low, high : arrays, shape (r,)
-        Time of the first photon and of the last.
-    """
-
-    begin: np.ndarray
-    end: np.ndarray
-    base: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    begin: np.ndarray  # (r,): Place of the first photon, and the place after the last
+    end: np.ndarray  # (r,)
+    base: np.ndarray  # (r,): The time from which their fields count
+    low: np.ndarray  # (r,): Time of the first photon and of the last
+    high: np.ndarray  # (r,)
 
 
 @dataclass
@@ -108,21 +98,11 @@ class Part:
 
 @dataclass(frozen=True)
 class _State:
-    """State of decoding after some records.
+    """State of decoding after some records."""
 
-    Attributes
-    ----------
-    wraps : int
-        Overflows.
-    latest : int
-        Time of the last photon or sync event.
-    after : int
-        The same, or earliest time that may follow a marker if that was last.
-    """
-
-    wraps: int = 0
-    latest: int = 0
-    after: int = 0
+    wraps: int = 0  # overflows
+    latest: int = 0  # time of the last photon or sync event
+    after: int = 0  # the same, or earliest time that may follow a marker if that was last
 
 
 class _Damage(Exception):
@@ -133,15 +113,6 @@ class Decoder:
     """Decoder of records that come in parts, which may be of any length.
 
     Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
-
-    Parameters
-    ----------
-    kind : Kind
-        Type of the records.
-    tick_s : float
-        Seconds of a tick.
-    ordered : bool
-        Find runs, and times that run back.
     """
 
     def __init__(self, kind: Kind, tick_s: float, ordered: bool = True) -> None:

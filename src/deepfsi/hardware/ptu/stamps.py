@@ -29,36 +29,15 @@ LARGEST_WHOLE = 2.0**53
 
 @dataclass(frozen=True)
 class Stamps:
-    """Events of a recording.
+    """Events of a recording."""
 
-    Attributes
-    ----------
-    times, channels : arrays, shape (n,)
-        int64; times in ticks.
-    tick_s : float
-        Seconds of a tick.
-    """
-
-    times: np.ndarray
-    channels: np.ndarray
-    tick_s: float
+    times: np.ndarray  # (n,): int64; times in ticks
+    channels: np.ndarray  # (n,)
+    tick_s: float  # seconds of a tick
 
 
 def read_stamps(source: str | os.PathLike[str], unit_s: float | None = None) -> Stamps:
-    """Time stamps of a Photon-HDF5 file, or of a table with a column of times and one of channels.
-
-    Parameters
-    ----------
-    source : path
-        A table as of `read_table`, or .h5 or .hdf5 with the groups of Photon-HDF5.
-    unit_s : float, optional
-        Seconds of a unit of the times; as a Photon-HDF5 file says unless given.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or something else, or the unit is not known.
-    """
+    """Time stamps of a Photon-HDF5 file, or of a table with columns of times and channels."""
     path = Path(source)
     if path.suffix.lower() not in HDF5:
         values = read_table(path).values
@@ -96,24 +75,7 @@ def _check_unit(unit_s: float | None, path: Path) -> float:
 def write_stamps(
     stamps: Stamps, path: str | os.PathLike[str], marker: int, inputs: tuple[int, ...] | None = None
 ) -> tuple[int, ...]:
-    """Write events as a PTU file, and return the channels of its inputs.
-
-    Parameters
-    ----------
-    stamps : Stamps
-    path : path
-        Of the PTU file; whole or not at all.
-    marker : int
-        Channel of the trigger, which becomes marker 0.
-    inputs : tuple of int, optional
-        Channels of the detectors, which become inputs 1, 2, …; all others unless given. Events of
-        other channels are left out.
-
-    Raises
-    ------
-    InputError
-        If a channel has no events, or there are more than 64.
-    """
+    """Write events as a PTU file, and return the channels of its inputs."""
     there = np.unique(stamps.channels).tolist()
     known = f"there are some on {', '.join(map(str, there)) or 'none'}"
     chosen = tuple(each for each in there if each != marker) if inputs is None else inputs

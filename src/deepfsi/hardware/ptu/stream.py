@@ -18,25 +18,7 @@ from deepfsi.hardware.ptu.records import Decoder, Part
 class StreamReader:
     """Reader of a PTU file from bytes that arrive in any cuts.
 
-    Parameters
-    ----------
-    name : path
-        What to call it in errors.
-    ordered : bool
-        Find runs of photons, and times that run back.
-
-    Attributes
-    ----------
-    header : Header or None
-        None until it has arrived.
-
-    Examples
-    --------
-    >>> reader = StreamReader("photons.ptu")
-    >>> for part in reader.feed(b""):
-    ...     part.check("photons.ptu")
-    >>> print(reader.header)
-    None
+    `header`: None until it has arrived.
     """
 
     def __init__(

@@ -27,14 +27,6 @@ class Writer:
     """Writer of a T2 file of type Generic, as a context manager.
 
     The file appears when the block ends. If the block fails there is none.
-
-    Parameters
-    ----------
-    tick_s : float
-        Seconds of a tick.
-    growing : bool
-        Write a new file in its place at once, as a counter does: it can be read while it grows, and
-        stays, ended, also if the block fails.
     """
 
     def __init__(

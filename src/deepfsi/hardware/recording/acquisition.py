@@ -140,28 +140,7 @@ def plan_acquisition(
     repeats: int | None = None,
     **others: Any,
 ) -> Acquisition:
-    """Settings for a recording of patterns.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Of the patterns to be shown.
-    scenes : tuple of Scene
-        In the order of their passes.
-    exposure_s : float, optional
-        Unless given, the longest that ends in every frame before the next marker may come.
-    settle_s : float, optional
-        The device's unless given.
-    repeats : int, optional
-        As many as fit, and can be counted at once, unless given.
-    **others
-        Further fields of `Acquisition`; the counter's first inputs are used unless given.
-
-    Raises
-    ------
-    InputError
-        If the gates do not fit the frames, or a field is not allowed.
-    """
+    """Settings for a recording of patterns."""
     others = {"inputs": tuple(range(manifest.inputs)), **others}
     settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
     exposure = exposure_s
@@ -187,20 +166,7 @@ def prepare(
     patterns_folder: str | os.PathLike[str],
     acquisition: Acquisition,
 ) -> Acquisition:
-    """Make the folder of a recording, to which photons.ptu is then added.
-
-    Parameters
-    ----------
-    folder : path
-        New or empty. It appears when it is whole.
-    acquisition : Acquisition
-        What is recorded; returned as written, with the hash of the manifest.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something, or patterns and acquisition do not fit each other.
-    """
+    """Make the folder of a recording, to which photons.ptu is then added."""
     source = Path(patterns_folder)
     patterns = read_patterns(source)
     names = ["manifest.json", "mirrors.npy", *companions(patterns.manifest)]
@@ -336,17 +302,7 @@ def gates_of(
 
 
 def check_inputs(manifest: Manifest, most: int, name: str) -> None:
-    """Raise `InputError` if a counter, or its files, have fewer inputs than there are detectors.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Of the patterns to be shown.
-    most : int
-        Inputs that it has.
-    name : str
-        What to call it.
-    """
+    """Raise `InputError` if a counter, or its files, have fewer inputs than there are detectors."""
     if manifest.inputs > most:
         raise InputError(
             f"{name} has up to {most} inputs, and these patterns need {manifest.inputs}, one for "
@@ -362,17 +318,7 @@ def name_inputs(inputs: tuple[int, ...]) -> str:
 
 
 def read_limited(path: Path, largest: int, hint: str) -> bytes:
-    """Content of a file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; `InputError` if it cannot be read.
-    largest : int
-        Bytes that it has at most; `InputError` if there are more.
-    hint : str
-        What to do about either.
-    """
+    """Content of a file."""
     try:
         with path.open("rb") as file:
             content = file.read(largest + 1)

@@ -53,22 +53,12 @@ Counter = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Alignment:
-    """Start of each frame, and the faults of the markers.
+    """Start of each frame, and the faults of the markers."""
 
-    Attributes
-    ----------
-    starts_s : array, shape (S, F)
-        Seconds on the counter's clock; NaN where it is not known.
-    pictures_s : array, shape (F,)
-        Picture times on that clock.
-    tolerance_s : float
-        By how much a marker may be off.
-    """
-
-    starts_s: np.ndarray
+    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock; NaN where it is not known
     faults: tuple[Fault, ...]
-    pictures_s: np.ndarray
-    tolerance_s: float
+    pictures_s: np.ndarray  # (F,): Picture times on that clock
+    tolerance_s: float  # by how much a marker may be off
 
 
 def align(
@@ -82,28 +72,7 @@ def align(
 ) -> Alignment:
     """Find the frame that each marker starts.
 
-    Parameters
-    ----------
-    times_s : array, shape (n,)
-        When the markers came, seconds.
-    manifest : Manifest
-        Its frames begin and end with all ON and all OFF.
-    scenes : int
-        S, passes; one for each scene.
-    tolerance_s : float, optional
-        By how much a marker may be off. Default: a tenth of the shortest picture time, at most
-        10 µs.
-    counter : callable, optional
-        Photons on the first input in some windows (starts, stops; they may overlap). Asked once,
-        and only if times alone leave a doubt. Without it such passes are given up.
-    cut : bool
-        True if the file is known to end before the recording did.
-
-    Raises
-    ------
-    InputError
-        If markers do not follow the schedule, or are of more or fewer passes than there are scenes.
-        Fewer are allowed if the file is cut or ends within a pass; they are of the first scenes.
+    Shapes: times_s (n,).
     """
     schedule = Schedule.of(manifest, tolerance_s)
     times = np.sort(np.asarray(times_s, dtype=np.float64))
@@ -157,20 +126,7 @@ def find_steps(
 ) -> tuple[np.ndarray, bool]:
     """Frames that may be all ON with the next all OFF, as far as photons tell.
 
-    Parameters
-    ----------
-    counts, seconds : arrays, shape (n,)
-        Photons in frames that follow each other, and for how long each was counted (0: not at all).
-    sigmas : float
-        Standard errors beyond which something is certain.
-
-    Returns
-    -------
-    fits : bool array, shape (n - 1,)
-        False where the step from a frame to the next is certainly less than `LEAST_STEP` of the
-        largest of all, or certainly none.
-    clear : bool
-        True if the largest is certain.
+    Shapes: counts, seconds (n,).
     """
     known = seconds > 0
     length = np.where(known, seconds, 1.0)

@@ -44,14 +44,7 @@ class Clock:
 def measure_clock(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> Clock | None:
     """Clock on which most markers in a row follow the schedule, None where there is none.
 
-    Parameters
-    ----------
-    times : array, shape (n,)
-        When the markers came, seconds, rising.
-    pictures : array, shape (F,)
-        Picture times of a pass, seconds.
-    tolerance : float
-        By how much a marker may be off, seconds.
+    Shapes: times (n,); pictures (F,).
     """
     size = min(FRAMES_OF_BLOCK, len(pictures) // 2)
     if len(times) <= size:

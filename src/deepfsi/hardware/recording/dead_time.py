@@ -74,18 +74,10 @@ class DeadTime(BaseModel):
 
 @dataclass(frozen=True)
 class Correction:
-    """Factors of registered counts.
+    """Factors of registered counts."""
 
-    Attributes
-    ----------
-    arrivals : array
-        Arrivals for each count.
-    variance : array
-        Variance of the arrivals for each count.
-    """
-
-    arrivals: np.ndarray
-    variance: np.ndarray
+    arrivals: np.ndarray  # arrivals for each count
+    variance: np.ndarray  # variance of the arrivals for each count
 
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)
@@ -101,16 +93,7 @@ def check_rates(
 ) -> None:
     """Raise `InputError` where a counter is too near its saturation to be corrected.
 
-    Parameters
-    ----------
-    dead : DeadTime
-    registered : array, shape (S, F, inputs)
-        Counts/s in each frame; NaN where it was not recorded.
-    frames : sequence of Frame
-    inputs : sequence of int
-        Of the counter, 0 for input 1.
-    name : str
-        What to call the file.
+    Shapes: registered (S, F, inputs).
     """
     most = dead.most_registered
     if not (registered > most).any():

@@ -84,16 +84,6 @@ def name_faults(
     """Starts of frames (S, F), and every fault of their markers, extra ones last.
 
     Starts are in seconds, NaN where they are not known.
-
-    Parameters
-    ----------
-    unknown : set of int
-        Passes whose place is not certain.
-
-    Raises
-    ------
-    InputError
-        If so much is wrong that scenes cannot be told.
     """
     times, schedule, scenes = markers.times, markers.schedule, markers.scenes
     spare = spare_times(passes, times)

@@ -40,20 +40,11 @@ class Flicker:
 
 @dataclass(frozen=True)
 class _Block:
-    """Frames of a pass that follow each other.
+    """Frames of a pass that follow each other."""
 
-    Attributes
-    ----------
-    middles : array, shape (f, K)
-        Times of the parts of each frame, seconds.
-    lacks : array, shape (P, f, K)
-        Photons of each part less its share of the frame's.
-    photons : array, shape (P, f)
-    """
-
-    middles: np.ndarray
-    lacks: np.ndarray
-    photons: np.ndarray
+    middles: np.ndarray  # (f, K): Times of the parts of each frame, seconds
+    lacks: np.ndarray  # (P, f, K): Photons of each part less its share of the frame's
+    photons: np.ndarray  # (P, f)
 
 
 def find_flicker(
@@ -64,14 +55,7 @@ def find_flicker(
     The pass that shows most of it is left out where there are three or more: what one pass alone
     shows is no rhythm.
 
-    Parameters
-    ----------
-    photons, seconds : arrays, shape (P, F, K)
-        Of the parts of each frame.
-    middles : array, shape (F, K)
-        Times of the parts after the start of their pass, seconds.
-    chance : float
-        Of finding one in steady light.
+    Shapes: photons, seconds (P, F, K); middles (F, K).
     """
     whole = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
     every = photons.sum(axis=2)

@@ -30,33 +30,15 @@ GUARD_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of a recording.
+    """Frames of a recording."""
 
-    Attributes
-    ----------
-    starts_s : array, shape (S, F)
-        Seconds on the counter's clock; NaN where it is not known.
-    whole : array, shape (S,)
-        bool; scenes whose masks' frames were all recorded.
-    pictures_s : array, shape (F,)
-        Picture times on the counter's clock.
-    tolerance_s : float
-        By how much a marker may be off.
-    drift : float
-        By how much passes last longer than planned, as a share: their median.
-    until_s : float
-        Up to when all photons are in the file, seconds; infinite unless it is cut.
-    faults : list of Fault
-        Of the markers.
-    """
-
-    starts_s: np.ndarray
-    whole: np.ndarray
-    pictures_s: np.ndarray
-    tolerance_s: float
-    drift: float
-    until_s: float
-    faults: list[Fault]
+    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock; NaN where it is not known
+    whole: np.ndarray  # (S,): bool; scenes whose masks' frames were all recorded
+    pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
+    tolerance_s: float  # by how much a marker may be off
+    drift: float  # by how much passes last longer than planned, as a share: their median
+    until_s: float  # up to when all photons are in the file, seconds; infinite unless it is cut
+    faults: list[Fault]  # of the markers
 
 
 def find_frames(
@@ -66,20 +48,7 @@ def find_frames(
     tolerance_s: float | None,
     report: Report,
 ) -> Frames:
-    """Frames of a recording by its markers, and by photons where markers leave a doubt.
-
-    Parameters
-    ----------
-    header : Header
-        Of the photon file.
-    acquisition : Acquisition
-    manifest : Manifest
-        Of the patterns that were shown.
-    tolerance_s : float or None
-        By how much a marker may be off; as usual if None.
-    report : Report
-        Given the share of the file whose markers are read.
-    """
+    """Frames of a recording by its markers, and by photons where markers leave a doubt."""
     path, tick_s = header.path, header.tick_s
     times, bits = read_markers(path, report)
     _check_markers(header, bits, acquisition.marker_bit)
@@ -158,31 +127,16 @@ def _find_drift(starts: np.ndarray, planned: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of a pass in order: its gates, and what they leave between settling and guard.
+    """Windows of a pass in order: its gates, and what they leave between settling and guard."""
 
-    Attributes
-    ----------
-    frame : array, shape (g,)
-        Of each window.
-    offset, length : arrays, shape (g,)
-        When a window opens after its frame's start, and for how long, seconds.
-    gates : array, shape (f, R)
-        Places of the gates among the windows.
-    guards : array, shape (2,)
-        Places of the guards of the all-OFF frames.
-    frames : int
-        Frames of a pass, F.
-    room : float
-        Least time from the last gate of a frame to the next frame, seconds.
-    """
-
-    frame: np.ndarray
+    frame: np.ndarray  # (g,): Of each window
+    # (g,): When a window opens after its frame's start, and for how long, seconds
     offset: np.ndarray
-    length: np.ndarray
-    gates: np.ndarray
-    guards: np.ndarray
-    frames: int
-    room: float
+    length: np.ndarray  # (g,)
+    gates: np.ndarray  # (f, R): Places of the gates among the windows
+    guards: np.ndarray  # (2,): Places of the guards of the all-OFF frames
+    frames: int  # frames of a pass, F
+    room: float  # least time from the last gate of a frame to the next frame, seconds
 
     @classmethod
     def of(cls, manifest: Manifest, gates: Gates, found: Frames) -> "Windows":
@@ -219,19 +173,7 @@ class Windows:
 
 
 def check_gates(header: Header, gates: Gates, manifest: Manifest, found: Frames) -> None:
-    """Raise `InputError` if frames were so much shorter than planned that gates do not fit.
-
-    Parameters
-    ----------
-    header : Header
-        Of the photon file.
-    gates : Gates
-        Of the masks' frames.
-    manifest : Manifest
-        Of the patterns that were shown.
-    found : Frames
-        Frames as they were.
-    """
+    """Raise `InputError` if frames were so much shorter than planned that gates do not fit."""
     pictures = found.pictures_s[manifest.shown]
     room = pictures - gates.settle_s
     over = gates.repeats * gates.length_s - room - MOST_DRIFT * pictures
@@ -247,12 +189,7 @@ def check_gates(header: Header, gates: Gates, manifest: Manifest, found: Frames)
 def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) -> tuple[Fault, ...]:
     """Name markers that all come late: light of the first mask is in the guard before it.
 
-    Parameters
-    ----------
-    windows : Windows
-        Of a pass.
-    photons, seconds : arrays, shape (S, g)
-        Photons of what sees mirrors ON in the windows of each scene, and how long they were open.
+    Shapes: photons, seconds (S, g).
     """
     found, found_s = windows.sum_frames(photons), windows.sum_frames(seconds)
     (dark, light), (dark_s, light_s) = found[:, 1:3].T, found_s[:, 1:3].T
@@ -280,35 +217,17 @@ def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) ->
 
 @dataclass(frozen=True)
 class FrameParts:
-    """Equal parts of each frame of a pass, between settling and guard.
+    """Equal parts of each frame of a pass, between settling and guard."""
 
-    Attributes
-    ----------
-    frame : array, shape (F K,)
-        Of each part.
-    offset, length : arrays, shape (F K,)
-        When a part begins after its frame's start, and for how long, seconds.
-    middles : array, shape (F, K)
-        Middle of each part after the start of the pass, seconds.
-    """
-
-    frame: np.ndarray
+    frame: np.ndarray  # (F K,): Of each part
+    # (F K,): When a part begins after its frame's start, and for how long, seconds
     offset: np.ndarray
-    length: np.ndarray
-    middles: np.ndarray
+    length: np.ndarray  # (F K,)
+    middles: np.ndarray  # (F, K): Middle of each part after the start of the pass, seconds
 
 
 def find_frame_parts(found: Frames, settle_s: float, number: int) -> FrameParts:
-    """Parts of the frames of a recording.
-
-    Parameters
-    ----------
-    found : Frames
-    settle_s : float
-        Time before the first part of a frame, seconds; less than every frame.
-    number : int
-        K, parts of a frame.
-    """
+    """Parts of the frames of a recording."""
     pictures = found.pictures_s
     rest = pictures - settle_s
     each = np.maximum(rest - np.minimum(found.tolerance_s, GUARD_SHARE * rest), 0.0) / number
@@ -328,10 +247,7 @@ def count_overlapping(
 ) -> np.ndarray:
     """Photons (n, inputs) in windows that may overlap, in any order. Parameters as `count_gates`.
 
-    Parameters
-    ----------
-    starts, stops : integer arrays, shape (n,)
-        Ticks.
+    Shapes: starts, stops (n,).
     """
     edges = np.stack([starts, stops])
     unique, places = np.unique(edges, return_inverse=True)

@@ -18,18 +18,11 @@ Allowed = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Row:
-    """Rates of passes in their order; those of several sum.
+    """Rates of passes in their order; those of several sum."""
 
-    Attributes
-    ----------
-    counts, variances : arrays, shape (P,)
-        Photons, less the background where it is known, and their variance.
-    seconds : array, shape (P,)
-    """
-
-    counts: np.ndarray
-    variances: np.ndarray
-    seconds: np.ndarray
+    counts: np.ndarray  # (P,): Photons, less the background where it is known, and their variance
+    variances: np.ndarray  # (P,)
+    seconds: np.ndarray  # (P,)
 
     def sums(self) -> np.ndarray:
         """Sums of counts, variances and seconds over the first 0 … P passes, (3, P + 1)."""
@@ -38,16 +31,7 @@ class Row:
 
 
 def find_parts(row: Row, allowed: Allowed, chance: float) -> list[slice]:
-    """Parts of a row that have one rate each, in their order.
-
-    Parameters
-    ----------
-    row : Row
-    allowed : callable
-        What two parts of a sound row may differ by, apart from their photons' noise.
-    chance : float
-        Of cutting a sound row.
-    """
+    """Parts of a row that have one rate each, in their order."""
     parts, todo, sums = [], [(0, len(row.counts))], row.sums()
     while todo:
         start, stop = todo.pop()

@@ -37,23 +37,13 @@ RANGE_SLACK = 1.25
 
 @dataclass(frozen=True)
 class Light:
-    """Light of the passes that were recorded.
+    """Light of the passes that were recorded."""
 
-    Attributes
-    ----------
-    flux : array, shape (P,)
-        Counts/s of the scenes' light with all mirrors ON, mean over the passes that agree with
-        each.
-    dark_rate : array, shape (P, inputs)
-        Counts/s of each input without light.
-    lit : array, shape (P,)
-        bool; passes with light.
-    faults : tuple of Fault
-    """
-
+    # (P,): Counts/s of the scenes' light with all mirrors ON, mean over the passes that agree with
+    # each
     flux: np.ndarray
-    dark_rate: np.ndarray
-    lit: np.ndarray
+    dark_rate: np.ndarray  # (P, inputs): Counts/s of each input without light
+    lit: np.ndarray  # (P,): bool; passes with light
     faults: tuple[Fault, ...]
 
 
@@ -75,17 +65,7 @@ def see_inputs(
 
     Of each arm's detectors together, and of each detector where an arm has several.
 
-    Parameters
-    ----------
-    photons : array, shape (P, F, K, inputs)
-        Of each input.
-    seconds, middles, scenes
-        As of `Seen`.
-    wired : list of tuple of int
-        Inputs of the detectors of each arm.
-    variance : array, shape (P, F, K, inputs), optional
-        Of the photons, where it is not theirs. They are then told as Poisson counts with the same
-        rate and relative error, in as much shorter a time.
+    Shapes: photons (P, F, K, inputs); variance (P, F, K, inputs).
     """
     frames = len(middles)
     on, off = (0, frames - 2), (1, frames - 1)
@@ -119,19 +99,7 @@ def see_inputs(
 def find_light(
     arms: list[Seen], detectors: list[Seen], manifest: Manifest, lost: np.ndarray
 ) -> Light:
-    """Light of an acquisition.
-
-    Parameters
-    ----------
-    arms : list of Seen
-        What the detectors of each arm saw together; the first one tells the flux.
-    detectors : list of Seen
-        What each saw by itself, arm by arm; empty where an arm has but one.
-    manifest : Manifest
-        Of the patterns that were shown.
-    lost : array of int
-        Scenes whose first and last frames did not look like all ON and all OFF.
-    """
+    """Light of an acquisition."""
     chance = FALSE_ALARMS / (len(arms) + len(detectors))
     checked = [check_light(seen, manifest, lost, chance) for seen in arms]
     alone = [check_light(seen, manifest, lost, chance) for seen in detectors]

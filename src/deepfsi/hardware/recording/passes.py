@@ -31,20 +31,12 @@ FRAMES_AT_ONCE = 32
 
 @dataclass(frozen=True)
 class Schedule:
-    """Schedule of a pass, in seconds.
+    """Schedule of a pass, in seconds."""
 
-    Attributes
-    ----------
-    starts, pictures : arrays, shape (F,)
-        Start of each frame after the first, and its picture time.
-    tolerance : float
-        By how much a marker may be off.
-    """
-
-    starts: np.ndarray
-    pictures: np.ndarray
+    starts: np.ndarray  # (F,): Start of each frame after the first, and its picture time
+    pictures: np.ndarray  # (F,)
     settle: float
-    tolerance: float
+    tolerance: float  # by how much a marker may be off
 
     @classmethod
     def of(cls, manifest: Manifest, tolerance_s: float | None) -> "Schedule":
@@ -87,21 +79,12 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Markers:
-    """Markers of a recording, and what they should follow.
+    """Markers of a recording, and what they should follow."""
 
-    Attributes
-    ----------
-    times : array, shape (n,)
-        When they came, seconds, rising.
-    scenes : int
-        S, passes that there should be.
-    cut : bool
-        True if the file is known to end before the recording did: passes that lack are the last.
-    """
-
-    times: np.ndarray
+    times: np.ndarray  # (n,): When they came, seconds, rising
     schedule: Schedule
-    scenes: int
+    scenes: int  # S, passes that there should be
+    # True if the file is known to end before the recording did: passes that lack are the last
     cut: bool = False
 
     @property
@@ -113,18 +96,10 @@ class Markers:
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass over the frames.
+    """One pass over the frames."""
 
-    Attributes
-    ----------
-    expected : array, shape (F,)
-        When each frame is expected, seconds.
-    places : array, shape (F,)
-        Marker that starts each frame, -1 for none.
-    """
-
-    expected: np.ndarray
-    places: np.ndarray
+    expected: np.ndarray  # (F,): When each frame is expected, seconds
+    places: np.ndarray  # (F,): Marker that starts each frame, -1 for none
 
     @property
     def matched(self) -> int:
@@ -213,15 +188,7 @@ def _next_pass(markers: Markers, first: int) -> Pass | None:
 
 
 def walk(markers: Markers, start: float, first: int = 0) -> Pass:
-    """Follow the schedule from a time of frame 0, with the clock's drift as markers show it.
-
-    Parameters
-    ----------
-    start : float
-        When frame 0 began, seconds.
-    first : int
-        First marker that may be of the pass.
-    """
+    """Follow the schedule from a time of frame 0, with the clock's drift as markers show it."""
     times, schedule = markers.times, markers.schedule
     frames, starts, tolerance = schedule.frames, schedule.starts, schedule.tolerance
     widest = 0.4 * float(schedule.pictures.min())
@@ -259,14 +226,7 @@ def walk(markers: Markers, start: float, first: int = 0) -> Pass:
 def nearest(times: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
     """Marker nearest to each wanted time, none before `first`, and its distance.
 
-    Parameters
-    ----------
-    times : array, shape (n,)
-        When the markers came, seconds.
-    wanted : array, shape (k,)
-        When they are sought, seconds.
-    first : int
-        First marker that may be taken.
+    Shapes: times (n,); wanted (k,).
     """
     after = np.clip(np.searchsorted(times, wanted), first, len(times) - 1)
     before = np.maximum(after - 1, first)

@@ -20,18 +20,6 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
 
     The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
     Directions that the masks hardly see are left out (singular values below 1e-3 of the largest).
-
-    Returns
-    -------
-    array, shape (S, *image_shape)
-        float64, NaN for a scene without a valid exposure. If the acquisition gives the flux, it is
-        the reflectance times the detector's efficiency. Otherwise the budget is estimated from
-        the all-ON frames, so that the scenes have the training scenes' summed reflectance.
-
-    Raises
-    ------
-    InputError
-        As `read_counts`, or if the flux is not known and no light was seen.
     """
     acquisition, patterns = read_acquisition(folder)
     counts = load_counts(Path(folder), acquisition, patterns.manifest)

@@ -19,11 +19,6 @@ def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
 
     A line is NAME or NAME,LABEL, quoted as in CSV where a name has a comma. Empty lines, and a
     first line that names the columns (`name,label`), are left out.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is no text, has no scene, or a line has more than two columns.
     """
     hint = "give a text file with a scene on each line, or a folder of pictures"
     content = read_limited(Path(path), LARGEST_LIST, hint)

@@ -60,32 +60,19 @@ class Seen:
     """Photons in equal parts of each frame of the passes that were recorded.
 
     Those of an arm's detectors together, or of one of them.
-
-    Attributes
-    ----------
-    photons, seconds : arrays, shape (P, F, K)
-        Photons, and how long each part was open: 0 where a frame's time is not known. K is `PARTS`,
-        or 1 where frames were counted whole.
-    middles : array, shape (F, K)
-        Times of the parts after the start of their pass, seconds.
-    scenes : array, shape (P,)
-        Scene of each pass.
-    bright, dark : tuple of int
-        Places of the two frames that send it all light, and of those that send it none.
-    name : str
-        What to call the inputs in a fault; empty if there is but one arm.
-    part : bool
-        True for a detector that sees a part of the device, which may be dark.
     """
 
+    # (P, F, K): Photons, and how long each part was open: 0 where a frame's time is not known. K is
+    # `PARTS`, or 1 where frames were counted whole
     photons: np.ndarray
-    seconds: np.ndarray
-    middles: np.ndarray
-    scenes: np.ndarray
+    seconds: np.ndarray  # (P, F, K)
+    middles: np.ndarray  # (F, K): Times of the parts after the start of their pass, seconds
+    scenes: np.ndarray  # (P,): Scene of each pass
+    # Places of the two frames that send it all light, and of those that send it none
     bright: tuple[int, int]
     dark: tuple[int, int]
-    name: str
-    part: bool = False
+    name: str  # what to call the inputs in a fault; empty if there is but one arm
+    part: bool = False  # true for a detector that sees a part of the device, which may be dark
 
     def of(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Photons and seconds of some frames, each (P, frames)."""
@@ -100,19 +87,11 @@ class Seen:
 
 @dataclass(frozen=True)
 class Background:
-    """Counts of an input without light, from the passes that agree with each.
+    """Counts of an input without light, from the passes that agree with each."""
 
-    Attributes
-    ----------
-    photons, seconds : arrays, shape (P,)
-        Of all-OFF frames; for the second of two arms, of all-ON ones.
-    parts : list of slice
-        Passes that agree with each other.
-    """
-
-    photons: np.ndarray
-    seconds: np.ndarray
-    parts: list[slice]
+    photons: np.ndarray  # (P,): Of all-OFF frames; for the second of two arms, of all-ON ones
+    seconds: np.ndarray  # (P,)
+    parts: list[slice]  # passes that agree with each other
 
     @property
     def rate(self) -> np.ndarray:
@@ -122,35 +101,17 @@ class Background:
 
 @dataclass(frozen=True)
 class Checked:
-    """Findings on the light of an arm, or of one of its detectors.
-
-    Attributes
-    ----------
-    lit : array, shape (P,)
-        bool; passes with light.
-    sound : array, shape (P,)
-        bool; those of them in which it was steady, and no frame brighter than all ON.
-    """
+    """Findings on the light of an arm, or of one of its detectors."""
 
     background: Background
-    lit: np.ndarray
+    lit: np.ndarray  # (P,): bool; passes with light
+    # (P,): bool; those of them in which it was steady, and no frame brighter than all ON
     sound: np.ndarray
     faults: tuple[Fault, ...]
 
 
 def check_light(seen: Seen, manifest: Manifest, lost: np.ndarray, chance: float) -> Checked:
-    """Check the light of an arm, or of one of its detectors.
-
-    Parameters
-    ----------
-    seen : Seen
-    manifest : Manifest
-        Of the patterns that were shown.
-    lost : array of int
-        Scenes of other passes, whose bright and dark frames did not look so.
-    chance : float
-        Of any fault if all is well.
-    """
+    """Check the light of an arm, or of one of its detectors."""
     each = chance / LAWS
     background = find_background(seen, each)
     lit = _find_lit(seen, background, each)

@@ -25,23 +25,16 @@ from deepfsi.hardware.recording.clocks import MOST_EXTRA, MOST_RATE
 
 @dataclass(frozen=True)
 class FrameGates:
-    """Gates of frames in the order in which they are shown, one each.
+    """Gates of frames in the order in which they are shown, one each."""
 
-    Attributes
-    ----------
-    offsets_s, lengths_s : arrays, shape (F,)
-        When a gate begins after the marker of its frame, and for how long it is open, seconds.
-    markers : array of int, shape (F,)
-        Markers that a frame gives: more than one where it is shown as several pictures in a row.
-        Its gate begins after the first.
-    pictures_s : array, shape (F,), or None
-        Time from each of its markers to the next one, seconds. The next list of frames may begin at
-        any time after the last. None where it is not known, and then not checked.
-    """
-
+    # (F,): When a gate begins after the marker of its frame, and for how long it is open, seconds
     offsets_s: np.ndarray
-    lengths_s: np.ndarray
+    lengths_s: np.ndarray  # (F,)
+    # (F,): Markers that a frame gives: more than one where it is shown as several pictures in a
+    # row. Its gate begins after the first
     markers: np.ndarray
+    # (F,): Time from each of its markers to the next one, seconds. The next list of frames may
+    # begin at any time after the last. None where it is not known, and then not checked
     pictures_s: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -66,18 +59,10 @@ class FrameGates:
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Counts of some frames that follow each other.
+    """Counts of some frames that follow each other."""
 
-    Attributes
-    ----------
-    starts_s : array, shape (F,)
-        Times of their markers on the counter's clock, seconds.
-    counts : int64 array, shape (F, inputs)
-        Photons in their gates.
-    """
-
-    starts_s: np.ndarray
-    counts: np.ndarray
+    starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
+    counts: np.ndarray  # (F, inputs): Photons in their gates
 
     @classmethod
     def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
@@ -88,42 +73,18 @@ class FrameCounts:
 
 
 class _Told(NamedTuple):
-    """A frame that is still to come, in ticks.
-
-    Attributes
-    ----------
-    picture : int or None
-        Time from each of its markers to the next.
-    tolerance : int
-        By how much that may be off.
-    follows : bool
-        Whether it comes as soon as the frame before ends.
-    """
+    """A frame that is still to come, in ticks."""
 
     offset: int
     length: int
     markers: int
-    picture: int | None
-    tolerance: int
-    follows: bool
+    picture: int | None  # time from each of its markers to the next
+    tolerance: int  # by how much that may be off
+    follows: bool  # whether it comes as soon as the frame before ends
 
 
 class FrameCounter:
-    """Counter of photons frame by frame.
-
-    Parameters
-    ----------
-    kind : Kind
-        Type of the records.
-    tick_s : float
-        Seconds of a tick.
-    inputs : sequence of int
-        One for each detector; 0 is input 1.
-    marker_bit : {1, 2, 4, 8}
-        Which of the counter's marker inputs the device's trigger is wired to.
-    name : object
-        What to call the recording in errors.
-    """
+    """Counter of photons frame by frame."""
 
     def __init__(
         self,
@@ -238,24 +199,7 @@ class FrameCounter:
 
 
 class StreamCounter:
-    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
-
-    Parameters
-    ----------
-    inputs : sequence of int
-        One for each detector; 0 is input 1.
-    marker_bit : {1, 2, 4, 8}
-        Which of the counter's marker inputs the device's trigger is wired to.
-    name : path
-        What to call the file in errors.
-
-    Examples
-    --------
-    >>> counter = StreamCounter(inputs=(0,))
-    >>> counter.expect(FrameGates.of(10e-6, [34e-6, 90e-6]))
-    >>> counter.feed(b"").counts.shape
-    (0, 1)
-    """
+    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts."""
 
     def __init__(
         self,

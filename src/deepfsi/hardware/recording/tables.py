@@ -116,41 +116,16 @@ def column_names(manifest: Manifest) -> list[str]:
 
 
 class _Values(NamedTuple):
-    """Values of exposures.
+    """Values of exposures."""
 
-    Attributes
-    ----------
-    masks : array, shape (E, f, inputs)
-    ends : array, shape (E, 4, inputs), or None
-        Of the frames all ON, all OFF, all ON, all OFF.
-    """
-
-    masks: np.ndarray
-    ends: np.ndarray | None
+    masks: np.ndarray  # (E, f, inputs)
+    ends: np.ndarray | None  # (E, 4, inputs): Of the frames all ON, all OFF, all ON, all OFF
 
 
 def count_table(
     table: Table, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
-    """Counts of the exposures in a table, and their scenes.
-
-    Parameters
-    ----------
-    table : Table
-        A row or a column for each exposure, with a value for each frame and input, in the order of
-        `column_names` or with these names: of the masks' frames, or with the all-ON and all-OFF
-        frames before and after them.
-    manifest : Manifest
-        Of the patterns that were shown.
-    settings : TableSettings
-    name : str
-        What to call the table.
-
-    Raises
-    ------
-    InputError
-        If the table does not fit the patterns, its values are no counts, or no budget is known.
-    """
+    """Counts of the exposures in a table, and their scenes."""
     values = _find_values(table, manifest, settings, name)
     scenes, place = _find_scenes(table, len(values.masks), settings.repeats, name)
     _check_values(values, settings, name)

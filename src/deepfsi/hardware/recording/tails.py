@@ -22,22 +22,7 @@ def excess_chance(
     others_s: np.ndarray,
     ratio: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Chance that a window holds at least these photons, given those of it and of another together.
-
-    Parameters
-    ----------
-    photons, seconds : arrays
-        Of the window, and how long it was open.
-    others, others_s : arrays
-        Of the other.
-    ratio : array or float
-        Rate of the first over that of the other, at most, where nothing is wrong.
-
-    Returns
-    -------
-    array
-        1 where one of them was not open.
-    """
+    """Chance that a window holds at least these photons, given the sum of it and another."""
     photons, seconds, others, others_s, ratio = np.broadcast_arrays(
         *(np.asarray(each, np.float64) for each in (photons, seconds, others, others_s, ratio))
     )

@@ -61,23 +61,11 @@ class Latencies(BaseModel):
 class Laboratory:
     """Laboratory that virtual devices share: a clock, the scene on the display, the detectors.
 
-    Parameters
-    ----------
-    rates : array, shape (S, F, inputs)
-        Of `camera.arrival_rates`: arrivals/s while each frame of the folder is shown.
-    camera : Camera
-    latencies : Latencies
-    seed : int
-        The same one gives the same run.
+    `now_s`: Time on the clock.
+    `written`: Of the counter that records.
+    `wiring`: Inputs of that counter, one for each detector, and the bits of its markers.
 
-    Attributes
-    ----------
-    now_s : float
-        Time on the clock.
-    written : Writer or None
-        Of the counter that records.
-    wiring : tuple
-        Inputs of that counter, one for each detector, and the bits of its markers.
+    Shapes: rates (S, F, inputs).
     """
 
     def __init__(
@@ -177,16 +165,7 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
 
 
 class BenchCounter(AbstractContextManager["BenchCounter"]):
-    """Counter of the photons of a virtual laboratory, which it records into a PTU file.
-
-    Parameters
-    ----------
-    laboratory : Laboratory
-    inputs : tuple of int
-        Of the counter, one for each detector; 0 is input 1.
-    marker_bit : {1, 2, 4, 8}
-        Of the markers.
-    """
+    """Counter of the photons of a virtual laboratory, which it records into a PTU file."""
 
     def __init__(
         self, laboratory: Laboratory, inputs: tuple[int, ...], marker_bit: int = MARKER

@@ -128,17 +128,7 @@ spad
 def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -> np.ndarray:
     """Relative irradiance of each mirror.
 
-    Parameters
-    ----------
-    scenes : array, shape (S, h, w)
-        Reflectance, 0 or more, of images of any size; pixels are squares.
-
-    Returns
-    -------
-    float32 array, shape (S, rows, columns)
-        In units in which a pixel of the scene as large as a cell sends its reflectance to the
-        cell's mirrors together: the ideal camera gives x_j / K to each of the K mirrors of cell j.
-        0 beyond the cells. Light at a mirror's centre stands for its whole.
+    Shapes: scenes (S, h, w).
     """
     from scipy.fft import irfft2, rfft2
     from scipy.ndimage import fourier_gaussian
@@ -185,23 +175,7 @@ def arrival_rates(
 ) -> np.ndarray:
     """Arrivals/s at each detector while each frame is shown, before dead time.
 
-    Parameters
-    ----------
-    scenes : array, shape (S, h, w), or (S, N) for masks of one axis
-        Reflectance, 0 or more.
-    flux : float
-        Photons/s on the device for a scene of the training scenes' mean summed reflectance.
-
-    Returns
-    -------
-    array, shape (S, F, inputs)
-        Photons that are detected and dark counts, 1/s, of each detector that sees mirrors ON, and
-        on two arms then of each that sees those that are OFF.
-
-    Raises
-    ------
-    InputError
-        If scenes are no images of numbers 0 or more, or the flux is not allowed.
+    Shapes: scenes (S, h, w), or (S, N).
     """
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
@@ -235,11 +209,6 @@ def expected_events(patterns: Patterns, scenes: np.ndarray, camera: Camera, flux
 
     As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
     and between them.
-
-    Parameters
-    ----------
-    scenes, flux
-        As of `arrival_rates`.
     """
     manifest, grid = patterns.manifest, patterns.manifest.grid
     images = _check_scenes(scenes, manifest)
@@ -285,19 +254,7 @@ def draw_counts(
 ) -> np.ndarray:
     """Draw what `count` would count, without a file.
 
-    Parameters
-    ----------
-    rates : array, shape (S, F, inputs)
-        Of `arrival_rates`.
-    gates : Gates
-        Any number of repeats: they are drawn independently.
-    camera : Camera
-        Its detector; `detector.draw` says how exact.
-
-    Returns
-    -------
-    int64 array, shape (S, R, rails, m[, D])
-        0 for rails that are dark and not shown.
+    Shapes: rates (S, F, inputs).
     """
     shown = [manifest.frames[place] for place in manifest.shown]
     flow = np.broadcast_to(
@@ -317,21 +274,7 @@ def draw_counts(
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Settings of a virtual recording.
-
-    Parameters
-    ----------
-    flux : float
-        Photons/s on the device for a scene of the training scenes' mean summed reflectance.
-    exposure_s, settle_s, repeats
-        As for `find_gates`, and not more repeats than can be counted at once; noted for who
-        counts, the file holds all light.
-    seed : int
-        The same one gives the same file.
-    inputs : tuple of int, optional
-        Of the counter, one for each detector, as `Acquisition` has them; the first ones unless
-        given.
-    """
+    """Settings of a virtual recording."""
 
     camera: Camera
     flux: float
@@ -430,12 +373,7 @@ def write_photons(
 ) -> None:
     """Write the photons and markers of one pass for each scene, one right after another.
 
-    Parameters
-    ----------
-    rates : array, shape (S, F, inputs)
-        Of `arrival_rates`.
-    inputs : sequence of int, optional
-        Of the counter, 0 for input 1: that of each detector. The first ones unless given.
+    Shapes: rates (S, F, inputs).
     """
     wired = range(rates.shape[2]) if inputs is None else inputs
     check_file_inputs(wired)

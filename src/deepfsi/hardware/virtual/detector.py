@@ -35,35 +35,19 @@ LEAST_DRAWN_VARIANCE = 20.0
 
 
 class Detector(BaseModel):
-    """A photon counter; the default is ideal.
-
-    Attributes
-    ----------
-    efficiency : float
-        Share of photons that give an arrival.
-    dark : float
-        Arrivals without light, counts/s.
-    dead_time_s : float
-        Time for which it is blind, seconds.
-    paralysable : bool
-        Whether a lost arrival makes it blind again.
-    afterpulse_probability : float
-        Of an afterpulse after each registered count.
-    afterpulse_s : float
-        Mean delay of an afterpulse after the end of the dead time, seconds.
-    jitter_s : float
-        Standard deviation of a time stamp, seconds.
-    """
+    """A photon counter; the default is ideal."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    efficiency: float = Field(1.0, gt=0, le=1)
-    dark: float = Field(0.0, ge=0, le=1e12)
-    dead_time_s: float = Field(0.0, ge=0, le=1e-3)
-    paralysable: bool = False
+    efficiency: float = Field(1.0, gt=0, le=1)  # share of photons that give an arrival
+    dark: float = Field(0.0, ge=0, le=1e12)  # arrivals without light, counts/s
+    dead_time_s: float = Field(0.0, ge=0, le=1e-3)  # time for which it is blind, seconds
+    paralysable: bool = False  # whether a lost arrival makes it blind again
+    # Of an afterpulse after each registered count
     afterpulse_probability: float = Field(0.0, ge=0, lt=1)
+    # Mean delay of an afterpulse after the end of the dead time, seconds
     afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
-    jitter_s: float = Field(0.0, ge=0, le=1e-6)
+    jitter_s: float = Field(0.0, ge=0, le=1e-6)  # standard deviation of a time stamp, seconds
 
     def registered(self, rate: np.ndarray) -> np.ndarray:
         """Counts/s without afterpulses at steady arrival rates, shape of `rate`."""
@@ -77,17 +61,6 @@ def draw(
 ) -> np.ndarray:
     """Draw the counts, int64, of gates in which the rate has long been steady.
 
-    Parameters
-    ----------
-    detector : Detector
-        Its efficiency and dark counts are in `rate`.
-    rate : array
-        Arrivals/s.
-    length_s : array, broadcastable with `rate`
-        Length of each gate, seconds.
-
-    Notes
-    -----
     Without dead time counts are Poisson. With a non-paralysable one they are drawn from their exact
     distribution: k counts fit a gate if k gamma-distributed waits and k - 1 dead times do. With a
     paralysable one gates are simulated arrival by arrival where the counts' variance is below 20;
@@ -242,18 +215,7 @@ class Stream:
     def events(self, start: int, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Events that follow from the arrivals of a chunk.
 
-        Parameters
-        ----------
-        start : int
-            Ticks.
-        durations, rates : arrays, shape (p,)
-            Ticks; arrivals/s. The dead time of the chunk before is carried on.
-
-        Returns
-        -------
-        int64 array, shape (n,)
-            Ticks, not sorted where there is jitter or an afterpulse, and then perhaps after the
-            end of the chunk.
+        Shapes: durations, rates (p,).
         """
         times = self._register(start + arrivals(durations, rates, self.rng))
         detector, rng = self.detector, self.rng
@@ -281,16 +243,7 @@ class Stream:
 def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Poisson arrivals at rates that are steady in pieces.
 
-    Parameters
-    ----------
-    durations, rates : arrays, shape (p,)
-        Ticks; arrivals/s.
-
-    Returns
-    -------
-    int64 array, shape (n,)
-        Ticks after the start, rising. Exact: n is Poisson, and exponential gaps, scaled to end
-        where the expected number does, are laid along it and read off in time.
+    Shapes: durations, rates (p,).
     """
     ends = np.cumsum(durations, dtype=np.float64)
     expected = np.cumsum(rates * (durations * TICK_S))

@@ -17,13 +17,7 @@ from deepfsi.progress import SILENT, Report
 
 
 class VirtualProjector(AbstractContextManager["VirtualProjector"]):
-    """Projector whose passes a `VirtualCounter` sees.
-
-    Parameters
-    ----------
-    display : callable
-        Gives the scene that the display shows now, reflectance (h, w).
-    """
+    """Projector whose passes a `VirtualCounter` sees."""
 
     def __init__(self, display: Callable[[], np.ndarray]) -> None:
         self.display = display
@@ -52,15 +46,7 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
 
 
 class VirtualCounter(AbstractContextManager["VirtualCounter"]):
-    """Counter of the photons of a virtual projector's passes.
-
-    Parameters
-    ----------
-    flux : float
-        Photons/s on the device for a scene of the training scenes' mean summed reflectance.
-    seed : int
-        The same one gives the same files.
-    """
+    """Counter of the photons of a virtual projector's passes."""
 
     def __init__(
         self, projector: VirtualProjector, camera: Camera, flux: float, seed: int = 0
