@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import lstsq
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.experiments.camera.laboratory import LAB
 from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
 from deepfsi.hardware.calibration.view import Calibration
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates

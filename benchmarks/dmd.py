@@ -33,7 +33,7 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi.hardware.patterns.devices import DEVICES
+from deepfsi.devices import DEVICES
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors

@@ -31,7 +31,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import constraints
-from deepfsi.optics.masks import Learned, pair
+from deepfsi.optics.masks import LearnedMasks, pair
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.scanner import measure, project
 from deepfsi.training.job import Job, TrainingSettings
@@ -232,7 +232,7 @@ def learn(
     pixels = training_set.pixels(job.light)
     matrix = training_set.matrix(settings.start, job.masks, job.seed) if keep is None else keep
     start = torch.from_numpy(matrix).float()
-    masks = Learned(start[:, pixels].unsqueeze(0), job.light, job.rails)
+    masks = LearnedMasks(start[:, pixels].unsqueeze(0), job.light, job.rails)
     groups = [
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
@@ -273,7 +273,7 @@ def learn(
     return finish(training_set, job, masks, network.eval())
 
 
-def finish(training_set: TrainingSet, job: Job, masks: Learned, network: Mlp) -> Design:
+def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Mlp) -> Design:
     """The design as the package would store it: masks of all pixels, statistics of all scenes."""
     with torch.no_grad():
         rails = torch.zeros(2, job.masks, training_set.data.pixels)

@@ -38,10 +38,10 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.devices import find_device
 from deepfsi.hardware.live.decisions import FrameList, Observer
 from deepfsi.hardware.live.networks import About, Loop, judge
 from deepfsi.hardware.live.run import Bench, plan_live, run_live
-from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.ptu.header import read_header

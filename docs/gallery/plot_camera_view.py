@@ -14,7 +14,7 @@ import numpy as np
 
 import deepfsi
 from deepfsi.design.frames import design_rails
-from deepfsi.hardware.patterns.devices import find_device
+from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.counting import count

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 
 import deepfsi
 from deepfsi.design.frames import design_rails
-from deepfsi.hardware.patterns.devices import find_device
+from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import FrameSettings

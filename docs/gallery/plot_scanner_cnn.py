@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 import deepfsi
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.report.style import STYLE
 
 torch.manual_seed(0)
@@ -26,7 +26,7 @@ x, y = torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train)
 brightness = float(x.sum(dim=1).mean())
 photons = deepfsi.photons_per_pixel(x, 1e4, brightness)
 
-masks = Learned(torch.randn(16, digits.pixels), light="free-dwell", rails="dual")
+masks = LearnedMasks(torch.randn(16, digits.pixels), light="free-dwell", rails="dual")
 camera = nn.Sequential(
     deepfsi.Scanner(masks, noise="ml_gauss"),
     nn.BatchNorm1d(16),

@@ -16,7 +16,7 @@ from scipy.io import savemat
 from conftest import quick
 from deepfsi.datasets import write_pictures
 from deepfsi.design.frames import design_rails
-from deepfsi.hardware.patterns.devices import find_device
+from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names

@@ -18,7 +18,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import AdaptiveFeatures
 from deepfsi.training.job import Job, training_for
@@ -187,7 +187,7 @@ def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
     scenes = TrainingSet(digits, "cpu")
     scenes.full = scenes.full.double()
     start = torch.from_numpy(scenes.matrix("class-pairs", 3, 0)).abs()[None]
-    masks = Learned(start[..., scenes.varying], "equal-dwell", "single").double()
+    masks = LearnedMasks(start[..., scenes.varying], "equal-dwell", "single").double()
     network = Mlp(7, 3, (5,), generator=torch.Generator().manual_seed(0)).double()
     choose, weight = Replicas([network], stacked=False), torch.randn(6).double()
     x, gain = scenes.centred("free-dwell", torch.float32, ONE), 1e4 / scenes.summed_reflectance

@@ -7,7 +7,7 @@ from conftest import quick
 from deepfsi.design.artifact import Design
 from deepfsi.design.live import loop_of
 from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.hardware.live.dwells import share_out
+from deepfsi.optics.dwells import share_out
 
 onnxruntime = pytest.importorskip("onnxruntime")
 

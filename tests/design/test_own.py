@@ -16,7 +16,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.errors import InputError
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.training.learning import learn
 from shared.design_files import header_of, refused, rewrite
 from shared.networks import Branching, Cnn, Tied, linear
@@ -266,7 +266,7 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     s = float(x.sum(dim=1).mean())
     photons = deepfsi.photons_per_pixel(x, 1e5, s)
     with own.seeded(0):
-        scanner = deepfsi.Scanner(Learned(torch.randn(12, 64), "free-dwell"), noise="ml_gauss")
+        scanner = deepfsi.Scanner(LearnedMasks(torch.randn(12, 64), "free-dwell"), noise="ml_gauss")
         network = nn.Sequential(nn.BatchNorm1d(12), nn.Linear(12, 40), nn.ReLU(), nn.Linear(40, 10))
         camera = nn.Sequential(scanner, network)
         optimiser = torch.optim.Adam(camera.parameters(), lr=1e-2)

@@ -11,7 +11,7 @@ from deepfsi.cli import options
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.training.job import Job, check_job, training_for
 from deepfsi.training.learning import learn
 
@@ -73,7 +73,7 @@ def test_no_frame_of_a_sequence_is_below_the_shortest(digits, optics, levels):
 def test_a_frame_that_is_left_out_may_come_back():
     """Its dwell has a gradient, though it is not shown."""
     start = torch.rand(1, 4, 5, generator=torch.Generator().manual_seed(0))
-    masks = Learned(start, "free-dwell", "single", shortest=0.25)
+    masks = LearnedMasks(start, "free-dwell", "single", shortest=0.25)
     with torch.no_grad():
         masks.dwell.copy_(torch.tensor([0.3, 0.2, 0.1, 0.0]))
     matrix, _ = masks()

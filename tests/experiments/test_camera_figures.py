@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
+from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError
 from deepfsi.experiments.camera import figures
 from deepfsi.experiments.camera.figures import Accuracy
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
-from deepfsi.hardware.patterns.devices import Device, find_device
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.optics import codes
 from deepfsi.report import style

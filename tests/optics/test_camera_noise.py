@@ -11,7 +11,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints, noise
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.scanner import Scanner
 from shared.noises import exact, photons, saturating
 
@@ -97,7 +97,7 @@ def test_impulse_imaging_has_a_detector_for_each_pixel_and_raster_one_for_all(di
 def test_masks_follow_mean_and_variance(light):
     """E[y²] = μ² + L with L of light, dark counts and read noise: its slope in every weight."""
     start = torch.randn(3, 5, dtype=torch.float64, generator=generator(2))
-    masks = Learned(start, light)
+    masks = LearnedMasks(start, light)
     scene = torch.linspace(1, 5, 5, dtype=torch.float64)
     scanner = Scanner(masks, "camera", SIGMA, DARK)
 
@@ -200,7 +200,7 @@ def test_a_noise_of_ones_own_is_drawn_for_each_rail():
 
 def test_masks_learn_through_a_noise_of_ones_own():
     """As through ml_gauss, with a dark rail that gives no NaN."""
-    masks = [Learned(torch.randn(4, 6, generator=generator(1)), "column") for _ in range(2)]
+    masks = [LearnedMasks(torch.randn(4, 6, generator=generator(1)), "column") for _ in range(2)]
     for each, kind in zip(masks, (photons, "ml_gauss"), strict=True):
         grads = []
         for seed in range(60):

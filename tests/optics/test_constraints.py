@@ -15,7 +15,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 
 
 def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
@@ -118,7 +118,7 @@ def test_split_gives_positive_and_negative_parts():
 def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
     """Two replicas chase far more light than there is, with small and absurd steps."""
     start = torch.randn(2, 6, 16, generator=generator())
-    learned = Learned(start if rails == "dual" else start.abs(), light, rails, levels)
+    learned = LearnedMasks(start if rails == "dual" else start.abs(), light, rails, levels)
     target = 10 * torch.randn(2, 6, 16, generator=generator(1))
     optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
     for _ in range(40):
@@ -137,13 +137,13 @@ def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
 @pytest.mark.parametrize("levels", [0, 2])
 def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, levels, monkeypatch):
     snapshots = []
-    matrix = Learned.matrix
+    matrix = LearnedMasks.matrix
 
-    def spy(module: Learned) -> Tensor:
+    def spy(module: LearnedMasks) -> Tensor:
         snapshots.append(copy.deepcopy(module))
         return matrix(module)
 
-    monkeypatch.setattr(Learned, "matrix", spy)
+    monkeypatch.setattr(LearnedMasks, "matrix", spy)
     quick(digits, masks=5, light=light, rails=rails, mask_lr=0.5, epochs=2, levels=levels)
     monkeypatch.undo()
     assert len(snapshots) > 20
@@ -212,7 +212,7 @@ def test_a_device_needs_two_levels(levels):
 def test_gradients_go_straight_through_the_rounding(light, rails, levels):
     """They are those of the continuous masks, for what a loss asks of the quantised ones."""
     start = torch.rand(2, 4, 9, generator=generator()) - (0.5 if rails == "dual" else 0)
-    shown, continuous = (Learned(start, light, rails, each) for each in (levels, 0))
+    shown, continuous = (LearnedMasks(start, light, rails, each) for each in (levels, 0))
     targets = torch.randn(2, 2, 4, 9, generator=generator(1))
 
     def loss(masks: tuple[Tensor, Tensor]) -> Tensor:
@@ -238,7 +238,7 @@ def test_gradients_go_straight_through_the_rounding(light, rails, levels):
 @every_optics
 def test_learned_masks_can_move(light, rails):
     start = torch.rand(3, 8, generator=generator()) + 0.1
-    learned = Learned(start, light, rails)
+    learned = LearnedMasks(start, light, rails)
     learned()[0].square().sum().backward()
     for parameter in learned.parameters():
         assert (parameter.grad != 0).any()
@@ -246,18 +246,18 @@ def test_learned_masks_can_move(light, rails):
 
 def test_learned_column_masks_start_from_the_fitted_matrix(digits):
     matrix = fixed_matrix("pca", digits)
-    assert torch.allclose(rails_of(Learned(matrix, "column"), "dual"), fit(matrix, "column"))
+    assert torch.allclose(rails_of(LearnedMasks(matrix, "column"), "dual"), fit(matrix, "column"))
 
 
 def test_a_start_without_light_is_refused():
     """Its scale is undefined under `column`, also where it is one of several replicas."""
     start = torch.stack([torch.ones(3, 4), torch.zeros(3, 4)])
     with pytest.raises(InputError, match="0 everywhere"):
-        Learned(start, "column")
+        LearnedMasks(start, "column")
 
 
 def test_dwells_are_learned_shares_of_the_whole_time():
-    learned = Learned(torch.randn(4, 9, generator=generator()), "two-arm")
+    learned = LearnedMasks(torch.randn(4, 9, generator=generator()), "two-arm")
     torch.nn.init.normal_(learned.dwell, generator=generator())
     total = learned()[1].detach()
     assert total[:, 0].sum() == pytest.approx(1, rel=FLOAT32)
@@ -268,8 +268,8 @@ def test_dwells_are_learned_shares_of_the_whole_time():
 @pytest.mark.parametrize("levels", [0, 2])
 def test_replicas_do_not_touch_each_other(light, rails, levels):
     start = torch.rand(3, 4, 9, generator=generator()) + 0.1
-    together = Learned(start, light, rails, levels)()
-    alone = Learned(start[1], light, rails, levels)()
+    together = LearnedMasks(start, light, rails, levels)()
+    alone = LearnedMasks(start[1], light, rails, levels)()
     for whole, one in zip(together, alone, strict=True):
         assert torch.allclose(whole.expand(3, 4, 9)[1], one, atol=1e-7)
 

@@ -9,7 +9,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints, tiles
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection, detector_map
-from deepfsi.optics.masks import Fixed, Learned, pair
+from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import Scanner, measure, project, project_pair
 
@@ -118,7 +118,7 @@ def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors
         return
     start = torch.randn(2, 5, 48, generator=draw, dtype=torch.float64)
     arranged = seen.arrange(start.abs() if rails == "single" else start)
-    masks = Learned(arranged, light, rails)
+    masks = LearnedMasks(arranged, light, rails)
     width = 5 * seen.width(2 if rails == "dual" else 1)
     epsilon = torch.randn(7, 2, width, generator=draw, dtype=torch.float64)
     weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
@@ -161,7 +161,7 @@ def test_arranging_loses_nothing(detectors):
 def test_dark_counts_are_those_of_each_detector(light):
     """Every detector counts its own dark counts for as long as a frame is shown."""
     frames, seen = rails_for(light, "dual"), Detection.of("2x2", SHAPE)
-    one, four = (each.readouts(*seen.arrange_both(*Fixed(frames)())) for each in (ONE, seen))
+    one, four = (each.readouts(*seen.arrange_both(*FixedMasks(frames)())) for each in (ONE, seen))
     assert torch.equal(four.time.unflatten(-1, (5, 4)), one.time.unsqueeze(-1).expand(2, 5, 4))
 
 

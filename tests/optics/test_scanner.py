@@ -10,7 +10,7 @@ from conftest import assert_moments, every_design, every_optics, generator, ligh
 from deepfsi.errors import InputError
 from deepfsi.optics.constraints import fit
 from deepfsi.optics.detection import ONE
-from deepfsi.optics.masks import Fixed, Learned, pair
+from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import Scanner, measure, project, project_pair
 
@@ -154,12 +154,12 @@ def test_one_rail_stays_one_rail(noise):
 @every_optics
 def test_replicas_give_an_axis_before_the_masks(noise, light, rails):
     start = torch.rand(3, 4, 6, generator=generator()) + 0.1
-    scanner = Scanner(Learned(start, light, rails), noise)
+    scanner = Scanner(LearnedMasks(start, light, rails), noise)
     photons = torch.full((7, 6), 30.0)
     assert scanner(photons, generator()).shape == (7, 3, 4)
     count = 2 if rails == "dual" else 1
     assert scanner.counts(photons, generator()).shape == (7, 3, count, 4)
-    each = [Scanner(Learned(one, light, rails), "none")(photons) for one in start]
+    each = [Scanner(LearnedMasks(one, light, rails), "none")(photons) for one in start]
     assert torch.allclose(Scanner(scanner.masks, "none")(photons), torch.stack(each, dim=1))
 
 
@@ -172,14 +172,14 @@ def test_the_same_generator_repeats(noise):
 
 def test_an_unknown_noise_is_refused():
     with pytest.raises(InputError, match="did you mean 'poisson'"):
-        Scanner(Fixed(RAILS), "poison")
+        Scanner(FixedMasks(RAILS), "poison")
 
 
-def learned(light: str, rails: str, single_signed: bool = False) -> Learned:
+def learned(light: str, rails: str, single_signed: bool = False) -> LearnedMasks:
     start = torch.randn(3, 4, generator=generator(2), dtype=torch.float64)
     if rails == "single" or single_signed:
         start = start.abs() + 0.1
-    masks = Learned(start, light, rails)
+    masks = LearnedMasks(start, light, rails)
     for parameter in masks.parameters():  # away from the kink where a column is just full
         parameter.data *= 1.3
     return masks
@@ -237,7 +237,7 @@ def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, noise):
 
 
 def test_a_mask_that_is_zero_everywhere_gives_finite_gradients():
-    masks = Learned(torch.tensor([[1.0, -1.0], [0.0, 0.0]]), "column")
+    masks = LearnedMasks(torch.tensor([[1.0, -1.0], [0.0, 0.0]]), "column")
     Scanner(masks, "ml_gauss")(torch.full((5, 2), 9.0), generator()).square().sum().backward()
     assert torch.isfinite(masks.weight.grad).all()
 
@@ -254,7 +254,7 @@ def test_masks_learn_in_front_of_a_network_of_your_own():
     labels = torch.arange(200) % 2
     photons = 50 * torch.rand(200, 6, generator=rng) + 100 * labels[:, None] * torch.eye(6)[1]
     net = nn.Sequential(
-        Scanner(Learned(torch.randn(2, 6, generator=rng), "free-dwell"), "ml_gauss"),
+        Scanner(LearnedMasks(torch.randn(2, 6, generator=rng), "free-dwell"), "ml_gauss"),
         nn.BatchNorm1d(2),
         nn.Linear(2, 2),
     )
@@ -291,7 +291,7 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
     epsilon = torch.randn(7, *replicas, 5, generator=draw, dtype=torch.float64)
     start = torch.randn(*replicas, 5, 12, generator=draw, dtype=torch.float64)
     start[..., 2, :] = 0
-    masks = Learned(start.abs() if rails == "single" else start, light, rails, levels)
+    masks = LearnedMasks(start.abs() if rails == "single" else start, light, rails, levels)
     weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
 
     def expected() -> torch.Tensor:
@@ -341,9 +341,9 @@ def test_photons_of_another_shape_or_kind_are_one_line(photons, match, noise):
         (lambda: Scanner.from_rails(torch.ones(3, 3, 64)), "3 rails were given"),
         (lambda: Scanner.from_rails(torch.ones(2, 3, 64).int()), "torch.int32"),
         (lambda: Scanner(torch.ones(2, 3, 64)), "give Scanner.from_rails"),
-        (lambda: Learned(torch.ones(64), "column"), r"a start of shape \(64,\)"),
-        (lambda: Learned([[1.0]], "column"), "a start of list"),
-        (lambda: Learned(-torch.ones(3, 64), "column", "single"), "negative entries"),
+        (lambda: LearnedMasks(torch.ones(64), "column"), r"a start of shape \(64,\)"),
+        (lambda: LearnedMasks([[1.0]], "column"), "a start of list"),
+        (lambda: LearnedMasks(-torch.ones(3, 64), "column", "single"), "negative entries"),
     ],
 )
 def test_masks_of_another_shape_or_kind_are_one_line(make, match):

@@ -38,8 +38,8 @@ def written(folder: Path) -> dict[Path, tuple[int, int]]:
 
 
 def left_over(folder: Path) -> list[Path]:
-    """Drafts of files, and claims."""
-    return [*folder.rglob(".*"), *folder.rglob("claims*")]
+    """Drafts of files, and locks."""
+    return [*folder.rglob(".*"), *folder.rglob("locks*")]
 
 
 def sweep(tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MASKS) -> list[str]:

@@ -70,7 +70,7 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, mon
     assert len(trained) == len(trials)
     assert found[0] == found[1] == found[2]
     assert [record["key"] for record in found[0]] == [trial.key for trial in trials]
-    assert not list(tmp_path.glob("**/claims"))
+    assert not list(tmp_path.glob("**/locks"))
 
 
 def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
@@ -99,7 +99,7 @@ def shared_training():
 
 
 def test_trials_of_one_training_train_it_once(digits, tmp_path):
-    """The claim on their common design must not lock them out."""
+    """The lock on their common design must not lock them out."""
     trials = plan(shared_training(), digits)
     assert len({trial.design_key for trial in trials}) == len(trials) / 2
     assert len(train_trials(trials, digits, tmp_path)) == len(trials)
@@ -121,7 +121,7 @@ def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digit
         mine.kill()
         mine.join()
         mine.close()
-    assert not list(tmp_path.glob("**/claims"))
+    assert not list(tmp_path.glob("**/locks"))
     assert len(list((tmp_path / "two" / "designs").iterdir())) < len(trials)
     two = train_trials(trials, digits, tmp_path / "two")
     one = train_trials(trials, digits, tmp_path / "one")
@@ -135,5 +135,5 @@ def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path
     trials = plan(recipe, digits)
     with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
         train_trials(trials, digits, tmp_path)
-    assert not list(tmp_path.glob("**/claims"))
+    assert not list(tmp_path.glob("**/locks"))
     assert len(list((tmp_path / "trials").iterdir())) == len(trials) / 2

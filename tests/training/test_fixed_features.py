@@ -11,7 +11,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.optics.constraints import fit
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import FeatureNoise, feature_statistics
-from deepfsi.optics.masks import Fixed
+from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.noise import root
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import FixedFeatures
@@ -24,12 +24,12 @@ PASSES = {"aten::add", "aten::add_", "aten::sub", "aten::mul", "aten::div", "ate
 
 def made(
     digits: Dataset, kind: str, budgets: list[float], replicas: int
-) -> tuple[FixedFeatures, Fixed, FeatureNoise]:
+) -> tuple[FixedFeatures, FixedMasks, FeatureNoise]:
     """Features of so many masks, side by side where there are several budgets."""
     training_set = TrainingSet(digits, "cpu")
     noise = FeatureNoise.of(kind, budgets, [2.0] * len(budgets), [0] * len(budgets), "cpu")
     drawn = torch.randn(replicas, MASKS, 64, generator=torch.Generator().manual_seed(1))
-    masks = Fixed(torch.stack([fit(each, "column", "dual") for each in drawn]))
+    masks = FixedMasks(torch.stack([fit(each, "column", "dual") for each in drawn]))
     stream = SeedStream(0, slice(0, len(budgets)), noise, training_set.labels, BATCH)
     stream.shuffle()
     features = FixedFeatures([stream], masks, training_set.full, noise, "each", Detection())
@@ -37,7 +37,7 @@ def made(
 
 
 def by_formula(
-    digits: Dataset, features: FixedFeatures, masks: Fixed, noise: FeatureNoise
+    digits: Dataset, features: FixedFeatures, masks: FixedMasks, noise: FeatureNoise
 ) -> Tensor:
     """(x D − mean + deviation · ε) / std of the first step, with the draws of the same seed."""
     x = torch.from_numpy(digits.x_train)

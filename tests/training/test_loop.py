@@ -87,7 +87,7 @@ def test_replicas_draw_the_same_counts_together_as_alone(digits, light, rails):
 
 def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
     """Photons do not change them; seeds do."""
-    made, fixed = [], learning.Fixed
+    made, fixed = [], learning.FixedMasks
     monkeypatch.setattr(learning, "Fixed", lambda rails: made.append(len(rails)) or fixed(rails))
     alike = {"design": "random", "masks": 6, "training": SETTINGS}
     for seeds in ((3, 3, 3), (3, 4, 5)):

@@ -13,7 +13,7 @@ from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.optics.budget import photons_per_pixel
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.patches import Patches, PatchJob, PatchTraining, train
 from shared.design_files import refused, rewrite
@@ -88,7 +88,7 @@ def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
 
 def test_masks_follow_the_gradient_of_the_loss(patches):
     masks = patches.masks("deepfsi")
-    assert isinstance(masks, Learned)
+    assert isinstance(masks, LearnedMasks)
     x = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance)
     Scanner(masks, "ml_gauss")(x, generator()).square().mean().backward()
     slope = masks.weight.grad
@@ -208,7 +208,7 @@ def test_what_patches_cannot_do_is_refused(data, learned):
 
 def test_fixed_masks_stay_as_they_are(patches):
     masks = patches.masks("hadamard")
-    assert isinstance(masks, Fixed)
+    assert isinstance(masks, FixedMasks)
     assert torch.allclose(masks()[0].abs(), torch.tensor(1 / 16))
     made = train(patches, PatchJob(design="hadamard", photons=BUDGET, patch=4, training=SMALL))
     assert np.array_equal(made.matrix, masks()[0].numpy())

@@ -147,7 +147,7 @@ def camera_classify(
 
 def _is_run(counted: Path) -> bool:
     """True for a folder, False for a table, or `InputError`."""
-    from deepfsi.datasets.table_files import SUFFIXES, is_table
+    from deepfsi.tables.table_files import SUFFIXES, is_table
 
     if counted.is_dir():
         return True
@@ -173,11 +173,11 @@ def _of_run(file: Path, folder: Path, trust: bool) -> _Exposures:
 
 def _of_table(file: Path, table: Path, settings: "TableSettings", trust: bool) -> _Exposures:
     """Exposures of a table of counts."""
-    from deepfsi.datasets.table_files import read_table
     from deepfsi.design.frames import design_rails
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.patterns.nominal import nominal_manifest
     from deepfsi.hardware.recording.tables import WORDS, count_table
+    from deepfsi.tables.table_files import read_table
 
     made = _open(file, trust)
     if file.is_dir():

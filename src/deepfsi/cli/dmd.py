@@ -10,7 +10,7 @@ from deepfsi.cli.groups import Group
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.patterns.devices import Device
+    from deepfsi.devices import Device
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
     from deepfsi.hardware.patterns.timing import Cost
@@ -103,7 +103,7 @@ def dmd_export(
 
 def _device(text: str) -> "Device":
     """Device of a name, of so many mirrors, or of a TOML file."""
-    from deepfsi.hardware.patterns.devices import Device, find_device
+    from deepfsi.devices import Device, find_device
 
     if not text.endswith(".toml"):
         return find_device(text)
@@ -152,7 +152,7 @@ def dmd_devices(as_json: options.Json = False) -> None:
 
     Example: deepfsi dmd devices
     """
-    from deepfsi.hardware.patterns.devices import DEVICES, SOURCES
+    from deepfsi.devices import DEVICES, SOURCES
 
     every = list(DEVICES.values())
     if as_json:

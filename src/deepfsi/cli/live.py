@@ -145,7 +145,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
         yield source
         return
     from deepfsi.design.frames import design_rails
-    from deepfsi.hardware.patterns.devices import find_device
+    from deepfsi.devices import find_device
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
 

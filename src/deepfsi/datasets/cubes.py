@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.datasets.array_files import list_variables, read_npy, read_variable
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError
+from deepfsi.tables.array_files import list_variables, read_npy, read_variable
 
 SUFFIXES = (".mat", ".npy", ".hdr")
 """Ends of the names of files that hold cubes."""

@@ -23,9 +23,9 @@ from torch import Tensor
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.exposure import STRICT, Exposure, ExposureKind, Read, Show
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.dwells import share_out
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
+from deepfsi.optics.dwells import share_out
 from deepfsi.optics.masks import through
 
 

@@ -16,7 +16,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.dwells import ROUNDING
+from deepfsi.optics.dwells import ROUNDING
 
 SCHEMA = 1
 """Number of the schema of the graph's inputs, output and metadata."""

@@ -21,9 +21,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.datasets.array_files import read_npy
 from deepfsi.errors import InputError, check_known
 from deepfsi.optics import constraints
+from deepfsi.tables.array_files import read_npy
 
 Readout = Literal["difference", "both"]
 """What a network reads of two rails."""

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.optics.detection import Detection, Readouts
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
 from deepfsi.optics.scanner import project, project_pair
 
@@ -154,7 +154,7 @@ def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Ten
 
 def feature_statistics(
     scenes: Tensor,
-    masks: Fixed | Learned,
+    masks: FixedMasks | LearnedMasks,
     noise: FeatureNoise,
     scale: Scale,
     detection: Detection,

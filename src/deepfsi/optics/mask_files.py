@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.datasets.array_files import list_variables, read_npy, read_variable
 from deepfsi.errors import InputError
+from deepfsi.tables.array_files import list_variables, read_npy, read_variable
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""

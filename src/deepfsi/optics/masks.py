@@ -6,12 +6,12 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.dwells import share_out
 from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, separate
+from deepfsi.optics.dwells import share_out
 from deepfsi.optics.grey_levels import quantise
 
 
-class Fixed(nn.Module):
+class FixedMasks(nn.Module):
     """Masks that do not learn; `forward` gives difference and total, each (..., m, N)."""
 
     difference: Tensor
@@ -31,7 +31,7 @@ class Fixed(nn.Module):
         return self.difference, self.difference if self.total is None else self.total
 
 
-class Learned(nn.Module):
+class LearnedMasks(nn.Module):
     """Masks as a differentiable function of free weights that cannot break their constraint.
 
     Parameters

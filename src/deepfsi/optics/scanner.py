@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import Fixed
+from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.noise import (
     OwnNoise,
     attach_gradient,
@@ -27,7 +27,7 @@ class Scanner(nn.Module):
 
     Parameters
     ----------
-    masks : constraints.Fixed or constraints.Learned
+    masks : FixedMasks or LearnedMasks
         Gives the difference and the total of the rails, each ([replicas,] m, N).
     noise : {"poisson", "gaussian", "ml_gauss", "camera", "none"} or callable
         Under photon noise `poisson` to test, and either it or `ml_gauss` to train; `camera` adds
@@ -78,7 +78,7 @@ class Scanner(nn.Module):
         detection: Detection | None = None,
     ) -> "Scanner":
         """Scanner with fixed rails (2 or 1, m, N); other parameters as for the class."""
-        return cls(Fixed(rails), noise, sigma, dark, detection)
+        return cls(FixedMasks(rails), noise, sigma, dark, detection)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy features (..., [replicas,] k) of expected photons (..., N), in counts.

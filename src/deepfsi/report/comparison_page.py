@@ -35,7 +35,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedMasks:
     """The masks of one learned design under one noise, a panel for each budget."""
 
     heading: str
@@ -283,7 +283,7 @@ def best_table(results: Results, noise: str) -> Best:
     return Best(noise_text(noise).capitalize(), budgets, rows, leaders)
 
 
-def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
+def learned_masks(results: Results, designs: Path) -> Iterator[LearnedMasks]:
     """Masks and value distributions of every learned design whose files are there."""
     for i, noise in enumerate(accuracy.noises(results)):
         points = [p for p in chosen(results, noise) if p.learned]
@@ -299,7 +299,7 @@ def learned_masks(results: Results, designs: Path) -> Iterator[Learned]:
                     name = f"masks{i}-{j}-{len(panels)}"
                     panels.append(_mask_panel(point, *read_masks(path), name))
             if panels:
-                yield Learned(f"{names[key]}, {noise_text(noise)}", panels)
+                yield LearnedMasks(f"{names[key]}, {noise_text(noise)}", panels)
 
 
 def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:

@@ -1,4 +1,4 @@
-"""Trials of any kind: claimed, trained here, in processes or on a Ray cluster, and recorded.
+"""Trials of any kind: locked, trained here, in processes or on a Ray cluster, and recorded.
 
 A run that was stopped goes on where it was, and several processes may work on one folder.
 """
@@ -110,7 +110,7 @@ def _test_trained(
     left = []
     for place, trial in enumerate(trials):
         design = records.design(trial)
-        if design is None or not records.claim([trial]):
+        if design is None or not records.lock([trial]):
             left.append(trial)
             continue
         report(place / len(trials), f"testing {design.name} again")
@@ -145,8 +145,8 @@ def _train_all(
         postponed: list[list[AnyTrial]] = []
         report(done / total, f"{len(todo)} batches")
         given.clear()
-        claimed = _claimed(todo, records, postponed, given)
-        with closing(_trained(claimed, context, workers, part, watch)) as arriving:
+        locked = _locked(todo, records, postponed, given)
+        with closing(_trained(locked, context, workers, part, watch)) as arriving:
             for finished in arriving:
                 lost += _recorded(finished, records)
                 batch = [trial for trial, _, _ in finished]
@@ -159,7 +159,7 @@ def _train_all(
     return lost
 
 
-def _claimed(
+def _locked(
     todo: Sequence[list[AnyTrial]],
     records: Records,
     postponed: list[list[AnyTrial]],
@@ -170,7 +170,7 @@ def _claimed(
         left = [trial for trial in batch if records.design(trial) is None]
         if not left:
             continue
-        if not records.claim(left):
+        if not records.lock(left):
             postponed.append(left)
             continue
         finished = [trial for trial in left if records.design(trial) is not None]
@@ -181,7 +181,7 @@ def _claimed(
 
 
 def _trained(
-    claimed: Iterator[list[AnyTrial]],
+    locked: Iterator[list[AnyTrial]],
     context: Context[AnyTrial],
     workers: Workers,
     part: Callable[[list[AnyTrial]], Report],
@@ -193,16 +193,16 @@ def _trained(
 
         cpus, gpus = workers.resources.cpus, workers.resources.gpus
         with closing(
-            run_on_ray(_train, context, claimed, address=workers.ray, cpus=cpus, gpus=gpus)
+            run_on_ray(_train, context, locked, address=workers.ray, cpus=cpus, gpus=gpus)
         ) as tasks:
             for _, result in tasks:
                 yield result
     elif (workers.count or 1) > 1:
         count = workers.count or 1
-        with closing(processes(_train, context, claimed, count, watch)) as results:
+        with closing(processes(_train, context, locked, count, watch)) as results:
             yield from results
     else:
-        for batch in claimed:
+        for batch in locked:
             yield context.train(batch, part(batch))
 
 

@@ -1,10 +1,10 @@
-"""Trials that are done, as files that any process may read, and claims on those that are not.
+"""Trials that are done, as files that any process may read, and locks on those that are not.
 
 A folder holds
 
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
-    claims/KEY/OWNER          while a process trains the design
+    locks/KEY/OWNER          while a process trains the design
 
 KEY is a hash of everything that the result depends on, the data included, so a record is valid for
 whoever finds it. Files are written whole or not at all, the record after its design.
@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.files import remove_drafts, write_atomically
-from deepfsi.sweeps.claims import Claims
+from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
 
 
@@ -63,7 +63,7 @@ class Records:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._claims = Claims(folder)
+        self._locks = Locks(folder)
         for part in ("trials", "designs"):
             remove_drafts(folder / part)
 
@@ -87,30 +87,30 @@ class Records:
             return None
 
     def write(self, trial: RecordedTrial, record: Mapping[str, Any], design: bytes | None) -> None:
-        """Keep what a trial gave, and give up the claim on it."""
+        """Keep what a trial gave, and give up the lock on it."""
         if design is not None:
             write_atomically(self._design_path(trial), design)
         write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())
         self.release([trial])
 
-    def claim(self, trials: Iterable[RecordedTrial]) -> bool:
+    def lock(self, trials: Iterable[RecordedTrial]) -> bool:
         """Claim trials for this process, all or none; False where another one has any of them."""
         taken: list[RecordedTrial] = []
         for trial in trials:
-            if not self._claims.take(trial.design_key):
+            if not self._locks.take(trial.design_key):
                 self.release(taken)
                 return False
             taken.append(trial)
         return True
 
     def release(self, trials: Iterable[RecordedTrial]) -> None:
-        """Give up claims. A process that dies gives up its own."""
+        """Give up locks. A process that dies gives up its own."""
         for trial in trials:
-            self._claims.give_up(trial.design_key)
+            self._locks.give_up(trial.design_key)
 
     def release_all(self) -> None:
-        """Give up every claim of this process."""
-        self._claims.give_up_all()
+        """Give up every lock of this process."""
+        self._locks.give_up_all()
 
     def _record_path(self, trial: RecordedTrial) -> Path:
         return self.folder / "trials" / f"{trial.key}.json"

@@ -13,7 +13,7 @@ from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget, summed_reflectance
 from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import Detection
-from deepfsi.optics.masks import Learned
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.job import Job
 from deepfsi.training.learning import provenance
@@ -47,7 +47,7 @@ def design_of(
         Budget Φ of the training: photons were ``photons_per_pixel(x, photons, s)``, s the mean of
         the training scenes' sums.
     light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-        Constraint that masks obey; that of `Learned` masks is their own.
+        Constraint that masks obey; that of `LearnedMasks` masks is their own.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def design_of(
     """
     budget, scenes = check_budget(photons), as_dataset(data)
     rails = _rails(scanner, scenes)
-    light = scanner.masks.light if isinstance(scanner.masks, Learned) else light
+    light = scanner.masks.light if isinstance(scanner.masks, LearnedMasks) else light
     constraints.check_light(light, "dual" if len(rails) == 2 else "single")
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
     read = rails.shape[1] * scanner.detection.width(len(rails))

@@ -24,7 +24,7 @@ from deepfsi.optics.features import (
     feature_statistics,
     standardise,
 )
-from deepfsi.optics.masks import Fixed, Learned, pair
+from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
 from deepfsi.optics.noise import root
 from deepfsi.optics.scanner import measure, project, project_pair
 from deepfsi.training.draws import SeedStream, side_by_side
@@ -53,7 +53,7 @@ class FixedFeatures(Features):
     def __init__(
         self,
         streams: Streams,
-        masks: Fixed,
+        masks: FixedMasks,
         scenes: Tensor,
         noise: FeatureNoise,
         scale: Scale,
@@ -117,7 +117,7 @@ class LearnedFeatures(Features):
     """Features of masks that learn."""
 
     streams: Streams
-    masks: Learned
+    masks: LearnedMasks
     # (n + 1, N): Centred scenes and their mean, from `TrainingSet.centred`, arranged as the masks
     # are
     x: Tensor
@@ -204,7 +204,7 @@ class ConditionedFeatures(Features):
     """
 
     streams: Streams  # as for `LearnedFeatures`; masks may be fixed
-    masks: Fixed | Learned
+    masks: FixedMasks | LearnedMasks
     x: Tensor
     conditioning: Conditioning  # of the lowest budget
     light: Light
@@ -214,7 +214,7 @@ class ConditionedFeatures(Features):
     def __post_init__(self) -> None:
         self.chances = self.conditioning.chances.to(self.x.device)
         # masks that learn are brightened at their end, see `learning`
-        self.brightened = self.conditioning.nested > 0 and isinstance(self.masks, Learned)
+        self.brightened = self.conditioning.nested > 0 and isinstance(self.masks, LearnedMasks)
 
     def at(self, step: int) -> Tensor:
         """Features and conditioning inputs (B, R, k + 2)."""
@@ -250,7 +250,7 @@ class AdaptiveFeatures(Features):
     """Inputs of classifiers after each of several looks, with masks of equal dwells."""
 
     streams: Streams  # as for `LearnedFeatures`; masks may be fixed
-    masks: Fixed | Learned
+    masks: FixedMasks | LearnedMasks
     x: Tensor
     choose: Replicas  # networks that choose dwells
     looks: int  # K
@@ -292,7 +292,7 @@ class AdaptiveFeatures(Features):
 def features_of(
     training_set: TrainingSet,
     job: Job,
-    masks: Fixed | Learned,
+    masks: FixedMasks | LearnedMasks,
     noise: FeatureNoise,
     streams: Streams,
     choose: Replicas,
@@ -304,13 +304,13 @@ def features_of(
     """
     looks, scale, shape = job.training.looks, job.training.scale, training_set.data.image_shape
     detection, conditioning = job.detection(shape), job.conditioning(shape)
-    if isinstance(masks, Fixed) and looks == 1 and not conditioning:
+    if isinstance(masks, FixedMasks) and looks == 1 and not conditioning:
         return FixedFeatures(streams, masks, training_set.full, noise, scale, detection)
     # fixed masks see every pixel
-    light: Light = job.optics[0] if isinstance(masks, Learned) else "two-arm"
+    light: Light = job.optics[0] if isinstance(masks, LearnedMasks) else "two-arm"
     x = training_set.centred(light, product_dtype(job, training_set.device), detection)
-    if isinstance(masks, Fixed):
-        masks = Fixed(detection.arrange(constraints.separate(*masks())))
+    if isinstance(masks, FixedMasks):
+        masks = FixedMasks(detection.arrange(constraints.separate(*masks())))
     if looks > 1:
         dwells, shortest = Dwells.of(job.masks, *job.optics), job.training.shortest_dwell
         return AdaptiveFeatures(
@@ -318,7 +318,7 @@ def features_of(
         )
     if conditioning:
         return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale, detection)
-    assert isinstance(masks, Learned)
+    assert isinstance(masks, LearnedMasks)
     if noise.counting:
         return CountedFeatures(streams, masks, x, scale, detection)
     kind = MlGaussFeatures if job.noise == "ml_gauss" else ReadNoiseFeatures

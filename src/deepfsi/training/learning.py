@@ -30,7 +30,7 @@ from deepfsi.optics.features import (
     mean_over_exposures,
 )
 from deepfsi.optics.grey_levels import quantise
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import OwnNoise, check_dark, resolve, try_own
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.counts import train_for_counts
@@ -248,7 +248,7 @@ def _optimised(
     report: Report,
     classifier: nn.Module | Factory | None,
     own_noise: OwnNoise | None,
-) -> tuple[Fixed, FeatureNoise, list[Classifier], list[AdaptiveDwells]]:
+) -> tuple[FixedMasks, FeatureNoise, list[Classifier], list[AdaptiveDwells]]:
     """Masks after training, the noise that they were trained under, and the networks.
 
     The jobs are checked first. Masks of the control group are learned before, under gaussian noise
@@ -277,7 +277,7 @@ def _optimised(
         learned = constraints.separate(*optimised())
     masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report, classifier)
-    if isinstance(masks, Learned):
+    if isinstance(masks, LearnedMasks):
         masks = _final_masks(masks, training_set, first)
     networks = [*classifiers, *(each.network for each in schedules)]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
@@ -291,17 +291,17 @@ def _initial_masks(
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
     learned: Tensor | None = None,
-) -> Fixed | Learned:
+) -> FixedMasks | LearnedMasks:
     """Masks before training: of R replicas, or of one where all share them."""
     if learned is not None:
-        return Fixed(learned)
+        return FixedMasks(learned)
     job = jobs[0]
     light, rails = job.optics
     detection = job.detection(training_set.data.image_shape)
     levels, several = job.training.levels, job.training.looks > 1
     if matrix is not None:
         own = own_rails(matrix, light, rails).unsqueeze(0)
-        return Fixed(quantise(own, light, levels) if levels else own)
+        return FixedMasks(quantise(own, light, levels) if levels else own)
     signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds_of_matrices(jobs)])
     if job.code.learned:
         kept = training_set.pixels(light).cpu()
@@ -309,7 +309,7 @@ def _initial_masks(
         start = start.expand(len(jobs), -1, -1).clone()
         equal = several and light != "two-arm"
         shortest = 0.0 if several else job.training.shortest_dwell
-        masks = Learned(start, "equal-dwell" if equal else light, rails, levels, shortest)
+        masks = LearnedMasks(start, "equal-dwell" if equal else light, rails, levels, shortest)
         if several and light == "two-arm":
             masks.dwell.requires_grad_(False)  # equal from the start
         return masks
@@ -318,20 +318,20 @@ def _initial_masks(
     else:
         fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
     fitted = constraints.equalise(fitted) if several and light != "two-arm" else fitted
-    return Fixed(quantise(fitted, light, levels) if levels else fitted)
+    return FixedMasks(quantise(fitted, light, levels) if levels else fitted)
 
 
 def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
     """Share of the budget that the masks count before training; parameters as for `train`."""
     check_job(job, training_set.data, matrix)
     masks = _initial_masks(training_set, [job], matrix)
-    shown = _final_masks(masks, training_set, job) if isinstance(masks, Learned) else masks
+    shown = _final_masks(masks, training_set, job) if isinstance(masks, LearnedMasks) else masks
     _, total = shown.to(training_set.device)()
     counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
     return counts / training_set.summed_reflectance
 
 
-def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
+def _final_masks(masks: LearnedMasks, training_set: TrainingSet, job: Job) -> FixedMasks:
     """Masks after training, of all pixels: dark where they were not learned.
 
     Nested ones take the whole of their constraint, by one common factor: so they are trained,
@@ -348,7 +348,7 @@ def _final_masks(masks: Learned, training_set: TrainingSet, job: Job) -> Fixed:
         rails = constraints.equalise(rails)
     if job.training.nested:
         rails = rails / constraints.used(rails, light)[..., -1:][..., None, None]
-    return Fixed(rails)
+    return FixedMasks(rails)
 
 
 def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:
@@ -376,7 +376,7 @@ def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:
 def _designs(
     training_set: TrainingSet,
     jobs: Sequence[Job],
-    masks: Fixed,
+    masks: FixedMasks,
     noise: FeatureNoise,
     classifiers: list[Classifier],
     schedules: list[AdaptiveDwells],

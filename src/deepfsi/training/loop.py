@@ -25,7 +25,7 @@ from deepfsi.design.own import Given, OwnClassifier, make, seeded
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
@@ -63,7 +63,7 @@ FLOAT_BYTES = 4.0
 def optimise(
     training_set: TrainingSet,
     jobs: Sequence[Job],
-    masks: Fixed | Learned,
+    masks: FixedMasks | LearnedMasks,
     noise: FeatureNoise,
     report: Report = SILENT,
     classifier: Given | None = None,
@@ -96,7 +96,7 @@ def optimise(
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:
         groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
-    if isinstance(masks, Learned):
+    if isinstance(masks, LearnedMasks):
         groups.append(parameter_group(masks, settings.mask_lr))
     draws = seeded(job.seed) if settings.own else nullcontext()
     with _threads(batch * len(jobs) * max(job.masks, *settings.hidden, 1)), draws:

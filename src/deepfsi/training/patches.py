@@ -29,7 +29,7 @@ from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import BUDGETS, summed_reflectance
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise, Scale, deviation, feature_statistics
-from deepfsi.optics.masks import Fixed, Learned
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner, project
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.draws import SeedStream
@@ -111,16 +111,16 @@ class Patches:
             self._matrices[design] = codes.sensing_matrix(design, self.side**2, self.as_scenes)
         return self._matrices[design]
 
-    def masks(self, design: str) -> Fixed | Learned:
+    def masks(self, design: str) -> FixedMasks | LearnedMasks:
         """Masks of a design, on the device; learned ones start from principal components."""
         start = torch.from_numpy(self.matrix("pca" if design == "deepfsi" else design)).float()
         if design == "deepfsi":
-            return Learned(start, "column").to(self.device)
+            return LearnedMasks(start, "column").to(self.device)
         if design == "raster":  # its scale is what defines it
-            return Fixed(start.unsqueeze(0)).to(self.device)
+            return FixedMasks(start.unsqueeze(0)).to(self.device)
         single = codes.DESIGNS[design].single_rail
         rails = constraints.fit(start, "column", "single" if single else "dual")
-        return Fixed(rails).to(self.device)
+        return FixedMasks(rails).to(self.device)
 
 
 def precision(job: PatchJob, patches: Patches) -> torch.dtype:
@@ -163,7 +163,7 @@ def train(patches: Patches, job: PatchJob, report: Report = SILENT) -> Design:
         return functional.cross_entropy(logits.float(), stream.labels(step).squeeze(1))
 
     groups = [parameter_group(vit, settings.lr, settings.decay)]
-    if isinstance(masks, Learned):
+    if isinstance(masks, LearnedMasks):
         groups.append(parameter_group(masks, settings.mask_lr))
     descend(groups, settings.epochs, len(labels) // batch, stream.shuffle, loss, report)
     numbers = [*masks(), *vit.parameters()]
@@ -184,7 +184,7 @@ def _transformer(patches: Patches, job: PatchJob) -> Vit:
 
 
 def _design(
-    patches: Patches, job: PatchJob, masks: Fixed | Learned, noise: FeatureNoise, vit: Vit
+    patches: Patches, job: PatchJob, masks: FixedMasks | LearnedMasks, noise: FeatureNoise, vit: Vit
 ) -> Design:
     """Design of trained masks and transformer, with the statistics of its features."""
     s = patches.summed_reflectance

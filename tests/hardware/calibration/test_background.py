@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.background import (
     black_rates,
     expected_background,
     subtract_background,
 )
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.sequence import Frame, Manifest, Patterns
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
 from deepfsi.hardware.calibration.fit import spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.recording.counting import count

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pictures_of, vignette
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import black_rates
@@ -13,7 +14,6 @@ from deepfsi.hardware.calibration.view import (
     save_calibration,
     view_matrix,
 )
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -9,6 +9,7 @@ from calibration_samples import IDENTITY, VIEW, apply, calibration_of, vignette
 from scipy import ndimage
 
 from deepfsi.datasets import load_dataset
+from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import (
     camera_view,
@@ -17,7 +18,6 @@ from deepfsi.hardware.calibration.view import (
     view_dataset,
     view_matrix,
 )
-from deepfsi.hardware.patterns.devices import Device, find_device
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.virtual import camera
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from vialux_fake import DEVICE, install
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import vialux
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import (
     DesignRails,
     export_patterns,

@@ -6,8 +6,8 @@ import numpy as np
 
 from conftest import quick
 from deepfsi.design.frames import design_rails
+from deepfsi.devices import find_device
 from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
-from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from live_samples import LOOKS, OPTICS, bench, live, make_patterns, scenes_of
 
+from deepfsi.devices import find_device
 from deepfsi.errors import InputError
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.live.replay import count_live, read_live_counts, replay_run
 from deepfsi.hardware.live.shown import NAME, read_shown
-from deepfsi.hardware.patterns.devices import find_device
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies

@@ -18,8 +18,8 @@ from PIL import Image
 from scipy.linalg import hadamard
 
 from conftest import CASES, FLOAT32
+from deepfsi.devices import DEVICES, Device, find_device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import DEVICES, Device, find_device
 from deepfsi.hardware.patterns.folder import (
     check_patterns,
     hash_mirrors,

@@ -5,8 +5,8 @@ import pytest
 from pattern_samples import FORMATS, SMALL, every_format, export, grey
 from PIL import Image
 
+from deepfsi.devices import DEVICES, find_device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import DEVICES, find_device
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 
 

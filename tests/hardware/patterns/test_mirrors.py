@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pattern_samples import SMALL
 
-from deepfsi.hardware.patterns.devices import Device
+from deepfsi.devices import Device
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
 

@@ -14,8 +14,8 @@ from vendor_readers import (
     read_packed,
 )
 
+from deepfsi.devices import DEVICES, Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import DEVICES, Device
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames
 
 SIZE = {"columns": 37, "rows": 26}

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from recording_samples import SHAPE, patterns_of
 
-from deepfsi.datasets.table_files import Table
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import Calibration, save_calibration
 from deepfsi.hardware.recording.counting import count
@@ -13,6 +12,7 @@ from deepfsi.hardware.recording.dead_time import MOST_BLIND, DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.camera import Camera, RecordingSettings, arrival_rates, record
 from deepfsi.hardware.virtual.detector import Detector, draw
+from deepfsi.tables.table_files import Table
 
 TAU = 20e-9
 both = pytest.mark.parametrize("paralysable", [False, True], ids=["spad", "pmt"])

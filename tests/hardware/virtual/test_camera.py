@@ -9,8 +9,8 @@ import torch
 from pydantic import ValidationError
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, scenes
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns

@@ -8,9 +8,9 @@ import pytest
 import torch
 from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, scenes
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.detectors import Detectors
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.patterns.timing import Gates, find_gates

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.hardware.patterns.devices import DEVICES
+from deepfsi.devices import DEVICES
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.sequence import FrameSettings

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.hardware.patterns.devices import Device
+from deepfsi.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints

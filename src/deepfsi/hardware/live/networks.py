@@ -17,10 +17,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.hardware.live.dwells import share_out
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.patterns.sequence import Readout
 from deepfsi.hardware.recording.live_settings import StopRule
+from deepfsi.optics.dwells import share_out
 
 SMALLEST = float(np.finfo(np.float32).tiny)
 """Probability below which none is told from 0."""

@@ -17,8 +17,8 @@ from typing import IO, Any
 import numpy as np
 from PIL import Image, PngImagePlugin
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.planes import load_planes, reading, write_planes
 from deepfsi.hardware.patterns.sequence import FrameSettings, Manifest
 from deepfsi.progress import SILENT, Report

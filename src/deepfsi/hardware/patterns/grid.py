@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import Device
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.hardware.patterns.devices import Device
+from deepfsi.devices import Device
 from deepfsi.hardware.patterns.grid import Grid
 from deepfsi.hardware.patterns.sequence import Light, Rail, Selection
 

@@ -3,8 +3,8 @@
 import math
 from importlib.metadata import version
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import DesignRails
 from deepfsi.hardware.patterns.mirrors import count_mirrors
 from deepfsi.hardware.patterns.sequence import Frame, Manifest

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from PIL import BmpImagePlugin, Image
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.progress import SILENT, Report
 

@@ -23,9 +23,9 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from deepfsi.devices import LONGEST_PICTURE_S, Device
 from deepfsi.errors import InputError, check_known
 from deepfsi.hardware.patterns.detectors import Detectors
-from deepfsi.hardware.patterns.devices import LONGEST_PICTURE_S, Device
 from deepfsi.hardware.patterns.grid import Grid, find_grid
 from deepfsi.hardware.patterns.looks import Looks
 

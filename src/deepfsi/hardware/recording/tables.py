@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from deepfsi.datasets.table_files import Table
 from deepfsi.errors import InputError, check_known, closest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
@@ -23,6 +22,7 @@ from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_r
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.light import find_light, see_inputs, wire
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
+from deepfsi.tables.table_files import Table
 
 SCENE, LABEL = "scene", "label"
 WORDS = (SCENE, LABEL)

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
+from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
-from deepfsi.hardware.patterns.devices import Device
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.grid import Grid
 from deepfsi.hardware.patterns.mirrors import unpack

@@ -1,13 +1,13 @@
-"""Claims on trials that several processes share, without file locks.
+"""Locks on trials that several processes share, without the file locks of a system.
 
-Network folders are often mounted without locks, and those that have them lose them. A claim is a
-file of its own, `claims/KEY/OWNER`, whose name says who owns it. A process that wants KEY first
-makes its file, then looks for others: it has the claim if there is none, and else takes its own
+Network folders are often mounted without locks, and those that have them lose them. A lock is a
+file of its own, `locks/KEY/OWNER`, whose name says who owns it. A process that wants KEY first
+makes its file, then looks for others: it has the lock if there is none, and else takes its own
 file away. Two that want KEY at one moment may both miss it, and try again; both can never have it.
 
-A claim ends with its process. One at this place is asked for; another host's has to change its
+A lock ends with its process. One at this place is asked for; another host's has to change its
 files again and again, and whoever sees no change for `SILENT_SECONDS`, by its own clock, takes the
-claim. Should that process only have slept, a trial is trained twice, with the same result.
+lock. Should that process only have slept, a trial is trained twice, with the same result.
 """
 
 import contextlib
@@ -20,18 +20,18 @@ from pathlib import Path
 from deepfsi.owners import owner_of, this_process
 
 BEAT_SECONDS = 20.0
-"""Time between two changes of a claim's file."""
+"""Time between two changes of a lock's file."""
 
 SILENT_SECONDS = 180.0
-"""Time without a change after which a claim of another host is over; attributes of files on a
+"""Time without a change after which a lock of another host is over; attributes of files on a
 network may be a minute old."""
 
 
-class Claims:
-    """Claims of one process in a folder, `claims/` of it."""
+class Locks:
+    """Locks of one process in a folder, `locks/` of it."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder / "claims"
+        self.folder = folder / "locks"
         self._owned: dict[str, Path] = {}
         self._seen: dict[Path, tuple[int, float]] = {}
         self._end = threading.Event()
@@ -39,13 +39,13 @@ class Claims:
         self._remove_old()
 
     def take(self, key: str) -> bool:
-        """Claim a key; False where it is claimed, here or elsewhere, or wanted at this moment."""
+        """Lock a key; False where it is locked, here or elsewhere, or wanted at this moment."""
         if key in self._owned:
             return False
         mine = self.folder / key / str(this_process())
         self._owned[key] = mine
         self._make(mine)
-        if any(other != mine and not self._over(other) for other in _claims_in(mine.parent)):
+        if any(other != mine and not self._over(other) for other in _locks_in(mine.parent)):
             self.give_up(key)
             return False
         self._beat()
@@ -66,7 +66,7 @@ class Claims:
         _remove_empty(self.folder)
 
     def _make(self, mine: Path) -> None:
-        """Make the file of a claim; its folder may be taken away meanwhile, by one that ends."""
+        """Make the file of a lock; its folder may be taken away meanwhile, by one that ends."""
         while True:
             try:
                 mine.parent.mkdir(parents=True, exist_ok=True)
@@ -76,25 +76,25 @@ class Claims:
                 if mine.parent.is_file():
                     raise
 
-    def _over(self, claim: Path) -> bool:
-        """Take a claim's file away if its process is gone; True if nothing is left of it."""
-        owner = owner_of(claim.name)
+    def _over(self, lock: Path) -> bool:
+        """Take a lock's file away if its process is gone; True if nothing is left of it."""
+        owner = owner_of(lock.name)
         if owner is None:
             return True
-        if owner.gone if owner.here else self._silent(claim):
-            claim.unlink(missing_ok=True)
+        if owner.gone if owner.here else self._silent(lock):
+            lock.unlink(missing_ok=True)
             return True
         return False
 
-    def _silent(self, claim: Path) -> bool:
+    def _silent(self, lock: Path) -> bool:
         """True if a file has not changed for long since it was first seen so."""
         try:
-            changed = claim.stat().st_mtime_ns
+            changed = lock.stat().st_mtime_ns
         except FileNotFoundError:
             return True
-        before, since = self._seen.get(claim, (None, 0.0))
+        before, since = self._seen.get(lock, (None, 0.0))
         if changed != before:
-            self._seen[claim] = (changed, time.monotonic())
+            self._seen[lock] = (changed, time.monotonic())
             return False
         return time.monotonic() - since > SILENT_SECONDS
 
@@ -102,13 +102,13 @@ class Claims:
         """Take away what processes left that are gone."""
         if self.folder.is_dir():
             for key in list(self.folder.iterdir()):
-                for claim in _claims_in(key):
-                    self._over(claim)
+                for lock in _locks_in(key):
+                    self._over(lock)
                 _remove_empty(key)
             _remove_empty(self.folder)
 
     def _beat(self) -> None:
-        """Show that this process lives, from now until all claims are given up."""
+        """Show that this process lives, from now until all locks are given up."""
         if self._beating is None:
             self._end = threading.Event()
             self._beating = threading.Thread(target=self._show_life, args=(self._end,), daemon=True)
@@ -121,7 +121,7 @@ class Claims:
                     os.utime(mine)
 
 
-def _claims_in(folder: Path) -> Iterator[Path]:
+def _locks_in(folder: Path) -> Iterator[Path]:
     try:
         yield from list(folder.iterdir())
     except (FileNotFoundError, NotADirectoryError):

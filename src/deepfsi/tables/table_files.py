@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.datasets.array_files import list_variables, read_npy, read_variable
 from deepfsi.errors import InputError
+from deepfsi.tables.array_files import list_variables, read_npy, read_variable
 
 if TYPE_CHECKING:
     import polars as pl

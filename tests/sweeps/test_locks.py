@@ -1,4 +1,4 @@
-"""One process at a time has a claim, wherever the folder is, and none outlives its process."""
+"""One process at a time has a lock, wherever the folder is, and none outlives its process."""
 
 import os
 import random
@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from deepfsi.owners import this_process
-from deepfsi.sweeps import claims
-from deepfsi.sweeps.claims import Claims
+from deepfsi.sweeps import locks
+from deepfsi.sweeps.locks import Locks
 from shared.waiting import until
 
 ELSEWHERE = "0123456789ab-1-1-00000000"
@@ -26,7 +26,7 @@ def left(folder: Path) -> list[Path]:
 
 
 def test_one_has_it_until_it_is_given_up(tmp_path):
-    first, second = Claims(tmp_path), Claims(tmp_path)
+    first, second = Locks(tmp_path), Locks(tmp_path)
     assert first.take("a")
     assert not second.take("a")
     assert second.take("b")
@@ -37,7 +37,7 @@ def test_one_has_it_until_it_is_given_up(tmp_path):
 
 
 def test_one_that_has_it_cannot_take_it_again(tmp_path):
-    mine, other = Claims(tmp_path), Claims(tmp_path)
+    mine, other = Locks(tmp_path), Locks(tmp_path)
     assert mine.take("a")
     assert not mine.take("a")
     assert not other.take("a")
@@ -45,12 +45,12 @@ def test_one_that_has_it_cannot_take_it_again(tmp_path):
     assert other.take("a")
 
 
-def test_many_at_once_never_share_a_claim(tmp_path):
+def test_many_at_once_never_share_a_lock(tmp_path):
     """Each of four takes it twenty times; whoever has it is alone."""
     alone = threading.Lock()
 
     def take_turns(seed: int) -> int:
-        mine, chance, turns, wrong = Claims(tmp_path), random.Random(seed), 0, 0
+        mine, chance, turns, wrong = Locks(tmp_path), random.Random(seed), 0, 0
         while turns < 20:
             if mine.take("a"):
                 free = alone.acquire(blocking=False)
@@ -64,15 +64,15 @@ def test_many_at_once_never_share_a_claim(tmp_path):
 
     with ThreadPoolExecutor() as pool:
         assert list(pool.map(take_turns, range(4))) == [0] * 4
-    assert not list(tmp_path.glob("claims/*/*"))
+    assert not list(tmp_path.glob("locks/*/*"))
 
 
 @pytest.fixture
 def other(tmp_path):
-    """Yield a process that has the claim `a`."""
+    """Yield a process that has the lock `a`."""
     code = (
-        "import sys, time, pathlib; from deepfsi.sweeps.claims import Claims\n"
-        "print(Claims(pathlib.Path(sys.argv[1])).take('a'), flush=True); time.sleep(600)"
+        "import sys, time, pathlib; from deepfsi.sweeps.locks import Locks\n"
+        "print(Locks(pathlib.Path(sys.argv[1])).take('a'), flush=True); time.sleep(600)"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
@@ -83,21 +83,21 @@ def other(tmp_path):
     process.communicate()
 
 
-def test_a_claim_ends_with_its_process(tmp_path, other):
-    mine = Claims(tmp_path)
+def test_a_lock_ends_with_its_process(tmp_path, other):
+    mine = Locks(tmp_path)
     assert not mine.take("a")
     os.kill(other.pid, signal.SIGKILL)
     other.wait()
     assert mine.take("a")
-    assert len(list(tmp_path.glob("claims/a/*"))) == 1
+    assert len(list(tmp_path.glob("locks/a/*"))) == 1
 
 
-def test_claims_of_killed_processes_are_not_left_over(tmp_path, other):
-    Claims(tmp_path)
-    assert list(tmp_path.glob("claims/a/*"))
+def test_locks_of_killed_processes_are_not_left_over(tmp_path, other):
+    Locks(tmp_path)
+    assert list(tmp_path.glob("locks/a/*"))
     os.kill(other.pid, signal.SIGKILL)
     other.wait()
-    Claims(tmp_path)
+    Locks(tmp_path)
     assert not left(tmp_path)
 
 
@@ -105,19 +105,19 @@ def test_a_new_process_of_an_old_number_is_another_one(tmp_path):
     """Numbers of processes come again; their moments of start do not."""
     own = this_process()
     old = own._replace(started=own.started - 3600)
-    path = tmp_path / "claims/a" / str(old)
+    path = tmp_path / "locks/a" / str(old)
     path.parent.mkdir(parents=True)
     path.touch()
-    assert Claims(tmp_path).take("a")
+    assert Locks(tmp_path).take("a")
 
 
-def test_another_host_keeps_its_claim_while_its_file_changes(tmp_path, monkeypatch):
-    path = tmp_path / "claims/a" / ELSEWHERE
+def test_another_host_keeps_its_lock_while_its_file_changes(tmp_path, monkeypatch):
+    path = tmp_path / "locks/a" / ELSEWHERE
     path.parent.mkdir(parents=True)
     path.touch()
-    mine = Claims(tmp_path)
+    mine = Locks(tmp_path)
     assert not mine.take("a")
-    monkeypatch.setattr(claims, "SILENT_SECONDS", 0.0)
+    monkeypatch.setattr(locks, "SILENT_SECONDS", 0.0)
     os.utime(path, (1, 1))
     assert not mine.take("a")
     time.sleep(0.001)
@@ -125,11 +125,11 @@ def test_another_host_keeps_its_claim_while_its_file_changes(tmp_path, monkeypat
     assert not path.exists()
 
 
-def test_a_claim_shows_that_its_process_lives(tmp_path, monkeypatch):
-    monkeypatch.setattr(claims, "BEAT_SECONDS", 0.001)
-    mine = Claims(tmp_path)
+def test_a_lock_shows_that_its_process_lives(tmp_path, monkeypatch):
+    monkeypatch.setattr(locks, "BEAT_SECONDS", 0.001)
+    mine = Locks(tmp_path)
     assert mine.take("a")
-    (path,) = tmp_path.glob("claims/a/*")
+    (path,) = tmp_path.glob("locks/a/*")
     os.utime(path, (1, 1))
     until(lambda: path.stat().st_mtime > 1)
     mine.give_up_all()

@@ -6,9 +6,9 @@ import polars as pl
 import pytest
 from scipy.io import savemat
 
-from deepfsi.datasets import table_files
-from deepfsi.datasets.table_files import is_table, read_table
 from deepfsi.errors import InputError
+from deepfsi.tables import table_files
+from deepfsi.tables.table_files import is_table, read_table
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")

@@ -1,0 +1,1 @@
+"""Arrays and tables from files, each format in one place."""
