@@ -11,7 +11,7 @@ from deepfsi.errors import InputError
 from deepfsi.experiments.camera import figures
 from deepfsi.experiments.camera.figures import Accuracy
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
-from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.grid import find_grid
 from deepfsi.optics import codes
 from deepfsi.report import style
 from shared.figures import assert_legible

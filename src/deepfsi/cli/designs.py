@@ -65,8 +65,8 @@ def design(
     paths.check_file(out, paths.DESIGNS)
     common.check_data(data, view)
     options.check_sigma(context, noise, train_noise)
-    from deepfsi.design.adaptive import check_noise_of_looks
     from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.design.exposure.looks import check_noise_of_looks
     from deepfsi.optics.noise import check_dark, resolve
     from deepfsi.training.learning import learn
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
-from deepfsi.design.adaptive import AdaptiveDwells, Dwells
 from deepfsi.design.calibration import find_distribution, sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
-from deepfsi.design.exposure import Exposure, ExposureKind, FixedDwells
+from deepfsi.design.exposure.looks import Dwells, LooksExposure
+from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
 from deepfsi.errors import InputError
@@ -53,7 +53,7 @@ class Design:
         Light law that the rails obey.
     image_shape : tuple of int
     classes : tuple of str
-    exposure : ExposureKind
+    exposure : TrainedExposure
         Dwells of the masks, and the classifier's inputs.
     detection : Detection
         Detectors on parts of the device, and what is read of two rails.
@@ -83,7 +83,7 @@ class Design:
     light: Light
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
-    exposure: ExposureKind = field(default_factory=FixedDwells)
+    exposure: TrainedExposure = field(default_factory=FixedExposure)
     detection: Detection = ONE
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
@@ -165,16 +165,16 @@ class Design:
         dwell : tensor, shape (..., q), optional
             Share of the exposure of each frame.
         """
-        return self.logits_of(Exposure(features / photons, dwell), photons)
+        return self.logits_of(Observation(features / photons, dwell), photons)
 
-    def logits_of(self, seen: Exposure, photons: Tensor | float) -> Tensor:
+    def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
         inputs = seen.inputs(self.mean, self.std)
         return self.classifier(self.exposure.condition(inputs, photons))
 
     def expose(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
-    ) -> Iterator[Exposure]:
+    ) -> Iterator[Observation]:
         """Exposures after each look, with counts of a scanner.
 
         Parameters
@@ -275,7 +275,7 @@ class Design:
     @property
     def _dwells(self) -> Dwells:
         """Dwells of the frames of a look, or `InputError` if they are fixed."""
-        if not isinstance(self.exposure, AdaptiveDwells):
+        if not isinstance(self.exposure, LooksExposure):
             raise InputError("the dwells of this design are fixed")
         return self.exposure.dwells
 

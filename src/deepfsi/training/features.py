@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepfsi.design.adaptive import Dwells, expose
 from deepfsi.design.classifiers import Replicas
-from deepfsi.design.conditioning import Conditioning, first
+from deepfsi.design.exposure.conditioned import ConditionedExposure, first
+from deepfsi.design.exposure.looks import Dwells, expose
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import Detection
@@ -206,7 +206,7 @@ class ConditionedFeatures(Features):
     streams: Streams  # as for `LearnedFeatures`; masks may be fixed
     masks: FixedMasks | LearnedMasks
     x: Tensor
-    conditioning: Conditioning  # of the lowest budget
+    conditioning: ConditionedExposure  # of the lowest budget
     light: Light
     scale: Scale
     detection: Detection
@@ -258,7 +258,7 @@ class AdaptiveFeatures(Features):
     scale: Scale
     detection: Detection
     dwells: Dwells
-    shortest: float = 0.0  # as for `AdaptiveDwells`
+    shortest: float = 0.0  # as for `LooksExposure`
 
     def at(self, step: int) -> Tensor:
         """Features and dwells (K · B, R, k + q) after each of K looks."""

@@ -12,9 +12,9 @@ from pydantic import BaseModel
 from torch import Tensor, nn
 
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
-from deepfsi.design.exposure import FixedDwells
+from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.exposure.trained import FixedExposure
 from deepfsi.design.memory import Memory
 from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
@@ -248,7 +248,7 @@ def _optimised(
     report: Report,
     classifier: nn.Module | Factory | None,
     own_noise: OwnNoise | None,
-) -> tuple[FixedMasks, FeatureNoise, list[Classifier], list[AdaptiveDwells]]:
+) -> tuple[FixedMasks, FeatureNoise, list[Classifier], list[LooksExposure]]:
     """Masks after training, the noise that they were trained under, and the networks.
 
     The jobs are checked first. Masks of the control group are learned before, under gaussian noise
@@ -379,7 +379,7 @@ def _designs(
     masks: FixedMasks,
     noise: FeatureNoise,
     classifiers: list[Classifier],
-    schedules: list[AdaptiveDwells],
+    schedules: list[LooksExposure],
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""
     light, s = jobs[0].optics[0], training_set.summed_reflectance
@@ -407,7 +407,7 @@ def _designs(
             light=light,
             image_shape=training_set.data.image_shape,
             classes=training_set.data.classes,
-            exposure=schedules[r] if schedules else job.conditioning(shape) or FixedDwells(),
+            exposure=schedules[r] if schedules else job.conditioning(shape) or FixedExposure(),
             detection=detection,
         )
         for r, job in enumerate(jobs)

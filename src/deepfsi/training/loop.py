@@ -19,8 +19,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import AdaptiveDwells, Dwells
 from deepfsi.design.classifiers import Mlp, Replicas
+from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.own import Given, OwnClassifier, make, seeded
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
@@ -67,7 +67,7 @@ def optimise(
     noise: FeatureNoise,
     report: Report = SILENT,
     classifier: Given | None = None,
-) -> tuple[list[Classifier], list[AdaptiveDwells]]:
+) -> tuple[list[Classifier], list[LooksExposure]]:
     """Trained classifiers of jobs, and adaptive dwells of those of several looks.
 
     Masks are trained in place where they learn. Parameters as for `learning.train`; masks are of R
@@ -108,7 +108,7 @@ def optimise(
             network.generator = None
         network.eval()
     dwells, device = Dwells.of(job.masks, *job.optics), (settings.looks, settings.shortest_dwell)
-    return classifiers, [AdaptiveDwells(dwells, each, *device) for each in choosers]
+    return classifiers, [LooksExposure(dwells, each, *device) for each in choosers]
 
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from torch.nn import functional
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Vit
-from deepfsi.design.exposure import PatchExposure, cut
+from deepfsi.design.exposure.trained import PatchExposure, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import BUDGETS, summed_reflectance

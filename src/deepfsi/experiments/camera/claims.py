@@ -38,7 +38,7 @@ from deepfsi.experiments.camera.published import (
 )
 from deepfsi.experiments.camera.view_figures import mirrors_figure, views_figure
 from deepfsi.experiments.experiment import Experiment, Finding
-from deepfsi.hardware.patterns.grid import Grid, find_grid
+from deepfsi.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.report.section import Claim, Picture, Table

@@ -21,6 +21,7 @@ import numpy as np
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.devices import find_device
+from deepfsi.grid import find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import (
     black_rates,
@@ -30,7 +31,6 @@ from deepfsi.hardware.calibration.background import (
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.calibration.view import Calibration, view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates

@@ -1,7 +1,7 @@
 """Kinds of exposure, and the counts and dwells of an exposure so far.
 
-There are four kinds, and nobody but these classes asks which one a design has: `FixedDwells` and
-`PatchExposure` here, `conditioning.Conditioning` and `adaptive.AdaptiveDwells`.
+There are four kinds, and nobody but these classes asks which one a design has: `FixedExposure` and
+`PatchExposure` here, `conditioning.ConditionedExposure` and `adaptive.LooksExposure`.
 """
 
 from collections.abc import Callable, Iterator
@@ -30,7 +30,7 @@ Show = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
-class Exposure:
+class Observation:
     """Counts and dwells of an exposure so far."""
 
     # (..., k): What is read of the first masks over the budget (`detection`), of all looks together
@@ -64,7 +64,7 @@ class BudgetLevel(NamedTuple):
     half: float
 
 
-class ExposureKind:
+class TrainedExposure:
     """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own."""
 
     kind: str  # name in the design file
@@ -79,11 +79,11 @@ class ExposureKind:
 
     def restored(
         self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
-    ) -> "ExposureKind":
+    ) -> "TrainedExposure":
         """The kind with its network's weights from a design file."""
         return self
 
-    def to(self, device: str | torch.device) -> "ExposureKind":
+    def to(self, device: str | torch.device) -> "TrainedExposure":
         """The kind on a device."""
         return self
 
@@ -103,7 +103,7 @@ class ExposureKind:
         return scenes
 
     def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
+        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
         return inputs
 
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
@@ -115,7 +115,7 @@ class ExposureKind:
 
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
-    ) -> Iterator[Exposure]:
+    ) -> Iterator[Observation]:
         """Exposures at each stop: after each number of masks that do, or after each look.
 
         Shapes: rates (..., rails, m · D); mean, std (k,).
@@ -123,16 +123,16 @@ class ExposureKind:
         features = read(rates * photons) / photons
         masks = features.shape[-1] // self.width
         for shown in range(self.fewest_masks(masks), masks + 1):
-            yield Exposure(features[..., : shown * self.width])
+            yield Observation(features[..., : shown * self.width])
 
-    def shown(self, rates: Tensor, seen: Exposure) -> Tensor:
+    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
         """Expected counts (..., rails, m · D) of an exposure for a budget of one photon.
 
         Shapes: rates (..., rails, m · D).
         """
         return rates
 
-    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
         """Exposures after each look at a camera, or `InputError` if dwells are fixed.
 
         Parameters as for `expose`.
@@ -146,7 +146,7 @@ class ExposureKind:
         """Smallest number of first masks, of m, that can be classified alone."""
         return masks
 
-    def using(self, used: float) -> "ExposureKind":
+    def using(self, used: float) -> "TrainedExposure":
         """The kind for masks that take another share of the light law, see `used`."""
         return self
 
@@ -185,14 +185,14 @@ class ExposureKind:
 
 
 @validated(frozen=True, config=STRICT)
-class FixedDwells(ExposureKind):
+class FixedExposure(TrainedExposure):
     """Exposure of which all masks are needed, each with its own dwell."""
 
     kind: Literal["fixed"] = field(default="fixed", kw_only=True)
 
 
 @validated(frozen=True, config=STRICT)
-class PatchExposure(ExposureKind):
+class PatchExposure(TrainedExposure):
     """Exposure of fixed dwells, with a detector for each patch of an image.
 
     Features have the shape (..., P, m), and a budget is of the whole image.

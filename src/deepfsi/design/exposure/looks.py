@@ -21,7 +21,7 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
 from deepfsi.design.classifiers import Mlp, restored
-from deepfsi.design.exposure import STRICT, Exposure, ExposureKind, Read, Show
+from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
@@ -89,13 +89,13 @@ def expose(
     mean: Tensor,
     std: Tensor,
     shortest: float = 0.0,
-) -> Iterator[Exposure]:
+) -> Iterator[Observation]:
     """Exposures after each look: one loop for training, tests and a camera, for one or many.
 
     Shapes: mean, std (..., k).
     """
     features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
-    seen = Exposure(features, total)
+    seen = Observation(features, total)
     for look in range(looks):
         left = torch.full_like(total[..., :1], 1 - look / looks)
         scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
@@ -104,7 +104,7 @@ def expose(
             dwell = through(dwell, share_out(dwell.detach(), shortest))
         counts, shown = show(dwell)
         features, total = features + counts, total + shown
-        seen = Exposure(features, total)
+        seen = Observation(features, total)
         yield seen
 
 
@@ -117,7 +117,7 @@ def check_noise_of_looks(noise: str) -> None:
 
 
 @dataclass(frozen=True)
-class AdaptiveDwells(ExposureKind):
+class LooksExposure(TrainedExposure):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
     The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
@@ -129,11 +129,11 @@ class AdaptiveDwells(ExposureKind):
     shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
     kind = "adaptive"
 
-    def header(self) -> "AdaptiveShape":
+    def header(self) -> "LooksShape":
         """Entry of the design file's header, of which `restored` makes the kind again."""
-        return AdaptiveShape(self.looks, self.network.hidden, self.shortest)
+        return LooksShape(self.looks, self.network.hidden, self.shortest)
 
-    def to(self, device: str | torch.device) -> "AdaptiveDwells":
+    def to(self, device: str | torch.device) -> "LooksExposure":
         """The kind on a device."""
         return replace(self, network=self.network.to(device))
 
@@ -152,21 +152,21 @@ class AdaptiveDwells(ExposureKind):
 
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
-    ) -> Iterator[Exposure]:
-        """Exposures after each look, parameters as for `ExposureKind.expose`."""
+    ) -> Iterator[Observation]:
+        """Exposures after each look, parameters as for `TrainedExposure.expose`."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             return read(self.dwells.scaled(rates, dwell) * photons) / photons, dwell
 
         return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
 
-    def shown(self, rates: Tensor, seen: Exposure) -> Tensor:
-        """Expected counts of an exposure, parameters as for `ExposureKind.shown`."""
+    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Expected counts of an exposure, parameters as for `TrainedExposure.shown`."""
         assert seen.dwell is not None
         return self.dwells.scaled(rates, seen.dwell)
 
-    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Exposure]:
-        """Exposures after each look at a camera, parameters as for `ExposureKind.expose`."""
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
+        """Exposures after each look at a camera, parameters as for `TrainedExposure.expose`."""
         return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
     def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
@@ -198,8 +198,8 @@ class AdaptiveDwells(ExposureKind):
 
 
 @validated(frozen=True, config=STRICT)
-class AdaptiveShape:
-    """Entry of a design file's header for `AdaptiveDwells`.
+class LooksShape:
+    """Entry of a design file's header for `LooksExposure`.
 
     Attributes
     ----------
@@ -218,10 +218,10 @@ class AdaptiveShape:
 
     def restored(
         self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
-    ) -> AdaptiveDwells:
-        """The exposure; parameters as for `ExposureKind.restored`."""
+    ) -> LooksExposure:
+        """The exposure; parameters as for `TrainedExposure.restored`."""
         dwells = Dwells.of(rails.shape[1], light, {1: "single", 2: "dual"}[len(rails)])
         inputs = features + dwells.count + 1
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": self.hidden}
         network = restored(Mlp, weights, **sizes)
-        return AdaptiveDwells(dwells, network, self.looks, self.shortest)
+        return LooksExposure(dwells, network, self.looks, self.shortest)

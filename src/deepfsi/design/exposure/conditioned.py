@@ -20,7 +20,7 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.design.exposure import STRICT, BudgetLevel, ExposureKind
+from deepfsi.design.exposure.trained import STRICT, BudgetLevel, TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.constraints import Light
@@ -30,7 +30,7 @@ ALL_MASKS_SHARE = 0.25
 
 
 @validated(frozen=True, config=STRICT)
-class Conditioning(ExposureKind):
+class ConditionedExposure(TrainedExposure):
     """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
 
     Attributes
@@ -78,7 +78,7 @@ class Conditioning(ExposureKind):
         return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1] // self.width))
 
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
-        """First layer for features and a `BudgetLevel`, parameters as for `ExposureKind.fold`.
+        """First layer for features and a `BudgetLevel`, parameters as for `TrainedExposure.fold`.
 
         Masks not shown read 0, and how many are is one number for a design: both fold away.
         """
@@ -103,7 +103,7 @@ class Conditioning(ExposureKind):
         """Smallest number of first masks, of m, that can be classified alone."""
         return self.nested or masks
 
-    def using(self, used: float) -> "Conditioning":
+    def using(self, used: float) -> "ConditionedExposure":
         """The kind for masks that take another share of the light law, see `used`."""
         return replace(self, used=used)
 

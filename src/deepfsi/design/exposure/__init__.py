@@ -1,0 +1,284 @@
+"""Kinds of exposure: what is shown when, and what the network is told.
+
+    Fixed     every mask once, each for its own dwell; all are needed for an answer
+    Range     the same for a range of budgets, and the network is told the budget
+    Nested    the first masks alone give an answer, too, and the network is told how many
+    Looks     several looks; the counts so far choose the dwells of the next
+    Patches   an image seen patch by patch, with a detector for each patch and mask
+
+These are the settings. What a trained design does with them is in the modules beside.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
+
+from deepfsi.errors import InputError, as_input_error
+
+if TYPE_CHECKING:
+    from deepfsi.training.job import Job
+
+LOOKING = ("free-dwell", "two-arm")
+"""Light laws under which dwells can be chosen."""
+
+PHOTONIC = ("ml_gauss", "poisson", "camera", "none")
+"""Noises under which dwells can be chosen."""
+
+TRAINING_NOISE = {"poisson": "ml_gauss"}
+"""Noise that is trained under in place of a camera's own."""
+
+
+class Exposure(BaseModel):
+    """An exposure of which every mask is shown once, and all are needed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    training: ClassVar[dict[str, Any]] = {"start": "pca"}
+    """Settings of the training where none are given."""
+
+    @property
+    def parts(self) -> int:
+        """Parts of an exposure after which the network answers."""
+        return 1
+
+    rounds_products: ClassVar[bool] = True
+    """Whether products of masks in bfloat16 were tried."""
+
+    def rounds_networks(self, device: str, wide: bool) -> bool:
+        """True if networks are faster in bfloat16: wide ones, on a processor."""
+        return device == "cpu" and wide
+
+    def highest(self, photons: float) -> float:
+        """Highest budget of a training whose lowest is `photons`."""
+        return photons
+
+    def training_noise(self, noise: str) -> str:
+        """Noise to train under where the camera has another."""
+        return TRAINING_NOISE.get(noise, noise)
+
+    def brightest(self, masks: int) -> int:
+        """Fewest masks, of m, that the whole light may come to."""
+        return masks
+
+    def faults(self, job: "Job") -> list[str]:
+        """Everything that a job asks of this exposure and that cannot be had."""
+        return []
+
+    def test_faults(self, noises: Sequence[str]) -> list[str]:
+        """Everything in noises of tests that cannot be had."""
+        return []
+
+
+class Fixed(Exposure):
+    """Every mask is shown once, for a dwell of its own, and all are needed for an answer."""
+
+
+class Conditioned(Exposure):
+    """Base of those whose network is told the budget, and how many masks were shown."""
+
+    span: float
+
+    def highest(self, photons: float) -> float:
+        """The other end of the range."""
+        return photons * self.span
+
+    def faults(self, job: "Job") -> list[str]:
+        """Another training noise than MLGauss, or masks that learn under one."""
+        if job.code.learned_under:
+            left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
+        elif job.noise != "ml_gauss":
+            left = f"{job.noise} noise, or train under ml_gauss"
+        else:
+            return []
+        return [f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"]
+
+
+class Range(Conditioned):
+    """One design for a range of budgets.
+
+    Attributes
+    ----------
+    span : float
+        Highest budget over the lowest, `photons`; those of the training are log-uniform between.
+    """
+
+    span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
+
+
+class Nested(Conditioned):
+    """One design of whose masks the first ones alone give an answer.
+
+    Attributes
+    ----------
+    nested : int
+        Smallest number of first masks from which the network must classify.
+    span : float
+        Highest budget over the lowest; 1 for one budget.
+    """
+
+    nested: int = Field(
+        ge=1,
+        description="nested masks: smallest number of first masks from which the network must "
+        "classify",
+    )
+    span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
+
+    def brightest(self, masks: int) -> int:
+        """Those that are shown at least."""
+        return self.nested
+
+    def faults(self, job: "Job") -> list[str]:
+        """Those of all conditioned ones, or more nested masks than there are."""
+        found = super().faults(job)
+        if self.nested > job.masks:
+            found.append(
+                f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
+                f"{job.masks}"
+            )
+        return found
+
+
+class Looks(Exposure):
+    """Several looks, of which the counts so far choose the dwells of the next.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the exposure.
+    """
+
+    training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
+    """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
+
+    rounds_products: ClassVar[bool] = False
+
+    looks: int = Field(
+        ge=2,
+        le=64,
+        description="parts (looks) of an exposure: the counts so far choose the dwells of the "
+        "next part",
+    )
+
+    @property
+    def parts(self) -> int:
+        """K."""
+        return self.looks
+
+    def training_noise(self, noise: str) -> str:
+        """The camera's own: a look shows many masks too shortly for MLGauss."""
+        return noise
+
+    def brightest(self, masks: int) -> int:
+        """One: a look may show nothing else."""
+        return 1
+
+    def faults(self, job: "Job") -> list[str]:
+        """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
+        found, camera = [], job.optics
+        if job.code.every_pixel or job.code.learned_under or job.code.own:
+            found.append(
+                f"{job.design} has one look only: several looks are for deepfsi and for named "
+                "designs that one device shows"
+            )
+        if camera.light not in LOOKING:
+            found.append(
+                f"several looks choose how long one device shows each frame, not {camera.light}: "
+                '`light="free-dwell"` or "two-arm" goes with them'
+            )
+        elif (camera.light, camera.rails, camera.readout) == ("free-dwell", "dual", "difference"):
+            found.append(
+                "several looks show each rail for a time of its own, whose counts are to be read "
+                'by themselves: use `readout="both"`, or `rails="single"`'
+            )
+        found += self.test_faults([job.noise])
+        if camera.shortest_share * self.looks > 1:
+            found.append(
+                f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
+                f"{1 / self.looks:g}: give fewer looks, or a longer exposure"
+            )
+        return found
+
+    def test_faults(self, noises: Sequence[str]) -> list[str]:
+        """Noise other than that of photons."""
+        strange = [noise for noise in noises if noise not in PHOTONIC]
+        return [f"several looks are for photon noise: leave {noise} noise out" for noise in strange]
+
+
+class Patches(Exposure):
+    """An image seen patch by patch: one set of masks for all patches, a transformer behind.
+
+    Attributes
+    ----------
+    patch : int
+        Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
+        image, which the patches share as they share its light.
+    """
+
+    training: ClassVar[dict[str, Any]] = {
+        "start": "pca",
+        "classifier": "vit",
+        "epochs": 15,
+        "batch": 100,
+        "lr": 2e-3,
+        "mask_lr": 2e-2,
+        "decay": 0.05,
+    }
+
+    rounds_products: ClassVar[bool] = False
+
+    patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
+
+    def rounds_networks(self, device: str, wide: bool) -> bool:
+        """True on a GPU: a processor is slower with it at a transformer's size."""
+        return device == "cuda"
+
+    def faults(self, job: "Job") -> list[str]:
+        """Optics that no patch has, and noise that was not tried."""
+        found, camera = [], job.optics
+        if camera.light != "column":
+            found.append("a patch has a detector for each readout: give the light law column")
+        if job.code.seeded or job.code.learned_under or job.code.own:
+            found.append(f"{job.design} is not for patches: give deepfsi or a named design")
+        if job.noise != "ml_gauss" or camera.mask_levels((self.patch, self.patch)):
+            found.append("patches are trained under photon noise, with continuous masks")
+        if job.training.classifier != "vit":
+            found.append("patches are classified by a transformer: give classifier vit")
+        return found
+
+
+KINDS: dict[str, type[Exposure]] = {
+    "looks": Looks,
+    "patch": Patches,
+    "nested": Nested,
+    "span": Range,
+}
+"""Kind of exposure by the setting that asks for it; the first that is given counts."""
+
+NEUTRAL = {"looks": 1, "nested": 0, "span": 1, "patch": 0}
+"""Values of these settings that ask for nothing."""
+
+
+def find_exposure(given: Any) -> Any:
+    """Exposure of its settings: none for `Fixed`, ``{"looks": 4}`` for `Looks`, and so on."""
+    if not isinstance(given, Mapping):
+        return given
+    asked = {name: value for name, value in given.items() if value != NEUTRAL.get(name, ...)}
+    for name, kind in KINDS.items():
+        if name not in asked:
+            continue
+        if strange := asked.keys() - kind.model_fields.keys():
+            raise InputError(
+                f"{', '.join(sorted(strange))} and {name} are of different exposures: give one"
+            )
+        with as_input_error():
+            return kind(**asked)
+    if asked:
+        raise InputError(
+            f"an exposure has no setting {', '.join(asked)}: give one of {', '.join(KINDS)}"
+        )
+    return Fixed()
+
+
+AnyExposure = Annotated[SerializeAsAny[Exposure], BeforeValidator(find_exposure)]
+"""Field of a model: an exposure, or its settings."""

@@ -1,0 +1,12 @@
+"""Names of light laws, rails and readouts, which optics, hardware and files share."""
+
+from typing import Literal
+
+Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
+"""Name of a light law, see `optics.constraints`."""
+
+RailsKind = Literal["dual", "single"]
+"""Rails of each mask: positive and negative part, or one non-negative frame."""
+
+Readout = Literal["difference", "both"]
+"""What a network reads of two rails."""
