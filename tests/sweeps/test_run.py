@@ -13,9 +13,7 @@ from shared.trials import small, train_trials
 
 FILES = {
     path.stem: tomllib.loads(path.read_text())
-    for path in sorted(
-        (Path(__file__).parents[2] / "src/deepfsi/experiments/recipes").glob("*.toml")
-    )
+    for path in sorted((Path(__file__).parents[2] / "src/deepfsi_paper/recipes").glob("*.toml"))
     if not path.stem.startswith("ovit")  # of another kind: test_ovit
 }
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.sweeps.recipe import Recipe
 
-SHIPPED = files("deepfsi") / "experiments" / "recipes"
+SHIPPED = files("deepfsi_paper") / "recipes"
 """Folder of the recipes that come with the package."""
 
 

@@ -159,12 +159,12 @@ def reproduce(
     """
     from dataclasses import asdict
 
-    from deepfsi import experiments
+    from deepfsi_paper import studies
 
     if name == "list":
         _list_experiments(as_json)
         return
-    chosen = experiments.find(name)
+    chosen = studies.find(name)
     paths.check_folder(out)
     for each in chosen:
         with common.progress(each.name, quiet=as_json) as report:
@@ -178,7 +178,7 @@ def reproduce(
                 ray=ray,
                 report=report,
             )
-    page = experiments.page(out)
+    page = studies.page(out)
     sections = [section for each in chosen if (section := each.section(out))]
     if as_json:
         claims = {section.name: [asdict(claim) for claim in section.claims] for section in sections}
@@ -198,10 +198,10 @@ def report(
     Example: deepfsi report runs/paper
     """
     paths.check_there(folder, "the output of compare, sweep or reproduce")
-    from deepfsi import experiments
     from deepfsi.report.comparison_page import build
+    from deepfsi_paper import studies
 
-    write = experiments.page if experiments.is_study(folder) else build
+    write = studies.page if studies.is_study(folder) else build
     page = write(folder)
     if as_json:
         common.print_json("report", {"report": str(page)})
@@ -210,15 +210,15 @@ def report(
 
 
 def _list_experiments(as_json: bool) -> None:
-    from deepfsi import experiments
+    from deepfsi_paper import studies
 
-    known = [(study, each) for study, every in experiments.STUDIES.items() for each in every]
+    known = [(study, each) for study, every in studies.STUDIES.items() for each in every]
     if as_json:
         listed = [{"name": s, "part": each.name, "title": each.title} for s, each in known]
         common.print_json("reproduce.list", {"experiments": listed})
         return
     for study, each in known:
-        print(f"{study if each is experiments.STUDIES[study][0] else '':14s}{each.title}")
+        print(f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}")
 
 
 def _print_claims(section: "Section") -> None:
