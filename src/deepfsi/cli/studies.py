@@ -1,11 +1,12 @@
 """Commands that train many designs: compare, sweep, reproduce, report."""
 
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options, paths
+from deepfsi.cli import common, options, paper, paths
 from deepfsi.cli.recipes import check_recipe, read_recipe
 from deepfsi.progress import duration_text
 
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.report.section import Section
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.results import Point, Results
 
@@ -159,10 +159,9 @@ def reproduce(
     """
     from dataclasses import asdict
 
-    from deepfsi_paper import studies
-
+    studies = paper.studies()
     if name == "list":
-        _list_experiments(as_json)
+        _list_experiments(studies, as_json)
         return
     chosen = studies.find(name)
     paths.check_folder(out)
@@ -199,19 +198,16 @@ def report(
     """
     paths.check_there(folder, "the output of compare, sweep or reproduce")
     from deepfsi.report.comparison_page import build
-    from deepfsi_paper import studies
 
-    write = studies.page if studies.is_study(folder) else build
-    page = write(folder)
+    is_study = paper.installed() and paper.studies().is_study(folder)
+    page = paper.studies().page(folder) if is_study else build(folder)
     if as_json:
         common.print_json("report", {"report": str(page)})
     else:
         print(f"report: {page}")
 
 
-def _list_experiments(as_json: bool) -> None:
-    from deepfsi_paper import studies
-
+def _list_experiments(studies: ModuleType, as_json: bool) -> None:
     known = [(study, each) for study, every in studies.STUDIES.items() for each in every]
     if as_json:
         listed = [{"name": s, "part": each.name, "title": each.title} for s, each in known]
@@ -221,7 +217,7 @@ def _list_experiments(as_json: bool) -> None:
         print(f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}")
 
 
-def _print_claims(section: "Section") -> None:
+def _print_claims(section: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
