@@ -4,12 +4,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from deepfsi.report.maps import accuracy_grid, heat_figure
-from deepfsi.report.section import Claim, Picture
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
+from deepfsi_paper.report.maps import accuracy_grid, heat_figure
+from deepfsi_paper.report.section import Claim, Picture
 
 ROBUST = 0.02
 """Loss of accuracy above the training budget that still counts as robust."""

@@ -11,13 +11,13 @@ from itertools import pairwise
 from math import prod
 
 from deepfsi.datasets.cifar import where
-from deepfsi.report.lines import Line, lines_figure
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets
+from deepfsi_paper.report.lines import Line, lines_figure
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 NEAR = 0.02
 """Loss of accuracy against impulse imaging that still counts as near it."""

@@ -16,14 +16,14 @@ from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.progress import SILENT, Report
-from deepfsi.report.maps import Cell
-from deepfsi.report.section import Claim, Picture, Section, Table
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import provenance_of
 from deepfsi.sweeps.workers import Workers
+from deepfsi_paper.report.maps import Cell
+from deepfsi_paper.report.section import Claim, Picture, Section, Table
 
 Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.report.maps import accuracy_grid, contour_figure
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, difference
 from deepfsi.sweeps.results import Point
 from deepfsi_paper.experiment import budgets
+from deepfsi_paper.report.maps import accuracy_grid, contour_figure
 
 
 @dataclass(frozen=True)

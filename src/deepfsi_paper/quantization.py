@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from deepfsi.report.section import Claim, Picture
 from deepfsi.statistics.differences import Difference, above, of_trials, signed
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import pair
+from deepfsi_paper.report.section import Claim, Picture
 
 LOSS = 0.005
 """Mean loss of accuracy that counts as minimal."""

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from deepfsi.errors import InputError, check_known
 from deepfsi.files import write_atomically
-from deepfsi.report.study_page import write_study
 from deepfsi_paper import compression, detectors, mlgauss, quantization
 from deepfsi_paper.camera import claims as camera_study
 from deepfsi_paper.experiment import Experiment
@@ -13,6 +12,7 @@ from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy, masks, starts
 from deepfsi_paper.ovit import claims as ovit
+from deepfsi_paper.report.study_page import write_study
 
 STUDIES: dict[str, tuple[Experiment, ...]] = {
     "mnist": (accuracy.EXPERIMENT, masks.EXPERIMENT, starts.EXPERIMENT),

@@ -10,7 +10,6 @@ from pydantic import TypeAdapter
 from deepfsi.hardware.patterns.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.codes import DESIGNS
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.bootstrap import (
     cluster_bootstrap,
@@ -50,6 +49,7 @@ from deepfsi_paper.camera.published import (
 )
 from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
 from deepfsi_paper.experiment import Experiment, Finding
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 BRIGHT = tuple(exposure for exposure in EXPOSURES if exposure >= 1e-3)
 """Exposures at which DeepFSI is to be first, seconds."""

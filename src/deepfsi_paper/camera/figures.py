@@ -19,6 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from deepfsi.errors import InputError
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes
+from deepfsi_paper.report import scales
 
 MARKS = "ambient light as bright as\na scene, or the true budget"
 """Words for the dotted lines among what the laboratory varies."""
@@ -80,14 +81,14 @@ def exposure_figure(
     _published(ax, own, others, exposures)
     ax.set_xlabel("total exposure (s)")
     ax.xaxis.set_major_locator(FixedLocator(exposures))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
     if flux is not None:
         to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
         top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
         top.set_xlabel("photons Φ of a mean scene on the device")
         top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
         top.xaxis.set_minor_locator(NullLocator())
-        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
+        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
     if others:
         looks: dict[str, Any] = {"color": style.INK, "marker": "o"}
         keys = [
@@ -230,7 +231,7 @@ def _squares(ax: Axes, percent: np.ndarray, norm: Normalize) -> None:
             column + 0.5,
             row + 0.5,
             f"{value:.0f}" if known else "–",
-            color=style.readable_ink(style.GREYS, norm(value)) if known else style.MUTED,
+            color=scales.readable_ink(style.GREYS, norm(value)) if known else style.MUTED,
             fontsize=style.SMALL,
             horizontalalignment="center",
             verticalalignment="center_baseline",
@@ -322,4 +323,4 @@ def _apart(values: Sequence[float]) -> list[float]:
 
 
 def _short(value: float) -> str:
-    return style.power_text(value) if value >= 1e3 else f"{value:g}"
+    return scales.power_text(value) if value >= 1e3 else f"{value:g}"

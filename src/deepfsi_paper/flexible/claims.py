@@ -14,9 +14,6 @@ from pydantic import TypeAdapter
 from scipy import stats
 
 from deepfsi.design.stopping import Estimate, Stopped
-from deepfsi.report.lines import Line, lines_figure
-from deepfsi.report.maps import accuracy_grid, heat_figure
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import BUDGET_AXIS, photons_text
 from deepfsi.statistics.differences import (
     CONFIDENCE,
@@ -30,6 +27,9 @@ from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.flexible.figures import LOOKS, Stops, stopping_figure
 from deepfsi_paper.flexible.measures import Measures, Prefix, measure
+from deepfsi_paper.report.lines import Line, lines_figure
+from deepfsi_paper.report.maps import accuracy_grid, heat_figure
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 RANGE_LOSS, NESTED_LOSS = 0.01, 0.015
 """Accuracy that one design may lose against each of those that it stands for."""

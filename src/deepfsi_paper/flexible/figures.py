@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 from deepfsi.design.stopping import Stopped
-from deepfsi.report.lines import Line, draw_lines
 from deepfsi.report.style import (
     ACCURACY_AXIS,
     COLOURS,
@@ -21,6 +20,7 @@ from deepfsi.report.style import (
     photons_text,
     styled,
 )
+from deepfsi_paper.report.lines import Line, draw_lines
 
 LOOKS: dict[str, dict[str, Any]] = {
     "flexible": {"color": COLOURS["control"], "marker": "D", "linewidth": 2.0},

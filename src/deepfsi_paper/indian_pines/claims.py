@@ -14,7 +14,6 @@ from pydantic import TypeAdapter
 from deepfsi.datasets.indian_pines import SURROGATE, where
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import INK, photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.recipe import Recipe
@@ -26,6 +25,7 @@ from deepfsi_paper.indian_pines.figures import (
     spectral_masks_figure,
 )
 from deepfsi_paper.indian_pines.measures import BAND, Measures, measure
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 SCENES = ("indian-pines", "indian-pines-corrected", SURROGATE)
 """What may stand for the scene, best first."""

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from deepfsi.report import style
 from deepfsi_paper.indian_pines.measures import ClassMap, Overview, SpectralMasks
+from deepfsi_paper.report import scales
 
 NO_CLASS = "#e9ecef"
 """Colour of pixels without a label."""
@@ -30,7 +31,7 @@ USES = (
     (NO_CLASS, "no label"),
     ("#9ec9e6", "training"),
     ("#cc5500", "test"),
-    (style.ON_LIGHT, "left out beside test"),
+    (scales.ON_LIGHT, "left out beside test"),
 )
 """Colour and name of each use of a pixel, in the order of their numbers."""
 
@@ -145,13 +146,13 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
     """
     figure = Figure(figsize=(style.PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
-    panels = figure.subplots(len(rows), len(style.AXIS_NOISES), squeeze=False, sharex=True)
+    panels = figure.subplots(len(rows), len(scales.AXIS_NOISES), squeeze=False, sharex=True)
     for line, row in zip(panels, rows, strict=True):
         kinds = {
             "gaussian": (row.gaussian, row.gaussian_masks),
             "poisson": (row.poisson, row.poisson_masks),
         }
-        for ax, noise in zip(line, style.AXIS_NOISES, strict=True):
+        for ax, noise in zip(line, scales.AXIS_NOISES, strict=True):
             curves, masks = np.array(kinds[noise][0]), kinds[noise][1]
             x, order = _bands(scene.wavelengths, curves.shape[1])
             for mask, look in zip(curves, LOOKS, strict=False):
@@ -236,6 +237,6 @@ def _number_fields(ax: Axes, labels: np.ndarray, classes: int) -> None:
         depth = distance_transform_edt(np.pad(labels == number, 1))[1:-1, 1:-1]
         if depth.any():
             y, x = np.unravel_index(depth.argmax(), depth.shape)
-            text = ax.text(x, y, str(number), fontsize=style.SMALL, color=style.ON_LIGHT)
+            text = ax.text(x, y, str(number), fontsize=style.SMALL, color=scales.ON_LIGHT)
             text.set(horizontalalignment="center", verticalalignment="center")
-            text.set_path_effects([withStroke(linewidth=1.5, foreground=style.ON_DARK)])
+            text.set_path_effects([withStroke(linewidth=1.5, foreground=scales.ON_DARK)])

@@ -5,12 +5,12 @@ from typing import Any
 
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, best
 from deepfsi_paper.mnist.figures import error_figure
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 PAPER_SECONDS_PER_RUN, PAPER_SECONDS = 71.0, 2.87e4
 NOTHING = 0.01

@@ -24,6 +24,7 @@ from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
 from deepfsi.sweeps.results import Point, Results
+from deepfsi_paper.report import scales
 
 LOOKS: dict[str, dict[str, Any]] = {
     "gaussian": {"color": style.COLOURS["pca"], "marker": "s", "linestyle": (0, (5, 1.6))},
@@ -120,7 +121,7 @@ def error_figure(results: Results) -> Figure:
     InputError
         If neither noise was tested.
     """
-    panels = [noise for noise in style.AXIS_NOISES if noise in noises(results)]
+    panels = [noise for noise in scales.AXIS_NOISES if noise in noises(results)]
     if not panels:
         raise InputError(
             f"no impulse-imaging error for {', '.join(noises(results))}: give results of tests "
@@ -130,7 +131,7 @@ def error_figure(results: Results) -> Figure:
     pixels = math.prod(results.data.image_shape)
 
     def error(point: Point) -> float:
-        noise = style.AXIS_NOISES[style.AXIS_NOISES.index(point.noise)]
+        noise = scales.AXIS_NOISES[scales.AXIS_NOISES.index(point.noise)]
         return impulse_imaging_error(point.photons, mean, pixels, noise, sigma)
 
     chosen = [point for point in results.points if point.noise in panels and point.best]
@@ -150,7 +151,7 @@ def error_figure(results: Results) -> Figure:
         ax.label_outer()
         ax.set_xlabel("noise: RMS error of impulse imaging (reflectance)\nless noise →")
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
     marker_key(figure, chosen)
     return figure
 
@@ -169,7 +170,7 @@ def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
     row_height = down * (tall + gap) + 0.23
     total = head + row_height * len(rows) + foot
     figure = Figure(figsize=(style.PAGE_WIDTH, total))
-    floor = 0.5 / max(signed(row.under(noise)).size for row in rows for noise in style.AXIS_NOISES)
+    floor = 0.5 / max(signed(row.under(noise)).size for row in rows for noise in scales.AXIS_NOISES)
     block = ACROSS * (tile + gap) + 0.1
     for place, row in enumerate(rows):
         top = total - head - place * row_height
@@ -177,9 +178,9 @@ def masks_table_figure(rows: Sequence[LearnedMasks], count: int = 6) -> Figure:
         name = figure.text(
             0.12 / style.PAGE_WIDTH, (top + bottom) / 2 / total, "", fontweight="bold"
         )
-        name.set(text=f"{style.power_text(row.photons)} photons", rotation=90)
+        name.set(text=f"{scales.power_text(row.photons)} photons", rotation=90)
         name.set(horizontalalignment="center", verticalalignment="center")
-        for noise, left in zip(style.AXIS_NOISES, (0.27, 0.27 + block), strict=True):
+        for noise, left in zip(scales.AXIS_NOISES, (0.27, 0.27 + block), strict=True):
             end, first = _tiles(figure, row, noise, count, (left, top, tile, tall, gap))
             if place == 0:
                 first.set_title(style.noise_text(noise))
@@ -330,7 +331,7 @@ def starts_figure(
         left.set_ylim(0, 1)
         left.set_ylabel(style.ACCURACY_AXIS)
         right.set_ylabel("accuracy less that from PCA")
-        right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.signed_text(value)))
+        right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.signed_text(value)))
         several = f"{style.noise_text(noise)}: " if len(rows) > 1 else ""
         left.set_title(f"{several}accuracy")
         right.set_title(f"{several}difference")
@@ -382,14 +383,14 @@ def _budget_axis(ax: Axes, budgets: Iterable[float]) -> None:
     margin = 10 ** (0.07 * max(1.0, math.log10(values[-1] / values[0])))
     ax.set_xscale("log")
     ax.set_xlim(values[0] / margin, values[-1] * margin)
-    ax.xaxis.set_major_locator(FixedLocator(style.thinned(values)))
+    ax.xaxis.set_major_locator(FixedLocator(scales.thinned(values)))
     ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
 
 
 def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
     """Share of all entries per bin of M/peak, an outline for each noise; `floor` is below all."""
-    for noise in style.AXIS_NOISES:
+    for noise in scales.AXIS_NOISES:
         values = signed(row.under(noise)).ravel()
         counts, edges = np.histogram(values / peak(values), bins=41, range=(-1, 1))
         look = LOOKS[noise]
@@ -407,5 +408,5 @@ def _value_shares(ax: Axes, row: LearnedMasks, floor: float) -> None:
     ax.set_xlim(-1, 1)
     ax.yaxis.set_major_locator(LogLocator(numticks=4))
     ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(value)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
     ax.set_ylabel("share of entries", fontsize=8)

@@ -18,7 +18,6 @@ from deepfsi.optics.measures import (
 )
 from deepfsi.progress import Report
 from deepfsi.report.comparison_page import read_masks
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
@@ -29,6 +28,7 @@ from deepfsi_paper.mnist.figures import (
     masks_table_figure,
     measures_figure,
 )
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 SHOWN = (1e3, 1e5, 1e8)
 LIGHT, SPAN = "light counted", "independent directions"

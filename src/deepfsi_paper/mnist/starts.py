@@ -1,11 +1,11 @@
 """The effect of the matrix that learned masks start from."""
 
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import CONFIDENCE, Difference, difference
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.mnist.figures import Start, starts_figure
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 PAPER = (
     "The initial matrix of DeepFSI can affect its performance in the presence of noise; it was "

@@ -21,7 +21,6 @@ from deepfsi.optics.measures import effective_directions
 from deepfsi.progress import SILENT, Report
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import listed, read_masks
-from deepfsi.report.section import Claim, Picture, Table
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
 from deepfsi.sweeps.patch_trials import PatchContext, PatchRecipe, plan_patches
@@ -31,6 +30,7 @@ from deepfsi.sweeps.summary import facts_of, point, provenance_of
 from deepfsi.sweeps.workers import Workers
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
+from deepfsi_paper.report.section import Claim, Picture, Table
 
 LEARNED = "deepfsi"
 """Design whose masks are learned."""

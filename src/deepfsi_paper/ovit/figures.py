@@ -10,7 +10,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from deepfsi.report.masks import BAR_LABEL, brightest, mask_axes, peak, signed
-from deepfsi.report.style import GREYS, PAGE_WIDTH, SMALL, plain_bar, power_text, styled
+from deepfsi.report.style import GREYS, PAGE_WIDTH, SMALL, plain_bar, styled
+from deepfsi_paper.report.scales import power_text
 
 SHOWN = 16
 """Masks of a budget that are drawn at most."""

@@ -16,6 +16,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
 from deepfsi.report import style
+from deepfsi_paper.report import scales
 
 DRAWN = 0.01
 """Smallest largest difference of two accuracies that is drawn in a panel of its own."""
@@ -122,7 +123,7 @@ def heat_figure(
     figure.supxlabel(f"budget Φ of the test (photons){framed}", fontsize=9)
     figure.supylabel("compression ratio m/N", fontsize=9)
     bar = figure.colorbar(
-        ScalarMappable(norm, style.SEQUENTIAL),
+        ScalarMappable(norm, scales.SEQUENTIAL),
         ax=list(figure.axes),
         label=style.ACCURACY_AXIS,
         aspect=30,
@@ -139,7 +140,7 @@ def _cells(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normalize) -
         edges,
         np.arange(len(accuracy) + 1),
         np.ma.masked_invalid(accuracy),
-        cmap=style.SEQUENTIAL,
+        cmap=scales.SEQUENTIAL,
         norm=norm,
         edgecolors=style.PAPER,
         linewidth=0.4,
@@ -151,7 +152,7 @@ def _cells(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normalize) -
 def _frame_column(ax: Axes, edges: np.ndarray, column: int, rows: int) -> None:
     """Frame one column of cells, dark on light ink."""
     corner, wide = (edges[column], 0), edges[column + 1] - edges[column]
-    for colour, width in ((style.ON_DARK, 3.0), (style.ON_LIGHT, 1.3)):
+    for colour, width in ((scales.ON_DARK, 3.0), (scales.ON_LIGHT, 1.3)):
         frame = Rectangle(corner, wide, rows, fill=False, clip_on=False, zorder=4)
         frame.set(edgecolor=colour, linewidth=width)
         ax.add_patch(frame)
@@ -220,10 +221,10 @@ def _accuracy_panels(
     levels = [*(k / 10 for k in range(round(10 * float(norm.vmin or 0)), 10)), 0.95, 1.0]
     steps = BoundaryNorm(levels, 256)
     for ax, (heading, values) in zip(axes, panels.items(), strict=True):
-        _contours(ax, x, y, values, steps, style.SEQUENTIAL)
-        _dots(ax, x, y, values, np.isfinite(values), "o", steps, style.SEQUENTIAL)
+        _contours(ax, x, y, values, steps, scales.SEQUENTIAL)
+        _dots(ax, x, y, values, np.isfinite(values), "o", steps, scales.SEQUENTIAL)
         ax.set_title(heading)
-    bar, ticks = _bar_beside(axes, steps, style.SEQUENTIAL, style.ACCURACY_AXIS), levels[::-2]
+    bar, ticks = _bar_beside(axes, steps, scales.SEQUENTIAL, style.ACCURACY_AXIS), levels[::-2]
     bar.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
 
 
@@ -273,7 +274,7 @@ def _difference_panel(
             look.set(markeredgecolor=style.INK, markersize=5.5)
             keys.append((look, words))
     bar = _bar_beside(np.array([ax]), norm, style.DIVERGING, label)
-    bar.set_ticks(middles, labels=[style.signed_text(value) for value in middles])
+    bar.set_ticks(middles, labels=[scales.signed_text(value) for value in middles])
     return keys
 
 
@@ -347,7 +348,7 @@ def _cell_labels(ax: Axes, edges: np.ndarray, accuracy: np.ndarray, norm: Normal
                 (edges[column] + edges[column + 1]) / 2,
                 row + 0.5,
                 f"{value:.2f}".removeprefix("0") if known else "–",
-                color=style.readable_ink(style.SEQUENTIAL, norm(value)) if known else style.MUTED,
+                color=scales.readable_ink(scales.SEQUENTIAL, norm(value)) if known else style.MUTED,
                 fontsize=6.5,
                 horizontalalignment="center",
                 verticalalignment="center_baseline",
@@ -379,7 +380,7 @@ def _contours(
     known = np.ma.masked_invalid(values)
     ax.contourf(x, y, known, levels=norm.boundaries, norm=norm, cmap=colours)
     ax.contour(
-        x, y, known, levels=norm.boundaries, colors=style.ON_LIGHT, linewidths=0.4, linestyles="-"
+        x, y, known, levels=norm.boundaries, colors=scales.ON_LIGHT, linewidths=0.4, linestyles="-"
     )
 
 
@@ -403,7 +404,7 @@ def _dots(
         cmap=colours,
         marker=marker,
         s=13 if marker == "o" else 26,
-        edgecolors=style.ON_LIGHT,
+        edgecolors=scales.ON_LIGHT,
         linewidths=0.6,
         zorder=4,
     )
@@ -421,8 +422,8 @@ def _dim_lines(axes: Iterable[Axes], pixels: int) -> bool:
         if budgets[0] > right or budgets[1] < left:
             return False
         for colour, width, dashes in (
-            (style.ON_DARK, 3.0, "-"),
-            (style.ON_LIGHT, 1.3, (0, (4, 2))),
+            (scales.ON_DARK, 3.0, "-"),
+            (scales.ON_LIGHT, 1.3, (0, (4, 2))),
         ):
             (line,) = ax.plot(budgets, ratios, color=colour, scalex=False, scaley=False, zorder=3)
             line.set(linewidth=width, linestyle=dashes)
@@ -442,6 +443,6 @@ def _ratio_ticks(ratios: Sequence[float]) -> list[float]:
 def _budget_ticks(ax: Axes, budgets: Sequence[float]) -> None:
     """Ticks at budgets, on an axis of log10 photons."""
     ax.xaxis.set_major_locator(
-        FixedLocator([math.log10(value) for value in style.thinned(budgets)])
+        FixedLocator([math.log10(value) for value in scales.thinned(budgets)])
     )
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.power_text(10**value)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(10**value)))

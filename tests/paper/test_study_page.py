@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
-from deepfsi.report.section import Claim, Section, Table
-from deepfsi.report.study_page import Shown, columns, write_study
 from deepfsi.report.terms import ABBREVIATIONS
+from deepfsi_paper.report.section import Claim, Section, Table
+from deepfsi_paper.report.study_page import Shown, columns, write_study
 from shared.pages import (
     SCRIPT,
     assert_explained,
@@ -146,8 +146,8 @@ def test_studies_that_cannot_be_a_page_are_refused(tmp_path, sections, told):
 
 def test_study_needs_no_torch(tmp_path):
     code = (
-        "from deepfsi.report.section import Section; "
-        "from deepfsi.report.study_page import write_study; "
+        "from deepfsi_paper.report.section import Section; "
+        "from deepfsi_paper.report.study_page import write_study; "
         "write_study(sys.argv[1], 't', [Section('a', *'bcd', (), (), (), (), 'e', {})])"
     )
     run_without_torch(code, tmp_path)

@@ -13,8 +13,8 @@ from markupsafe import Markup
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.report.rendering import flat, render
-from deepfsi.report.section import Cell, Claim, Section, Table
 from deepfsi.report.style import svg
+from deepfsi_paper.report.section import Cell, Claim, Section, Table
 
 WIDE = 5.5
 """Inches; wider pictures have a line of the page for themselves."""
@@ -51,6 +51,7 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
     check(sections)
     text = render(
         "study.html.jinja",
+        Path(__file__).parent,
         title=title,
         opened=opened(sections),
         lead=lead(sections),

@@ -9,8 +9,9 @@ import pytest
 from matplotlib.collections import PathCollection, QuadMesh
 
 from deepfsi.optics import codes
-from deepfsi.report import maps
-from deepfsi.report.style import ON_DARK, ON_LIGHT, SEQUENTIAL, svg
+from deepfsi.report.style import svg
+from deepfsi_paper.report import maps
+from deepfsi_paper.report.scales import ON_DARK, ON_LIGHT, SEQUENTIAL
 from shared.figures import assert_legible, assert_sound
 from shared.results import a_point
 
