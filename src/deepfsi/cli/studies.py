@@ -1,11 +1,12 @@
 """Commands that train many designs: compare, sweep, reproduce, report."""
 
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options, paths
+from deepfsi.cli import common, options, paper, paths
 from deepfsi.cli.recipes import check_recipe, read_recipe
 from deepfsi.progress import duration_text
 
@@ -13,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.report.section import Section
     from deepfsi.sweeps.recipe import Recipe
     from deepfsi.sweeps.results import Point, Results
 
@@ -159,12 +159,11 @@ def reproduce(
     """
     from dataclasses import asdict
 
-    from deepfsi import experiments
-
+    studies = paper.studies()
     if name == "list":
-        _list_experiments(as_json)
+        _list_experiments(studies, as_json)
         return
-    chosen = experiments.find(name)
+    chosen = studies.find(name)
     paths.check_folder(out)
     for each in chosen:
         with common.progress(each.name, quiet=as_json) as report:
@@ -178,7 +177,7 @@ def reproduce(
                 ray=ray,
                 report=report,
             )
-    page = experiments.page(out)
+    page = studies.page(out)
     sections = [section for each in chosen if (section := each.section(out))]
     if as_json:
         claims = {section.name: [asdict(claim) for claim in section.claims] for section in sections}
@@ -198,30 +197,27 @@ def report(
     Example: deepfsi report runs/paper
     """
     paths.check_there(folder, "the output of compare, sweep or reproduce")
-    from deepfsi import experiments
     from deepfsi.report.comparison_page import build
 
-    write = experiments.page if experiments.is_study(folder) else build
-    page = write(folder)
+    is_study = paper.installed() and paper.studies().is_study(folder)
+    page = paper.studies().page(folder) if is_study else build(folder)
     if as_json:
         common.print_json("report", {"report": str(page)})
     else:
         print(f"report: {page}")
 
 
-def _list_experiments(as_json: bool) -> None:
-    from deepfsi import experiments
-
-    known = [(study, each) for study, every in experiments.STUDIES.items() for each in every]
+def _list_experiments(studies: ModuleType, as_json: bool) -> None:
+    known = [(study, each) for study, every in studies.STUDIES.items() for each in every]
     if as_json:
         listed = [{"name": s, "part": each.name, "title": each.title} for s, each in known]
         common.print_json("reproduce.list", {"experiments": listed})
         return
     for study, each in known:
-        print(f"{study if each is experiments.STUDIES[study][0] else '':14s}{each.title}")
+        print(f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}")
 
 
-def _print_claims(section: "Section") -> None:
+def _print_claims(section: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
