@@ -1,4 +1,4 @@
-"""Names of light laws, rails and readouts, which optics, hardware and files share."""
+"""Names of light laws, rails, readouts and scales, which optics, hardware and files share."""
 
 from typing import Literal
 
@@ -10,3 +10,6 @@ RailsKind = Literal["dual", "single"]
 
 Readout = Literal["difference", "both"]
 """What a network reads of two rails."""
+
+Scale = Literal["each", "common"]
+"""Whether each feature has a standard deviation of its own, or all a common one."""

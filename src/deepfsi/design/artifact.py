@@ -188,7 +188,9 @@ class Design:
             Budget Φ.
         """
         return self.exposure.expose(
-            lambda expected: self.detection.features(scanner.read(expected, generator)),
+            lambda expected, share: self.detection.features(
+                scanner.read(expected, generator, share)
+            ),
             rates, photons, self.mean, self.std,
         )  # fmt: skip
 

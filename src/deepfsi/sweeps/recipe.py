@@ -82,7 +82,29 @@ def _table_of_axes(given: Any, make: Callable[[Settings], Any]) -> dict[str, tup
 def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
     if not isinstance(given, Mapping):
         given = Camera.load(given).given
-    return _table_of_axes(given, lambda one: Camera.load(one))
+    axes = _table_of_axes(given, lambda one: Camera.load(one))
+    _cameras(axes)
+    return axes
+
+
+class NamedCamera(NamedTuple):
+    """One camera of a recipe, and the name that it gives to its detectors."""
+
+    camera: Camera
+    detectors: str
+
+
+def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
+    """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
+    found, faults = list[NamedCamera](), list[str]()
+    for _, fields in _product(axes):
+        try:
+            found.append(NamedCamera(Camera.load(fields), str(fields.get("detectors", "1x1"))))
+        except InputError as error:
+            faults.append(str(error))
+    if not found:
+        raise InputError(faults[0])
+    return found
 
 
 def _training(given: Any) -> dict[str, tuple[Any, ...]]:
@@ -110,13 +132,6 @@ Axes = dict[str, Any]
 Value = TypeVar("Value")
 Axis = Annotated[tuple[Value, ...], BeforeValidator(axis)]
 Filled = Annotated[Axis[Value], Field(min_length=1)]
-
-
-class NamedCamera(NamedTuple):
-    """One camera of a recipe, and the name that it gives to its detectors."""
-
-    camera: Camera
-    detectors: str
 
 
 class Recipe(BaseModel):
@@ -187,21 +202,11 @@ class Recipe(BaseModel):
     def _one_or_the_other(self) -> "Recipe":
         if self.ratios and self.masks:
             raise ValueError(RATIOS_OR_MASKS)
-        self.cameras()
         return self
 
     def cameras(self) -> list[NamedCamera]:
-        """Cameras of the product of its axes, but those that cannot be, or `InputError`."""
-        found, faults = list[NamedCamera](), list[str]()
-        for values in product(*self.camera.values()):
-            fields = dict(zip(self.camera, values, strict=True))
-            try:
-                found.append(NamedCamera(Camera.load(fields), str(fields.get("detectors", "1x1"))))
-            except InputError as error:
-                faults.append(str(error))
-        if not found:
-            raise InputError(faults[0])
-        return found
+        """Cameras of the product of its axes, but those that cannot be."""
+        return _cameras(self.camera)
 
     def exposures(self) -> list[tuple[str, Exposure]]:
         """Exposures of the product of its axes, with a name where there are several."""

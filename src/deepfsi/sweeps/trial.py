@@ -26,7 +26,7 @@ SCHEMA = 3
 """Version of what the keys of trials are hashes of."""
 
 
-NAMES = {"data", "variant", "detectors"}
+NAMES = {"data", "trained_under", "variant", "detectors"}
 """Fields of a trial that only name what other fields hold."""
 
 
@@ -36,7 +36,8 @@ class Trial(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     job: Job = Field(description="design that is trained, and its light and noise")
-    variant: str = Field("", description="which of several training settings, in words")
+    trained_under: str = Field("", description="noise of the training")
+    variant: str = Field("", description="which of several settings, in words")
     detectors: str = Field("1x1", description="name of its detectors: as given, or of their map")
     data: str = Field(description="name")
     data_hash: str = Field(description="of scenes and labels")
@@ -93,6 +94,7 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
         test_noise = recipe.test_noise or (job.camera.noise_name,)
         trial = Trial(
             job=job,
+            trained_under=job.noise,
             variant=variant,
             detectors="1x1" if job.code.every_pixel else named.detectors,
             data=data.name,

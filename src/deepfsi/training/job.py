@@ -21,9 +21,10 @@ from pydantic import (
 )
 
 from deepfsi.design.exposure import AnyExposure, Exposure, Fixed, find_exposure
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.optics.budget import BUDGETS
+from deepfsi.laws import Scale
+from deepfsi.optics.budget import BUDGETS, check_one_budget
 from deepfsi.optics.camera import Camera, Noise, noise_name
 
 if TYPE_CHECKING:
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
-
-Scale = Literal["each", "common"]
-"""Whether each feature has a standard deviation of its own, or all a common one."""
 
 REVISION = 3
 """Raised whenever a change makes the same job end in another design: old records then expire."""
@@ -277,7 +275,7 @@ class Job(BaseModel):
 
         The matrix (m, N) is of a design whose masks are the user's own.
         """
-        from deepfsi.training.matrices import matrix_faults
+        from deepfsi.training.masks import matrix_faults
 
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.code.signed and self.camera.rails == "single":
@@ -299,3 +297,67 @@ class Job(BaseModel):
         if mine.classifier_arguments and mine.classifier == MLP:
             faults.append("arguments of a classifier go with one of your own: give `classifier`")
         return faults
+
+
+EXPOSURE_FIELDS = ("nested", "looks", "patch", "span")
+"""Settings of exposures, by whose names an exposure is asked for."""
+
+
+def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a job of single settings: of the camera, the exposure, the training and its own.
+
+    Two names have two owners: `exposure` is here the camera's time, and `train_noise` the noise of
+    the training.
+    """
+    job: dict[str, Any] = {}
+    for name, value in flat.items():
+        if name == "train_noise":
+            job.setdefault("training", {})["noise"] = value
+        elif name in Camera.model_fields:
+            job.setdefault("camera_fields", {})[name] = value
+        elif name in EXPOSURE_FIELDS:
+            job.setdefault("exposure", {})[name] = value
+        elif name in Training.model_fields:
+            job.setdefault("training", {})[name] = value
+        else:
+            job[name] = value
+    if fields := job.pop("camera_fields", None):
+        job["camera"] = Camera.load(job.get("camera"), **fields)
+    return job
+
+
+def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
+    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts.
+
+    Of counts the budget of the job is these, until a training says what it is.
+    """
+    for name in settings.keys() - Job.model_fields.keys():
+        owners: dict[str, type[BaseModel]] = {"camera": Camera, "training": Training}
+        owner = next((key for key, each in owners.items() if name in each.model_fields), None)
+        owner = "exposure" if name in EXPOSURE_FIELDS else owner
+        where = (
+            f"it is of the {owner}: give `{owner}={{{name!r}: ...}}`"
+            if owner
+            else (closest(name, Job.model_fields))
+        )
+        raise InputError(f"a job has no setting {name!r}; {where}")
+    camera, photons = Camera.load(settings.get("camera")), settings.get("photons")
+    if photons is None and counts is None:
+        photons = camera.budget
+    told = check_one_budget(photons, counts)
+    with as_input_error():
+        job = Job.model_validate({**settings, "camera": camera, "photons": told})
+    if counts is not None and job.exposure.highest(1.0) != 1.0:
+        raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
+    if "start" in _told(settings) and not job.code.learns_masks:
+        raise InputError(
+            f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "
+            '`design="deepfsi"`'
+        )
+    return job
+
+
+def _told(settings: Mapping[str, Any]) -> set[str]:
+    """Names of the settings of the training that were given."""
+    told = settings.get("training", {})
+    return told.model_fields_set if isinstance(told, Training) else set(told)

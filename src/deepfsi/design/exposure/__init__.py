@@ -10,6 +10,7 @@ These are the settings. What a trained design does with them is in the modules b
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
@@ -17,6 +18,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsA
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
+    from torch import Generator
+
+    from deepfsi.datasets import Dataset
+    from deepfsi.design.exposure.trained import TrainedExposure as Trained
     from deepfsi.training.job import Job
 
 LOOKING = ("free-dwell", "two-arm")
@@ -42,6 +47,9 @@ class Exposure(BaseModel):
         """Parts of an exposure after which the network answers."""
         return 1
 
+    side_by_side: ClassVar[bool] = True
+    """Whether jobs that differ in budget and seed train together."""
+
     rounds_products: ClassVar[bool] = True
     """Whether products of masks in bfloat16 were tried."""
 
@@ -60,6 +68,19 @@ class Exposure(BaseModel):
     def brightest(self, masks: int) -> int:
         """Fewest masks, of m, that the whole light may come to."""
         return masks
+
+    def seen(self, data: "Dataset") -> "Dataset":
+        """The data as the masks see it: whole scenes."""
+        return data
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """The exposure of a design that is to be trained on scenes of a shape.
+
+        Where it has a network of its own, that is untrained.
+        """
+        from deepfsi.design.exposure.trained import FixedExposure
+
+        return FixedExposure()
 
     def faults(self, job: "Job") -> list[str]:
         """Everything that a job asks of this exposure and that cannot be had."""
@@ -82,6 +103,14 @@ class Conditioned(Exposure):
     def highest(self, photons: float) -> float:
         """The other end of the range."""
         return photons * self.span
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """One whose classifier has the budget and the number of masks as inputs."""
+        from deepfsi.design.exposure.conditioned import ConditionedExposure
+
+        width = job.detection(image_shape).width({"dual": 2, "single": 1}[job.optics.rails])
+        fewest = getattr(self, "nested", 0)
+        return ConditionedExposure(job.photons, self.span, job.masks, fewest, width)
 
     def faults(self, job: "Job") -> list[str]:
         """Another training noise than MLGauss, or masks that learn under one."""
@@ -173,6 +202,18 @@ class Looks(Exposure):
         """One: a look may show nothing else."""
         return 1
 
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """One with a network that chooses dwells, of the classifier's hidden layers."""
+        from deepfsi.design.classifiers import Mlp
+        from deepfsi.design.exposure.looks import Dwells, LooksExposure
+
+        camera, rails = job.optics, {"dual": 2, "single": 1}[job.optics.rails]
+        dwells = Dwells.of(job.masks, camera.light, camera.rails)
+        features = job.masks * job.detection(image_shape).width(rails)
+        inputs = features + dwells.count + 1
+        network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
+        return LooksExposure(dwells, network, self.looks, camera.shortest_share)
+
     def faults(self, job: "Job") -> list[str]:
         """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
         found, camera = [], job.optics
@@ -225,9 +266,35 @@ class Patches(Exposure):
         "decay": 0.05,
     }
 
+    side_by_side: ClassVar[bool] = False
     rounds_products: ClassVar[bool] = False
 
     patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
+
+    def seen(self, data: "Dataset") -> "Dataset":
+        """Every patch of the training images as a scene of its own; no test scenes."""
+        import numpy as np
+        import torch
+
+        from deepfsi.design.exposure.trained import cut
+
+        if len(data.image_shape) != 2:
+            raise InputError(f"{data.name} holds no images: patches need two sides")
+        patches = cut(torch.from_numpy(data.x_train), data.image_shape, self.patch).numpy()
+        return replace(
+            data,
+            x_train=patches.reshape(-1, self.patch**2),
+            y_train=np.repeat(data.y_train, patches.shape[1]),
+            x_test=np.zeros((0, self.patch**2), np.float32),
+            y_test=data.y_test[:0],
+            image_shape=(self.patch, self.patch),
+        )
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """One that cuts images in patches."""
+        from deepfsi.design.exposure.trained import PatchExposure
+
+        return PatchExposure(self.patch)
 
     def rounds_networks(self, device: str, wide: bool) -> bool:
         """True on a GPU: a processor is slower with it at a transformer's size."""

@@ -22,8 +22,9 @@ from torch.nn import functional
 
 from deepfsi.design.exposure.trained import STRICT, BudgetLevel, TrainedExposure
 from deepfsi.errors import InputError
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.features import mean_over_exposures
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
@@ -61,6 +62,22 @@ class ConditionedExposure(TrainedExposure):
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
         if rails.shape[1] > self.masks:
             raise ValueError("more masks than in the whole sequence")
+
+    def final(self, rails: Tensor, light: Light) -> Tensor:
+        """Nested masks take the whole of their light law, by one common factor.
+
+        So they are trained, however many of them are shown.
+        """
+        if not self.nested:
+            return rails
+        return rails / constraints.used(rails, light)[..., -1:][..., None, None]
+
+    def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor]:
+        """Noise of each feature in the mean over budgets and masks shown, and how often."""
+        used = constraints.used(rails, light)
+        each = mean_over_exposures(used, self.span, self.chances.to(used))
+        later, often = (part.repeat_interleave(self.width, dim=-1) for part in each)
+        return later, often
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs, whatever number of masks is shown."""

@@ -12,7 +12,7 @@ The classifier is trained to answer after every look, so that an exposure may en
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -21,12 +21,14 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
 from deepfsi.design.classifiers import Mlp, restored
+from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.camera import Camera
 from deepfsi.optics.dwells import share_out
-from deepfsi.optics.masks import through
+from deepfsi.optics.masks import LearnedMasks, through
 
 
 @dataclass(frozen=True)
@@ -77,9 +79,6 @@ LARGEST_SCORE = 4.0
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
 
-LOOKING = ("free-dwell", "two-arm")
-"""Light laws under which dwells can be chosen."""
-
 
 def expose(
     choose: Callable[[Tensor], Tensor],
@@ -108,14 +107,6 @@ def expose(
         yield seen
 
 
-def check_noise_of_looks(noise: str) -> None:
-    """Raise `InputError` unless several looks can be exposed under a noise: that of photons."""
-    if noise not in ("poisson", "ml_gauss", "none"):
-        raise InputError(
-            "a design of several looks is for photon noise: use poisson, ml_gauss or none"
-        )
-
-
 @dataclass(frozen=True)
 class LooksExposure(TrainedExposure):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
@@ -128,6 +119,8 @@ class LooksExposure(TrainedExposure):
     looks: int  # K
     shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
     kind = "adaptive"
+    chooses: ClassVar[bool] = True
+    comparable: ClassVar[bool] = False
 
     def header(self) -> "LooksShape":
         """Entry of the design file's header, of which `restored` makes the kind again."""
@@ -146,6 +139,25 @@ class LooksExposure(TrainedExposure):
         if not (equal and light in LOOKING):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
 
+    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
+        """Masks that learn as frames of equal dwells: theirs are chosen later."""
+        if camera.light != "two-arm":
+            return LearnedMasks(start, "equal-dwell", camera.rails, levels)
+        masks = LearnedMasks(start, camera.light, camera.rails, levels)
+        masks.dwell.requires_grad_(False)  # equal from the start
+        return masks
+
+    def final(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails of equal dwells, at the end only.
+
+        The gradient of that would take from lit mirrors what they share.
+        """
+        return self.fixed(rails, light)
+
+    def fixed(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails of which every frame has the same dwell and peak."""
+        return rails if light == "two-arm" else constraints.equalise(rails)
+
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs: features and dwells."""
         return features + self.dwells.count
@@ -156,7 +168,8 @@ class LooksExposure(TrainedExposure):
         """Exposures after each look, parameters as for `TrainedExposure.expose`."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
-            return read(self.dwells.scaled(rates, dwell) * photons) / photons, dwell
+            share = self.dwells.scaled(torch.ones_like(rates), dwell)
+            return read(rates * share * photons, share) / photons, dwell
 
         return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
 
@@ -186,7 +199,8 @@ class LooksExposure(TrainedExposure):
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
-        check_noise_of_looks(noise)
+        if faults := Looks(looks=self.looks).test_faults([noise]):
+            raise InputError(faults[0])
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are not given."""

@@ -1,12 +1,13 @@
-"""Kinds of exposure, and the counts and dwells of an exposure so far.
+"""What a trained design does with its exposure, and the counts and dwells so far.
 
-There are four kinds, and nobody but these classes asks which one a design has: `FixedExposure` and
-`PatchExposure` here, `conditioning.ConditionedExposure` and `adaptive.LooksExposure`.
+One class for each kind of `design.exposure`, and nobody but these asks which one a design has:
+`FixedExposure` and `PatchExposure` here, `conditioned.ConditionedExposure`, `looks.LooksExposure`.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, NamedTuple
+from math import prod
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -16,14 +17,17 @@ from torch import Tensor
 
 from deepfsi.design.classifiers import Mlp
 from deepfsi.errors import InputError
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.masks import LearnedMasks
 
 STRICT = ConfigDict(extra="forbid", strict=True)
 """Configuration of what a design file's header holds: no further fields, no conversions."""
 
-Read = Callable[[Tensor], Tensor]
-"""From expected counts (..., rails, m · D) to features (..., k) in counts."""
+Read = Callable[[Tensor, Tensor | float], Tensor]
+"""From expected counts (..., rails, m · D), and dwells over the usual ones of the same shape, to
+features (..., k) in counts."""
 
 Show = Callable[[Tensor], tuple[Tensor, Tensor]]
 """From dwells (..., q) to features (..., k) over the budget, and the dwells really shown."""
@@ -68,6 +72,8 @@ class TrainedExposure:
     """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own."""
 
     kind: str  # name in the design file
+    chooses: ClassVar[bool] = False  # whether the counts so far choose dwells
+    comparable: ClassVar[bool] = True  # whether counts can be held against those of the training
     width: int = 1  # features of each mask, for nested masks
     looks: int = 1  # K, number of looks
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
@@ -90,9 +96,32 @@ class TrainedExposure:
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
 
+    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
+        """Masks that learn from a matrix (R, m, N), under the camera's light law."""
+        return LearnedMasks(start, camera.light, camera.rails, levels, camera.shortest_share)
+
+    def final(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails (R, 2 or 1, m, N) at the end of the training, of learned ones."""
+        return rails
+
+    def fixed(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails (R, 2 or 1, m, N) of a named design, as this exposure shows them."""
+        return rails
+
+    def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor] | None:
+        """Noise of each feature in the mean over exposures, and how often it is read.
+
+        As `features.feature_statistics` takes it; None where all exposures are alike.
+        """
+        return None
+
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs for k features."""
         return features
+
+    def tokens(self, image_shape: tuple[int, ...]) -> int:
+        """Number of parts of an image that are exposed by themselves."""
+        return prod(image_shape) // prod(self.mask_shape(image_shape))
 
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
         """Shape of a mask for images of a shape."""
@@ -120,7 +149,7 @@ class TrainedExposure:
 
         Shapes: rates (..., rails, m · D); mean, std (k,).
         """
-        features = read(rates * photons) / photons
+        features = read(rates * photons, 1.0) / photons
         masks = features.shape[-1] // self.width
         for shown in range(self.fewest_masks(masks), masks + 1):
             yield Observation(features[..., : shown * self.width])
@@ -205,6 +234,7 @@ class PatchExposure(TrainedExposure):
 
     side: Annotated[int, Field(ge=1)]
     kind: Literal["patches"] = field(default="patches", kw_only=True)
+    comparable: ClassVar[bool] = False
 
     def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
