@@ -19,11 +19,12 @@ from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
@@ -139,6 +140,21 @@ class Design:
     def used(self) -> float:
         """Share of the light law that the masks take within the whole sequence."""
         return self.exposure.used
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that it was trained for, as the file keeps it."""
+        known = self.info.get("job", {}).get("camera")
+        if known is None:
+            return Camera.load(light=self.light)
+        with as_input_error("the design's camera", "train it again"):
+            return Camera.model_validate(known)
+
+    def camera_with(self, **settings: Any) -> Camera:
+        """Its camera with other settings, such as the noise of a test."""
+        if settings.get("noise", "camera") != "camera":
+            settings = {"dark": 0.0, **settings}  # only camera noise has dark counts
+        return Camera.load(self.camera, **settings)
 
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0

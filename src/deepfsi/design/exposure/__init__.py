@@ -322,7 +322,10 @@ KINDS: dict[str, type[Exposure]] = {
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-NEUTRAL = {"looks": 1, "nested": 0, "span": 1, "patch": 0}
+EXPOSURE_FIELDS = ("nested", "looks", "patch")
+"""Settings that ask for an exposure by an option of their own; a range is one of budgets."""
+
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0"}
 """Values of these settings that ask for nothing."""
 
 
@@ -330,7 +333,11 @@ def find_exposure(given: Any) -> Any:
     """Exposure of its settings: none for `Fixed`, ``{"looks": 4}`` for `Looks`, and so on."""
     if not isinstance(given, Mapping):
         return given
-    asked = {name: value for name, value in given.items() if value != NEUTRAL.get(name, ...)}
+    asked = {
+        name: value
+        for name, value in given.items()
+        if str(value).removesuffix(".0") != NEUTRAL.get(name)
+    }
     for name, kind in KINDS.items():
         if name not in asked:
             continue
