@@ -184,7 +184,9 @@ class Job(BaseModel):
     design: Annotated[str, AfterValidator(_design)] = Field("deepfsi", description="which design")
     masks: int = Field(ge=1, description="number of masks, m")
     photons: float = Field(
-        ge=BUDGETS[0], le=BUDGETS[1], description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
+        ge=BUDGETS[0],
+        le=BUDGETS[1],
+        description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
         "budgets; flux times exposure of the camera unless given",
     )
     camera: Annotated[Camera, BeforeValidator(_camera)] = Field(
