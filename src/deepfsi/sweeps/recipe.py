@@ -21,9 +21,10 @@ from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.imports import PATTERN
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import BUDGETS
-from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import ONE, Detection, Readout
 from deepfsi.optics.noise import check_noise
+from deepfsi.optics.rails import RailsKind
 from deepfsi.sweeps.workers import Resources
 from deepfsi.training.job import MLP, Levels, TrainingNoise, TrainingSettings, training_for
 
@@ -182,7 +183,7 @@ class Recipe(BaseModel):
         description="dark counts of a detector in an exposure, under camera noise",
     )
     light: Filled[Light] = Field(("column",), description="light laws")
-    rails: Filled[Rails] = Field(
+    rails: Filled[RailsKind] = Field(
         ("dual",), description="dual: signed masks of two frames each; single: non-negative masks"
     )
     detectors: Filled[str] = Field(

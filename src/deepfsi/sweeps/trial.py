@@ -14,8 +14,9 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.imports import UNNAMED, source_hash
 from deepfsi.optics import codes
-from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import ONE, Detection, read_detectors
+from deepfsi.optics.rails import RailsKind
 from deepfsi.sweeps.recipe import Noise, Recipe
 from deepfsi.sweeps.records import content_hash
 from deepfsi.training.job import ONE_DEVICE, REVISION, Job, job_faults
@@ -180,7 +181,7 @@ class Kind(NamedTuple):
     design: str
     noise: str
     light: Light
-    rails: Rails
+    rails: RailsKind
     detectors: str  # name of them
     labels: str | tuple[int, ...]  # the same as `Job.detectors`
     detection: Detection

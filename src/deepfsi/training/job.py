@@ -16,10 +16,11 @@ from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import BUDGETS
-from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import ONE, Detection, Readout
 from deepfsi.optics.features import Scale
 from deepfsi.optics.noise import check_noise
+from deepfsi.optics.rails import RailsKind
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
@@ -208,7 +209,7 @@ class Job(BaseModel):
         0.0, ge=0, allow_inf_nan=False, description="dark counts of a detector in an exposure"
     )
     light: Light = Field("column", description="light law")
-    rails: Rails = Field("dual", description="signed masks, or non-negative ones")
+    rails: RailsKind = Field("dual", description="signed masks, or non-negative ones")
     detectors: str | tuple[int, ...] = Field(
         "1x1",
         description="ROWSxCOLUMNS of parts of the device with a detector each; or each pixel's",
@@ -240,7 +241,7 @@ class Job(BaseModel):
         return self.training.start if self.masks_from().code.learned else self.design
 
     @property
-    def optics(self) -> tuple[Light, Rails]:
+    def optics(self) -> tuple[Light, RailsKind]:
         """Constraint and rails in force: designs with one rail by definition keep it.
 
         Impulse imaging has a detector for each pixel, which is `column` whatever else is compared.
@@ -391,7 +392,7 @@ def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> lis
     return faults
 
 
-def own_rails(matrix: np.ndarray, light: Light, rails: Rails) -> Tensor:
+def own_rails(matrix: np.ndarray, light: Light, rails: RailsKind) -> Tensor:
     """Rails (2 or 1, m, N) of a user's matrix (m, N), or `InputError` if it breaks its constraint.
 
     Parameters as for `constraints.expand`.

@@ -20,7 +20,7 @@ from deepfsi.design.own import Factory, Given, describe
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.budget import brightness, check_budget, check_one_budget
-from deepfsi.optics.constraints import Light, Rails
+from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import Detectors, Readout
 from deepfsi.optics.features import (
     CHUNK,
@@ -32,6 +32,7 @@ from deepfsi.optics.features import (
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import OwnNoise, check_dark, resolve, try_own
+from deepfsi.optics.rails import Rails, RailsKind
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.job import (
@@ -75,7 +76,7 @@ def learn(
     sigma: float = 1.0,
     dark: float = 0.0,
     light: Light = "column",
-    rails: Rails = "dual",
+    rails: RailsKind = "dual",
     detectors: Detectors = "1x1",
     readout: Readout | None = None,
     seed: int = 0,
@@ -274,13 +275,13 @@ def _optimised(
         before, report = report.part(0.0, 0.5), report.part(0.5, 1.0)
         sources = [job.masks_from() for job in jobs]
         optimised, *_ = _optimised(training_set, sources, None, before, classifier, None)
-        learned = constraints.separate(*optimised())
+        learned = optimised().stacked
     masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
     classifiers, schedules = optimise(training_set, jobs, masks, noise, report, classifier)
     if isinstance(masks, LearnedMasks):
         masks = _final_masks(masks, training_set, first)
     networks = [*classifiers, *(each.network for each in schedules)]
-    numbers = [*masks(), *(part for network in networks for part in network.parameters())]
+    numbers = [masks().combined, *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
         raise Diverged(f"training of {first.design} diverged: {REMEDY}")
     return masks, noise, classifiers, schedules
@@ -326,8 +327,8 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     check_job(job, training_set.data, matrix)
     masks = _initial_masks(training_set, [job], matrix)
     shown = _final_masks(masks, training_set, job) if isinstance(masks, LearnedMasks) else masks
-    _, total = shown.to(training_set.device)()
-    counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
+    total = shown.to(training_set.device)().total[0]
+    counts = float((total @ training_set.full.mean(dim=0)).sum())
     return counts / training_set.summed_reflectance
 
 
@@ -339,7 +340,7 @@ def _final_masks(masks: LearnedMasks, training_set: TrainingSet, job: Job) -> Fi
     """
     light, pixels = job.optics[0], training_set.pixels(job.optics[0])
     with torch.no_grad():
-        learned = constraints.separate(*masks())
+        learned = masks().stacked
     detection = job.detection(training_set.data.image_shape)
     rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
     rails[..., pixels] = detection.of_pixels(pixels).restore(learned)
@@ -383,7 +384,7 @@ def _designs(
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""
     light, s = jobs[0].optics[0], training_set.summed_reflectance
-    rails = constraints.separate(*masks())
+    rails = masks().stacked
     shape, exposures = training_set.data.image_shape, None
     detection, conditioning = jobs[0].detection(shape), jobs[0].conditioning(shape)
     if conditioning:
@@ -398,7 +399,7 @@ def _designs(
     designs = [
         Design(
             name=job.design,
-            rails=constraints.check(rails[r % len(rails)].clone(), light),
+            rails=Rails.of(constraints.check(rails[r % len(rails)].clone(), light)),
             classifier=classifiers[r],
             mean=mean[r] / s,
             std=std[r] / s,

@@ -30,6 +30,7 @@ from deepfsi.optics.budget import BUDGETS, summed_reflectance
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise, Scale, deviation, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
+from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner, project
 from deepfsi.progress import SILENT, Report
 from deepfsi.training.draws import SeedStream
@@ -156,7 +157,7 @@ def train(patches: Patches, job: PatchJob, report: Report = SILENT) -> Design:
     def loss(step: int) -> Tensor:
         scenes = patches.x[stream.rows[step]] * photons
         counts = scanner(scenes, stream.generator) / photons
-        features = counts - project(patches.mean, masks()[0])
+        features = counts - project(patches.mean, masks().difference)
         std = deviation(features.square().mean(dim=over), "each")
         with nullcontext() if kind == torch.float32 else torch.autocast(labels.device.type, kind):
             logits = vit(features / std)
@@ -166,7 +167,7 @@ def train(patches: Patches, job: PatchJob, report: Report = SILENT) -> Design:
     if isinstance(masks, LearnedMasks):
         groups.append(parameter_group(masks, settings.mask_lr))
     descend(groups, settings.epochs, len(labels) // batch, stream.shuffle, loss, report)
-    numbers = [*masks(), *vit.parameters()]
+    numbers = [masks().combined, *vit.parameters()]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
         raise Diverged(f"training of {job.design} on patches diverged: lower lr and mask_lr")
     design = _design(patches, job, masks, noise, vit.eval())
@@ -189,13 +190,13 @@ def _design(
     """Design of trained masks and transformer, with the statistics of its features."""
     s = patches.summed_reflectance
     with torch.no_grad():
-        rails = constraints.separate(*masks())
+        rails = masks().stacked
         scenes = patches.x.flatten(0, 1)
         statistics = feature_statistics(scenes, masks, noise, job.training.scale, ONE)
     mean, std, counts = (each.squeeze(0) / s for each in statistics)
     return Design(
         name=job.design,
-        rails=constraints.check(rails, "column"),
+        rails=Rails.of(constraints.check(rails, "column")),
         classifier=vit,
         mean=mean,
         std=std,
