@@ -57,7 +57,7 @@ class Shown(NamedTuple):
 
 def show(design: Design, data: Dataset, scenes: int) -> Shown:
     """Patterns of a design on a DLP7000, and what the ideal optics send of test scenes."""
-    masks = design.masks * len(design.rails)
+    masks = design.masks * design.rails.count
     with TemporaryDirectory() as folder:
         design.save(Path(folder) / "design.safetensors")
         patterns = export_patterns(

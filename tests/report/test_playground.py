@@ -143,7 +143,7 @@ def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
         look = next(told)
         for at, mask, rail, share, count in frames:
             if at == look:
-                place = (rail, mask) if len(design.rails) == 2 else (mask,)
+                place = (rail, mask) if design.rails.count == 2 else (mask,)
                 counts[place], shown[place] = count, share
         np.testing.assert_allclose(shown, dwell, atol=AGREES, rtol=0)
         return counts
@@ -209,7 +209,7 @@ def test_least_squares_pictures(opened, designs, digits, kind):
         "const p = new LeastSquares(model).picture(a.counts, a.scale, 1e5);"
         "return [[...p], [...a.counts], [...a.scale]]",
     )
-    rails = design.rails.double().numpy()
+    rails = design.rails.stacked.double().numpy()
     every = rails.reshape(-1, design.pixels)
     labels = design.detection.labels
     wanted = np.zeros(design.pixels)

@@ -190,7 +190,7 @@ def size(made: "Design") -> str:
         parts.append(f"{made.exposure.looks} looks")
     if made.detection.count > 1:
         parts.append(f"{made.detection.count} detectors")
-    if len(made.rails) == 2 and made.detection.readout == "both":
+    if made.rails.count == 2 and made.detection.readout == "both":
         parts.append("both rails read")
     return ", ".join(parts)
 

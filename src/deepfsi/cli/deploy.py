@@ -39,7 +39,7 @@ def export(
     write_atomically(target, to_onnx(design))
     if as_json:
         sizes = {
-            "rails": len(design.rails),
+            "rails": design.rails.count,
             "masks": design.masks,
             "detectors": design.detection.count,
             "classes": design.classes,

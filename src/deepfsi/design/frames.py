@@ -25,7 +25,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     labels = made.detection.labels
     cells = None if labels is None else tuple(labels.tolist())
     rails = DesignRails(
-        made.rails.numpy(),
+        made.rails.stacked.numpy(),
         made.light,
         made.image_shape,
         made.summed_reflectance,

@@ -24,7 +24,7 @@ def loop_of(design: Design) -> Loop:
     about = About(
         looks=exposure.looks,
         masks=design.masks,
-        rails=2 if len(design.rails) == 2 else 1,
+        rails=design.rails.count,
         detectors=design.detection.count,
         each_rail=exposure.dwells.each_rail,
         readout=design.detection.readout,

@@ -115,9 +115,10 @@ def _optics(design: Design) -> dict[str, Any]:
 
     Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|.
     """
-    difference, total = (each.cpu().numpy() for each in constraints.combine(design.rails))
+    rails = design.rails
+    difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
-    if len(design.rails) == 2 and not np.array_equal(total, np.abs(difference)):
+    if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < constraints.SLACK * total.max()
         sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
     labels = design.detection.labels
@@ -125,7 +126,7 @@ def _optics(design: Design) -> dict[str, Any]:
         "image_shape": design.image_shape,
         "summed_reflectance": design.summed_reflectance,
         "light": design.light,
-        "rails": len(design.rails),
+        "rails": rails.count,
         "readout": design.detection.readout,
         "detectors": design.detection.count,
         "labels": None if labels is None else labels.tolist(),

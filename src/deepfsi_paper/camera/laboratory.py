@@ -299,7 +299,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
     folder : Path
         Of the patterns.
     """
-    rails = design.rails.numpy()
+    rails = design.rails.stacked.numpy()
     frames = int((rails.max(axis=-1) > 0).sum())
     share = float(rails.max()) if design.light == "equal-dwell" else 1 / frames
     dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
@@ -455,7 +455,7 @@ def _mounted(
     design: Design, laboratory: Laboratory, known: dict[bytes, MountedDesign]
 ) -> MountedDesign:
     """A design on the device; what one with the same masks was mounted for before serves again."""
-    masks = design.rails.numpy().tobytes()
+    masks = design.rails.stacked.numpy().tobytes()
     if masks not in known:
         known[masks] = mount(design, laboratory.images)
     return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))

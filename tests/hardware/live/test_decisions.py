@@ -148,7 +148,7 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
             for arm, counts in enumerate(arms, int(frame.rail == "minus")):
                 rails[arm, frame.mask] = counts
             share[(int(frame.rail == "minus"), frame.mask)[2 - dwell.ndim :]] = gate_ns * 1e-9
-        counts = rails if len(design.rails) == 2 else rails[0]
+        counts = rails if design.rails.count == 2 else rails[0]
         return counts.reshape(design.counts_shape), share / EXPOSURE_S
 
     chances = design.classify_live(read, decided[-1].photons)
