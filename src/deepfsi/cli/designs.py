@@ -288,10 +288,7 @@ def show(
         title += f"; the {count} that count most photons"
     dwells = made.exposure.mask_dwells(made.rails, made.light, made.mean, made.std)
     if dwells is not None:
-        looks = made.exposure.looks
-        title += "\ndwell: share of the exposure" + (
-            f" in the first of {looks} looks, {1 / looks:.0%} of it each" if looks > 1 else ""
-        )
+        title += f"\ndwell: {made.exposure.dwell_words}"
     labels = made.detection.labels
     if labels is not None:
         title += "\nlines: parts of the device that one detector sees"

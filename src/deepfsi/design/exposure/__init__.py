@@ -108,7 +108,7 @@ class Conditioned(Exposure):
         """One whose classifier has the budget and the number of masks as inputs."""
         from deepfsi.design.exposure.conditioned import ConditionedExposure
 
-        width = job.detection(image_shape).width({"dual": 2, "single": 1}[job.optics.rails])
+        width = job.features(image_shape) // job.masks
         fewest = getattr(self, "nested", 0)
         return ConditionedExposure(job.photons, self.span, job.masks, fewest, width)
 
@@ -207,10 +207,9 @@ class Looks(Exposure):
         from deepfsi.design.classifiers import Mlp
         from deepfsi.design.exposure.looks import Dwells, LooksExposure
 
-        camera, rails = job.optics, {"dual": 2, "single": 1}[job.optics.rails]
+        camera = job.optics
         dwells = Dwells.of(job.masks, camera.light, camera.rails)
-        features = job.masks * job.detection(image_shape).width(rails)
-        inputs = features + dwells.count + 1
+        inputs = job.features(image_shape) + dwells.count + 1
         network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
         return LooksExposure(dwells, network, self.looks, camera.shortest_share)
 
