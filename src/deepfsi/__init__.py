@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
     from deepfsi.errors import InputError as InputError
+    from deepfsi.laboratory.classify import classify_run as classify_run
+    from deepfsi.laboratory.classify import classify_table as classify_table
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
     from deepfsi.optics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
@@ -40,6 +42,8 @@ _HOMES = {
     "OwnClassifier": "design.own",
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
+    "classify_run": "laboratory.classify",
+    "classify_table": "laboratory.classify",
     "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",
@@ -58,6 +62,8 @@ __all__ = [
     "OwnClassifier",
     "Result",
     "Scanner",
+    "classify_run",
+    "classify_table",
     "design_of",
     "evaluate",
     "from_arrays",

@@ -140,8 +140,8 @@ def evaluate(
     if ideal and noise != "poisson":
         raise InputError(f"the ideal observer is of photon noise, not {noise}: leave --ideal out")
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.design.memory import data_of
     from deepfsi.design.posterior import ideal_observer
+    from deepfsi.laboratory.data import data_of
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
@@ -217,9 +217,9 @@ def stop(
         paths.check_file(out, paths.DESIGNS)
     common.check_data(data)
     from deepfsi.design.artifact import Design
-    from deepfsi.design.live import looks_of, with_rule
-    from deepfsi.design.memory import data_of
+    from deepfsi.design.stopping import looks_of, with_rule
     from deepfsi.design.stopping import stop as run
+    from deepfsi.laboratory.data import data_of
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
@@ -363,8 +363,8 @@ def page(
     paths.check_design(file)
     paths.check_file(out, (".html",))
     common.check_data(data)
-    from deepfsi.design.memory import data_of
     from deepfsi.design.payload import check_playable, playable
+    from deepfsi.laboratory.data import data_of
     from deepfsi.report.playground.page import write_page
 
     made = common.open_design(file)

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from conftest import quick
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
-from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates
+from deepfsi.laboratory.live.run import Bench, Decided, plan_live, run_live
+from deepfsi.laboratory.rails import design_rails
 
 LOOKS = 3
 OPTICS = {

@@ -11,13 +11,13 @@ from live_samples import LOOKS, OPTICS, bench, live, make_patterns, scenes_of
 
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError
-from deepfsi.hardware.live import run as runs
-from deepfsi.hardware.live.replay import count_live, read_live_counts, replay_run
-from deepfsi.hardware.live.shown import NAME, read_shown
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.laboratory.live import run as runs
+from deepfsi.laboratory.live.replay import count_live, read_live_counts, replay_run
+from deepfsi.laboratory.live.shown import NAME, read_shown
 
 EXPOSURE_S = 10e-3
 
@@ -35,7 +35,7 @@ def test_a_run_is_replayed_from_its_files_bit_for_bit(digits, tmp_path, optics, 
     decided = live(folder, patterns, digits, camera=CAMERAS[camera], flux=1e7)
     count_live(folder)
     replayed = replay_run(folder)
-    assert [each.agrees for each in replayed] == [True] * 5
+    assert [each.answer.agrees for each in replayed] == [True] * 5
     again = [one for each in replayed for one in each.decisions]
     assert len(decided) == len(again) == 5 * LOOKS
     for one, other in zip(decided, again, strict=True):
@@ -162,7 +162,7 @@ def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
         assert each.decision.final == (last or each.decision.chances.max() > 0.13)
     assert {each.decision.look for each in ends} != {LOOKS - 1}
     count_live(tmp_path / "run")
-    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    assert all(each.answer.agrees for each in replay_run(tmp_path / "run"))
 
 
 def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
@@ -172,7 +172,7 @@ def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
     assert min(map(min, gates)) >= 500_000
     assert max(map(len, gates)) < 6
     count_live(tmp_path / "run")
-    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    assert all(each.answer.agrees for each in replay_run(tmp_path / "run"))
 
 
 def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
@@ -214,7 +214,7 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 3 * LOOKS
     count_live(tmp_path / "run")
-    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    assert all(each.answer.agrees for each in replay_run(tmp_path / "run"))
     counts, expected = counts_and_means(tmp_path / "run", patterns, x)
     assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
 
@@ -251,7 +251,7 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
     assert len(read_shown(folder)) == 2
     count_live(folder)
     replayed = replay_run(folder)
-    assert [each.agrees for each in replayed] == [True, True]
+    assert [each.answer.agrees for each in replayed] == [True, True]
     assert np.array_equal(replayed[1].decisions[-1].chances, done[2 * LOOKS - 1].decision.chances)
 
 
@@ -260,7 +260,7 @@ def test_a_line_that_a_killed_run_left_is_no_scene(copied):
     path.write_bytes(path.read_bytes()[:-20])
     assert len(read_shown(copied)) == 11
     count_live(copied)
-    assert all(each.agrees for each in replay_run(copied))
+    assert all(each.answer.agrees for each in replay_run(copied))
 
 
 @pytest.mark.parametrize(
