@@ -82,9 +82,10 @@ def camera_classify(
     }  # fmt: skip
     from deepfsi.laboratory.classify import classify_run, classify_table
     from deepfsi.laboratory.results import ClassifiedRun
+    from deepfsi.tables.table_files import SUFFIXES, is_table
 
     found: ClassifiedRun | ReplayedRun
-    if _is_run(counted):
+    if counted.is_dir():
         given = [name for name, value in options_of_tables.items() if value is not None]
         if given:
             raise InputError(f"--{given[0]} is for tables, and {counted} is a folder: leave it out")
@@ -92,7 +93,7 @@ def camera_classify(
             found = classify_run(
                 file, counted, photons=photons, force=force, trust=trust, report=report
             )
-    else:
+    elif is_table(counted):
         from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
         from deepfsi.hardware.recording.tables import TableSettings
 
@@ -102,26 +103,17 @@ def camera_classify(
             photons, background, settle_s, exposures, repeats, gain, read_noise, dead
         )
         found = classify_table(file, counted, settings, force=force, trust=trust)
+    else:
+        raise InputError(
+            f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu "
+            f"in it, or a table ending in {', '.join(SUFFIXES)}"
+        )
     if as_json:
         common.print_json("camera.classify", found.as_dict())
     elif isinstance(found, ClassifiedRun):
         _print_classes(found)
     else:
         _print_replay(found)
-
-
-def _is_run(counted: Path) -> bool:
-    """True for a folder, False for a table, or `InputError`."""
-    from deepfsi.tables.table_files import SUFFIXES, is_table
-
-    if counted.is_dir():
-        return True
-    if is_table(counted):
-        return False
-    raise InputError(
-        f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu in "
-        f"it, or a table ending in {', '.join(SUFFIXES)}"
-    )
 
 
 def _print_classes(found: "ClassifiedRun") -> None:

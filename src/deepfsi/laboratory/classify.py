@@ -47,8 +47,7 @@ def classify_run(
 ) -> ClassifiedRun | ReplayedRun:
     """Classify each exposure of an acquisition that was counted.
 
-    A live run, of a design of several looks, is decided again from its own counts. Its photons are
-    counted first where that was not done.
+    A live run is decided again from its own counts, counted first where that was not done.
 
     Parameters
     ----------
@@ -61,28 +60,27 @@ def classify_run(
     force : bool
         Classify even if the counts do not look like those of the training.
     trust : bool
-        Import and run the factory of a classifier of one's own, if the design file names one.
+        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
     report : Report
         Told how far the counting of a live run is.
 
     Returns
     -------
     ClassifiedRun or ReplayedRun
-        The second of a live run. Both have `scenes`, each with its class as `predicted`, and
-        `as_dict()`, which is JSON.
+        The second of a live run. Both have `scenes`, each with its `predicted` class.
 
     Raises
     ------
     InputError
         If files are missing, damaged or do not fit, no exposure is sound, or the counts do not look
-        like those that the design was trained for.
+        like those of the training.
 
     Examples
     --------
     >>> import deepfsi
     >>> found = deepfsi.classify_run("small-dmd.safetensors", "run_0001")  # doctest: +SKIP
-    >>> [(scene.name, scene.predicted) for scene in found.scenes]  # doctest: +SKIP
-    [('0/000042.png', '0'), ('1/000107.png', '1')]
+    >>> [scene.predicted for scene in found.scenes]  # doctest: +SKIP
+    ['0', '1']
     """
     path = Path(folder)
     acquisition, patterns = read_acquisition(path)
@@ -96,8 +94,8 @@ def classify_run(
     counts = load_counts(path, acquisition, patterns.manifest)
     made = _open(design, trust)
     _check_shown(design, patterns.manifest)
-    shown = made.as_shown(*patterns.realised)
-    return _classified(shown, counts, acquisition.scenes, photons, force, str(folder))
+    made = made.as_shown(*patterns.realised)
+    return _classified(made, counts, acquisition.scenes, photons, force, str(folder))
 
 
 def classify_table(
@@ -118,7 +116,7 @@ def classify_table(
         A value for each frame, in the order of the patterns: .csv, .parquet, .npy, .mat or .h5
         (FILE:VARIABLE), an exposure a row or a column.
     settings : TableSettings, optional
-        Budget, background, settle time and the like; times in seconds.
+        Budget and background in counts, times in seconds, and the like.
     force, trust
         As for `classify_run`.
 
@@ -130,14 +128,22 @@ def classify_table(
     ------
     InputError
         If the file is no table of these patterns, values are no counts, or they do not look like
-        those that the design was trained for.
+        those of the training.
 
     Examples
     --------
-    >>> import deepfsi
-    >>> found = deepfsi.classify_table("patterns", "counts.csv")  # doctest: +SKIP
-    >>> found.scenes[0].predicted  # doctest: +SKIP
-    '7'
+    >>> import deepfsi, numpy, tempfile, torch
+    >>> from deepfsi.hardware.recording.tables import TableSettings
+    >>> digits = deepfsi.load_dataset("digits")
+    >>> one_dmd = {"light": "free-dwell", "rails": "single", "masks": 6}
+    >>> design = deepfsi.learn(digits, photons=1e4, epochs=1, **one_dmd)
+    >>> rates = design.rates(design.scanner(), torch.from_numpy(digits.x_test[:5]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file, table = design.save(f"{folder}/one.safetensors"), f"{folder}/counts.npy"
+    ...     numpy.save(table, numpy.random.default_rng(0).poisson(1e4 * rates[:, 0].detach()))
+    ...     found = deepfsi.classify_table(file, table, TableSettings(photons=1e4))
+    >>> len(found.scenes), found.scenes[0].photons
+    (5, 10000.0)
     """
     settings, path = settings or TableSettings(), Path(design)
     made = _open(design, trust)
@@ -147,16 +153,21 @@ def classify_table(
         _check_shown(design, manifest)
         made = made.as_shown(*patterns.realised)
     else:
-        if settings.settle_s or settings.dead_time.seconds:
-            raise InputError(
-                f"`settle` and `dead_time` need the times of the frames, and {design} has none: "
-                "give the folder of its patterns"
-            )
-        from deepfsi.laboratory.rails import design_rails
-
-        manifest = nominal_manifest(design_rails(path))
+        manifest = _nominal(path, settings)
     counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
     return _classified(made, counts, scenes, settings.photons, force, str(table))
+
+
+def _nominal(file: Path, settings: TableSettings) -> Manifest:
+    """Frames of a design file without patterns, or `InputError` if settings need their times."""
+    if settings.settle_s or settings.dead_time.seconds:
+        raise InputError(
+            f"`settle` and `dead_time` need the times of the frames, and {file} has none: give the "
+            "folder of its patterns"
+        )
+    from deepfsi.laboratory.rails import design_rails
+
+    return nominal_manifest(design_rails(file))
 
 
 def _file(design: str | os.PathLike[str]) -> Path:
@@ -205,14 +216,14 @@ def _classified(
     found = _consistency(design, counts, usable, budgets)
     if found is not None and found.refused and not force:
         raise InputError(f"{found.refusal}; `force` classifies them all the same")
-    tested = np.full(len(usable), np.nan), np.zeros(len(usable), bool)
+    some = usable.any(axis=1)
+    chance, unsure = np.full(len(some), np.nan), np.zeros(len(some), bool)
     if found is not None:
-        for held, each in zip(tested, (found.exposures, found.unsure), strict=True):
-            held[usable.any(axis=1)] = each
+        chance[some], unsure[some] = found.exposures, found.unsure
     chances = design.classify(design.readouts(counts.signal()), budgets[:, None])
     classified = []
     for place, scene in enumerate(scenes):
-        own, (p, unsure) = chances[place][usable[place]], (each[place] for each in tested)
+        own = chances[place][usable[place]]
         mean = own.mean(axis=0) if len(own) else None
         classified.append(
             ClassifiedScene(
@@ -224,8 +235,8 @@ def _classified(
                 guesses=tuple(design.classes[k] for k in own.argmax(axis=-1)),
                 photons=None if mean is None else float(budgets[place]),
                 faults=counts.faults_of(place),
-                consistency=None if np.isnan(p) else float(p),
-                unsure=None if found is None else bool(unsure),
+                consistency=None if np.isnan(chance[place]) else float(chance[place]),
+                unsure=None if found is None else bool(unsure[place]),
             )
         )
     remarks = (UNTESTED,) if found is None else tuple(found.remarks)

@@ -50,13 +50,10 @@ class LiveCounts:
     @property
     def by_scene(self) -> Iterator[tuple[ShownScene, list[np.ndarray]]]:
         """Scenes with the counts (F, inputs) of their lists."""
-        at = 0
+        frames = [len(each.frames) for scene in self.scenes for each in scene.lists]
+        lists = iter(np.split(self.counts, np.cumsum(frames)[:-1]))
         for scene in self.scenes:
-            lists = []
-            for each in scene.lists:
-                lists.append(self.counts[at : at + len(each.frames)])
-                at += len(each.frames)
-            yield scene, lists
+            yield scene, [next(lists) for _ in scene.lists]
 
 
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
