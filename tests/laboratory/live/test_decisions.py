@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
@@ -14,6 +13,7 @@ from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.laboratory.live.decisions import SENTINELS, Observer
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.run import plan_live
+from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 EXPOSURE_S, FLUX = 10e-3, 1e7
 

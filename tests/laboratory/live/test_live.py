@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, OPTICS, bench, live, make_patterns, scenes_of
 
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError
@@ -18,6 +17,7 @@ from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.laboratory.live import run as runs
 from deepfsi.laboratory.live.replay import count_live, read_live_counts, replay_run
 from deepfsi.laboratory.live.shown import NAME, read_shown
+from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, scenes_of
 
 EXPOSURE_S = 10e-3
 

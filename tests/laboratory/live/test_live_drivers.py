@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, make_patterns, scenes_of
 
 from deepfsi.hardware.drivers.followed import FollowedCounter
 from deepfsi.hardware.drivers.vialux import VialuxLooks
@@ -12,6 +11,7 @@ from deepfsi.laboratory.live.replay import count_live, replay_run
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 from deepfsi.laboratory.live.shown import read_shown
 from hardware.drivers.vialux_fake import install
+from shared.live_samples import LOOKS, make_patterns, scenes_of
 
 SCENES, FLUX = 3, 1e7
 
