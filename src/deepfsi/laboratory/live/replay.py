@@ -9,6 +9,7 @@ import io
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -139,11 +140,11 @@ def replay_run(folder: Path, report: Report = SILENT) -> tuple[Replayed, ...]:
     observer = Observer(loop, run.manifest, run.acquisition)
     out = []
     for scene, counts in run.by_scene:
-        recorded = _Recorded(scene.lists, counts)
-        decisions = tuple(observer.observe(scene.scene, recorded))
+        left = list(zip(scene.lists, counts, strict=True))
+        decisions = tuple(observer.observe(scene.scene, partial(_recall, left)))
         last = decisions[-1] if decisions else None
         found = () if last is None else tuple(last.chances.tolist())
-        agrees = recorded.agrees and found == scene.chances
+        agrees = not left and found == scene.chances
         named = run.acquisition.scenes[scene.scene]
         answer = LiveScene.of(named, last, loop.header.classes, scene.clock_s, agrees)
         out.append(Replayed(scene, decisions, answer))
@@ -159,22 +160,11 @@ def check_as_it_was(given: Iterable[object]) -> None:
         )
 
 
-class _Recorded:
-    """Counts of lists that were shown, in place of devices."""
-
-    def __init__(self, lists: tuple[ShownList, ...], counts: list[np.ndarray]) -> None:
-        self._left = list(zip(lists, counts, strict=True))
-        self._asked = True
-
-    @property
-    def agrees(self) -> bool:
-        """True if what was asked for is what was shown, and all of it."""
-        return self._asked and not self._left
-
-    def __call__(self, asked: FrameList) -> np.ndarray:
-        if not self._left or not self._left[0][0].matches(asked):
-            raise InputError(
-                "a look of this run is not the one that follows from its counts: it was made with "
-                "another version of the design, of deepfsi or of NumPy"
-            )
-        return self._left.pop(0)[1]
+def _recall(left: list[tuple[ShownList, np.ndarray]], asked: FrameList) -> np.ndarray:
+    """Counts of the next list that was shown, in place of devices."""
+    if not left or not left[0][0].matches(asked):
+        raise InputError(
+            "a look of this run is not the one that follows from its counts: it was made with "
+            "another version of the design, of deepfsi or of NumPy"
+        )
+    return left.pop(0)[1]
