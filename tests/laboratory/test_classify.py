@@ -13,6 +13,7 @@ from deepfsi.datasets import read_display, write_pictures
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.tables import TableSettings
+from deepfsi.laboratory.live.replay import count_live
 from deepfsi.laboratory.scenes import listed, scenes_of
 from shared.live_samples import live, make_patterns
 
@@ -88,6 +89,9 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
 def test_a_live_run_is_decided_as_it_was(done, digits, tmp_path):
     patterns = make_patterns(tmp_path, digits)
     decided = live(tmp_path / "run", patterns, digits, count=3)
+    with pytest.raises(deepfsi.InputError, match=r"counts\.npz is missing"):
+        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
+    count_live(tmp_path / "run")
     found = deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
     answers = [each.answer for each in decided if each.answer]
     assert all(scene.agrees for scene in found.scenes)

@@ -81,6 +81,7 @@ def camera_classify(
         "repeats": None if repeats == 1 else repeats,
     }  # fmt: skip
     from deepfsi.laboratory.classify import classify_run, classify_table
+    from deepfsi.laboratory.live.replay import COUNTS, count_live, is_live
     from deepfsi.laboratory.results import ClassifiedRun
     from deepfsi.tables.table_files import SUFFIXES, is_table
 
@@ -89,10 +90,10 @@ def camera_classify(
         given = [name for name, value in options_of_tables.items() if value is not None]
         if given:
             raise InputError(f"--{given[0]} is for tables, and {counted} is a folder: leave it out")
-        with common.progress("classes", quiet=as_json) as report:
-            found = classify_run(
-                file, counted, photons=photons, force=force, trust=trust, report=report
-            )
+        if is_live(counted) and not (counted / COUNTS).exists():
+            with common.progress("counting", quiet=as_json) as report:
+                count_live(counted, report)
+        found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
         from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
         from deepfsi.hardware.recording.tables import TableSettings

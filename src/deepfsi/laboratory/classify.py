@@ -13,16 +13,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
+from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
 from deepfsi.hardware.recording.counts import Counts, hash_file, load_counts
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
-from deepfsi.laboratory.live.replay import check_as_it_was, replay_run
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.replay import (
+    check_as_it_was,
+    is_live,
+    read_live_counts,
+    replay_run,
+)
 from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, ReplayedRun
 from deepfsi.optics.budget import check_budget
-from deepfsi.progress import SILENT, Report
 from deepfsi.tables.table_files import read_table
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
@@ -43,11 +48,10 @@ def classify_run(
     photons: float | None = None,
     force: bool = False,
     trust: bool = False,
-    report: Report = SILENT,
 ) -> ClassifiedRun | ReplayedRun:
     """Classify each exposure of an acquisition that was counted.
 
-    A live run is decided again from its own counts, counted first where that was not done.
+    A live run, of a design of several looks, is decided again from its own counts.
 
     Parameters
     ----------
@@ -61,8 +65,6 @@ def classify_run(
         Classify even if the counts do not look like those of the training.
     trust : bool
         As of `Design.load`: run the factory of a classifier of one's own, if there is one.
-    report : Report
-        Told how far the counting of a live run is.
 
     Returns
     -------
@@ -83,19 +85,25 @@ def classify_run(
     ['0', '1']
     """
     path = Path(folder)
-    acquisition, patterns = read_acquisition(path)
-    if acquisition.live:
-        check_as_it_was((photons,))
-        _check_shown(design, patterns.manifest)
-        replayed = tuple(each.answer for each in replay_run(path, report))
-        return ReplayedRun(acquisition.exposure_s, replayed)
+    if is_live(path):
+        return _replayed(design, path, photons)
     if photons is not None:
         check_budget(photons)
+    acquisition, patterns = read_acquisition(path)
     counts = load_counts(path, acquisition, patterns.manifest)
     made = _open(design, trust)
     _check_shown(design, patterns.manifest)
     made = made.as_shown(*patterns.realised)
     return _classified(made, counts, acquisition.scenes, photons, force, str(folder))
+
+
+def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | None) -> ReplayedRun:
+    """Classes of a live run, decided again from its counts."""
+    check_as_it_was((photons,))
+    run = read_live_counts(folder)
+    _check_shown(design, run.manifest)
+    replayed = replay_run(run, read_loop(folder / "patterns" / LOOP))
+    return ReplayedRun(run.acquisition.exposure_s, tuple(each.answer for each in replayed))
 
 
 def classify_table(

@@ -55,10 +55,8 @@ def _asked(
     name = known.data if data is None and known else absolute(str(data))
     told = {"size": size, "view": absolute(str(view)) if view else None}
     told = {option: value for option, value in told.items() if value is not None}
-    if known is None:
-        return Origin(data=name).model_copy(update=told)
-    if name == known.data:
-        return known.model_copy(update=told)
+    if known is None or name == known.data:
+        return (known or Origin(data=name)).model_copy(update=told)
     allowed = takes(name)
     same = ["rescale", "view", *(option for option in ("size", "white") if option in allowed)]
     kept = {option: getattr(known, option) for option in same}

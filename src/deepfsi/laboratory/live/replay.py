@@ -1,7 +1,7 @@
 """A live run replayed from its files: photons counted again, and the decisions that follow.
 
 The photon file and `shown.jsonl` hold all that the loop knew. `count_live` finds each frame by the
-number of its marker and counts its gate; `replay_run` hands these counts to the code that decided,
+number of its marker and counts its gate; `replay_run` hands the counts to the code that decided,
 asks of every list whether it is the one that was shown, and gives the decisions.
 """
 
@@ -16,7 +16,6 @@ import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.hardware.patterns.folder import LOOP
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
@@ -24,13 +23,16 @@ from deepfsi.hardware.recording.acquisition import Acquisition, check_inputs, re
 from deepfsi.hardware.recording.counts import hash_file
 from deepfsi.laboratory.live import shown
 from deepfsi.laboratory.live.decisions import Decision, FrameList, Observer
-from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.loop import Loop
 from deepfsi.laboratory.live.shown import ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 """Files of the recording and its counts."""
+
+COUNTED = ("acquisition.json", shown.NAME, PHOTONS)
+"""Files whose hashes the counts hold."""
 
 
 def is_live(folder: Path) -> bool:
@@ -67,7 +69,7 @@ def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
     starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
     counts = count_gates(header.path, starts, stops, acquisition.inputs, report.part(0.4, 1.0))
-    about = json.dumps(_hashes(folder)).encode()
+    about = json.dumps({name: hash_file(folder / name) for name in COUNTED}).encode()
     file = io.BytesIO()
     np.savez(file, counts=counts, about=np.frombuffer(about, np.uint8))
     write_atomically(folder / COUNTS, file.getvalue())
@@ -92,20 +94,14 @@ def _find_gates(
     return starts, starts + lengths
 
 
-def _hashes(folder: Path) -> dict[str, str]:
-    """Hashes of what was counted."""
-    names = ("acquisition.json", shown.NAME, PHOTONS)
-    return {name: hash_file(folder / name) for name in names}
-
-
 def read_live_counts(folder: Path) -> LiveCounts:
     """Counts of a live run as `count_live` wrote them.
 
     Raises `InputError` if there are none, or they are of other files.
     """
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
-    acquisition, patterns = read_acquisition(folder)
     scenes = read_shown(folder)
+    acquisition, patterns = read_acquisition(folder)
     try:
         with np.load(path, allow_pickle=False) as held:
             counts, about = held["counts"], json.loads(held["about"].tobytes())
@@ -115,7 +111,8 @@ def read_live_counts(folder: Path) -> LiveCounts:
         raise InputError(f"{path} is not a whole file of counts: {again}") from None
     frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
     wanted = frames, len(acquisition.inputs)
-    if counts.shape != wanted or counts.dtype != np.int64 or about != _hashes(folder):
+    hashes = {name: hash_file(folder / name) for name in COUNTED}
+    if counts.shape != wanted or counts.dtype != np.int64 or about != hashes:
         raise InputError(f"{path} is of other files than those beside it: {again}")
     return LiveCounts(acquisition, patterns.manifest, scenes, counts)
 
@@ -129,14 +126,8 @@ class Replayed:
     answer: LiveScene
 
 
-def replay_run(folder: Path, report: Report = SILENT) -> tuple[Replayed, ...]:
-    """Decisions of a live run from its counts, counted first where that was not done.
-
-    Raises `InputError` if files are missing, damaged or do not fit each other.
-    """
-    counted = (folder / COUNTS).exists()
-    run = read_live_counts(folder) if counted else count_live(folder, report)
-    loop = read_loop(folder / "patterns" / LOOP)
+def replay_run(run: LiveCounts, loop: Loop) -> tuple[Replayed, ...]:
+    """Decisions of a live run from its counts, or `InputError` where they lead to other looks."""
     observer = Observer(loop, run.manifest, run.acquisition)
     out = []
     for scene, counts in run.by_scene:
