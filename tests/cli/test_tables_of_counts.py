@@ -15,12 +15,12 @@ from scipy.io import savemat
 
 from conftest import quick
 from deepfsi.datasets import write_pictures
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names
 from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+from deepfsi.laboratory.rails import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

@@ -5,14 +5,16 @@ from pathlib import Path
 import numpy as np
 
 from conftest import quick
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
-from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.replay import Replayed, read_live_counts, replay_run
+from deepfsi.laboratory.live.run import Bench, Decided, plan_live, run_live
+from deepfsi.laboratory.rails import design_rails
 
 LOOKS = 3
 OPTICS = {
@@ -54,6 +56,11 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
     x = digits.x_test[:count].reshape(count, *digits.image_shape)
     labels = [digits.classes[y] for y in digits.y_test[:count]]
     return x, tuple(Scene(name=str(k), label=each) for k, each in enumerate(labels))
+
+
+def replay(folder: Path) -> tuple[Replayed, ...]:
+    """Replay a run that was counted."""
+    return replay_run(read_live_counts(folder), read_loop(folder / "patterns/loop.safetensors"))
 
 
 def live(
