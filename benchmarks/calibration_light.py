@@ -22,10 +22,10 @@ from deepfsi.errors import InputError
 from deepfsi.experiments.camera.laboratory import LAB
 from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
-from deepfsi.hardware.calibration.view import Calibration
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
+from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.virtual.camera import arrival_rates, draw_counts
 
 DEVICE = Device(name="small", columns=256, rows=192)

@@ -53,8 +53,8 @@ def camera_calibrate(
     from deepfsi.datasets import read_display
     from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
     from deepfsi.hardware.calibration.fit import calibrate_run
-    from deepfsi.hardware.calibration.view import save_calibration
     from deepfsi.hardware.recording.acquisition import read_acquisition
+    from deepfsi.hardware.recording.calibration_file import save_calibration
     from deepfsi.hardware.recording.counts import read_counts
     from deepfsi.hardware.recording.picture import reconstruct
 

@@ -11,14 +11,9 @@ from scipy import ndimage
 from deepfsi.datasets import load_dataset
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import (
-    camera_view,
-    load_calibration,
-    save_calibration,
-    view_dataset,
-    view_matrix,
-)
+from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
 from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.virtual import camera
 
 

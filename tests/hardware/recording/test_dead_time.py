@@ -5,7 +5,7 @@ import pytest
 from recording_samples import SHAPE, patterns_of
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import Calibration, save_calibration
+from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.dead_time import MOST_BLIND, DeadTime

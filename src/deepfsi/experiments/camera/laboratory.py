@@ -28,13 +28,14 @@ from deepfsi.hardware.calibration.background import (
     subtract_background,
 )
 from deepfsi.hardware.calibration.scans import scan_rails
-from deepfsi.hardware.calibration.view import Calibration, view_dataset
+from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import (

@@ -16,9 +16,10 @@ from skimage import measure, transform
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.refine import fit_view
-from deepfsi.hardware.calibration.view import Calibration, geometry_matrix
+from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.patterns.grid import Grid
 from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.recording.counts import Counts
 
 WHITE, BLACK = "white.png", "black.png"

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import load_calibration
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header, read_header
@@ -20,6 +19,7 @@ from deepfsi.hardware.recording.acquisition import (
     read_fixed,
 )
 from deepfsi.hardware.recording.alignment import find_steps
+from deepfsi.hardware.recording.calibration_file import load_calibration
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import (
     NO_DEAD_TIME,
