@@ -173,9 +173,9 @@ def _latencies(given: list[str]) -> "Latencies":
 def _events(patterns: Path, images: "Display", planned: "Acquisition") -> float:
     """Photons and dark counts that a live run is expected to record, at most."""
     from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.virtual.camera import Camera, expected_events
+    from deepfsi.hardware.virtual.camera import VirtualCamera, expected_events
 
-    seen = Camera.model_validate(planned.camera)
+    seen = VirtualCamera.model_validate(planned.camera)
     known = read_patterns(patterns)
     passes = planned.exposure_s / known.manifest.pass_s + 1
     return expected_events(known, images.x, seen, planned.flux or 0.0) * passes
@@ -190,19 +190,19 @@ def _virtual(
 ) -> "Bench":
     """Virtual devices that see the scenes as a camera does."""
     from deepfsi.hardware.live.run import Bench
-    from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory
-    from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+    from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, VirtualSetup
+    from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 
-    seen = Camera.model_validate(acquisition.camera)
+    seen = VirtualCamera.model_validate(acquisition.camera)
     with common.progress("light of the scenes", quiet=as_json) as report:
         rates = arrival_rates(patterns, images.x, seen, acquisition.flux or 0.0, report)
-    laboratory = Laboratory(rates, seen, times, acquisition.seed or 0)
+    setup = VirtualSetup(rates, seen, times, acquisition.seed or 0)
     wiring = acquisition.inputs, acquisition.marker_bit
     return Bench(
-        BenchProjector(laboratory),
-        BenchCounter(laboratory, *wiring),
-        laboratory.display,
-        lambda: laboratory.now_s,
+        BenchProjector(setup),
+        BenchCounter(setup, *wiring),
+        setup.display,
+        lambda: setup.now_s,
         times.model_dump(),
     )
 

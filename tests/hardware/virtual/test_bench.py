@@ -5,19 +5,19 @@ import pytest
 from virtual_samples import SHAPE, patterns
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
-from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 
 
 def test_virtual_devices_say_what_comes_first(tmp_path):
     folder = tmp_path / "patterns"
     patterns(folder)
-    rates = arrival_rates(folder, np.ones((1, *SHAPE)), Camera(), 1e6)
-    laboratory = Laboratory(rates, Camera(), Latencies())
+    rates = arrival_rates(folder, np.ones((1, *SHAPE)), VirtualCamera(), 1e6)
+    setup = VirtualSetup(rates, VirtualCamera(), Latencies())
     with pytest.raises(InputError, match="load a pattern folder first"):
-        BenchProjector(laboratory).show(np.array([0]), np.array([1e-3]))
+        BenchProjector(setup).show(np.array([0]), np.array([1e-3]))
     with pytest.raises(InputError, match="nothing is recorded"):
-        BenchCounter(laboratory, (0,)).counts_since_marker(0.0)
+        BenchCounter(setup, (0,)).counts_since_marker(0.0)
     (folder / "frames.npy").write_bytes(b"")
     with pytest.raises(InputError, match="is not a numpy file"):
-        BenchProjector(laboratory).load(folder)
+        BenchProjector(setup).load(folder)

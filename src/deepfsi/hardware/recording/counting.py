@@ -38,9 +38,9 @@ from deepfsi.hardware.recording.gates import (
     find_lateness,
     in_ticks,
 )
-from deepfsi.hardware.recording.light import Light, find_light, see_inputs, wire
+from deepfsi.hardware.recording.light import Light, find_light, light_curves, wire
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.hardware.recording.sentinels import PARTS, Seen
+from deepfsi.hardware.recording.sentinels import PARTS, LightCurve
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
@@ -107,8 +107,8 @@ def count(
     dead = _find_dead_time(Path(folder), dead_time)
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
     factors = dead.correction(rates)
-    seen = _see(parts, parted, fits, whole, wire(acquisition.inputs, manifest), factors)
-    light = find_light(*seen, manifest, lost)
+    curves = _light_curves(parts, parted, fits, whole, wire(acquisition.inputs, manifest), factors)
+    light = find_light(*curves, manifest, lost)
     _check_lit(header, acquisition, light)
     counts = _assemble(manifest, gates, windows, whole, found[fits], rates, light, factors)
     counts = replace(
@@ -192,14 +192,14 @@ def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
     return given or NO_DEAD_TIME
 
 
-def _see(
+def _light_curves(
     parts: FrameParts,
     parted: tuple[np.ndarray, np.ndarray],
     fits: np.ndarray,
     whole: np.ndarray,
     wired: list[tuple[int, ...]],
     factors: Correction,
-) -> tuple[list[Seen], list[Seen]]:
+) -> tuple[list[LightCurve], list[LightCurve]]:
     """Photons in the parts of frames, of the passes that fit, for `find_light`."""
     shape = int(fits.sum()), *parts.middles.shape
     photons = parted[0][fits].reshape(*shape, -1)
@@ -207,7 +207,7 @@ def _see(
         photons * each[:, :, None] for each in (factors.arrivals, factors.variance)
     )
     places = parts.middles, np.flatnonzero(whole), wired
-    return see_inputs(arrivals, parted[1][fits].reshape(shape), *places, variance)
+    return light_curves(arrivals, parted[1][fits].reshape(shape), *places, variance)
 
 
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
@@ -215,12 +215,12 @@ def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
     if light.lit.any():
         return
     contents = inspect(header.path)
-    seen = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
+    there = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
     asked = name_inputs(acquisition.inputs)
     raise InputError(
         f"{header.path} has no light on input {asked}: no all-ON frame is brighter than the "
-        f"all-OFF ones. The file holds {seen or 'no photons'}: give the input that the detector is "
-        "wired to, or switch on the lamp"
+        f"all-OFF ones. The file holds {there or 'no photons'}: give the input that the detector "
+        "is wired to, or switch on the lamp"
     )
 
 

@@ -150,7 +150,7 @@ class Counts:
 
     def save(self, folder: Path, acquisition: Acquisition) -> None:
         """Write counts.npz to the folder of the acquisition that was counted."""
-        about = {
+        provenance = {
             "acquisition": acquisition.digest,
             "photons_sha256": hash_file(folder / "photons.ptu"),
             "repeats": self.counts.shape[1],
@@ -161,7 +161,7 @@ class Counts:
             "faults": [fault.model_dump() for fault in self.faults],
             "dead_time": self.dead_time.model_dump(),
         }
-        text = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        text = np.frombuffer(json.dumps(provenance).encode(), np.uint8)
         arrays: dict[str, Any] = {
             name: held for name, held in vars(self).items() if isinstance(held, np.ndarray)
         }
@@ -193,16 +193,16 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             text = _member(archive, "about", "|u1", None)
-            about = _About.model_validate_json(text.tobytes())
-            if about.acquisition != acquisition.digest:
+            provenance = _Provenance.model_validate_json(text.tobytes())
+            if provenance.acquisition != acquisition.digest:
                 raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
             scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
-            each = scenes, about.repeats, rails, masks, *manifest.several
+            each = scenes, provenance.repeats, rails, masks, *manifest.several
             kinds: dict[str, tuple[str, tuple[int, ...]]] = {
                 "counts": ("<i8", each),
                 "arrivals": ("<f8", each),
                 "variance": ("<f8", each),
-                "valid": ("|b1", (scenes, about.repeats)),
+                "valid": ("|b1", (scenes, provenance.repeats)),
                 "gate_s": ("<f8", (len(manifest.shown),)),
                 "on_rate": ("<f8", (scenes,)),
                 "off_rate": ("<f8", (scenes,)),
@@ -220,16 +220,16 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         ) from None
     if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
         raise InputError(f"{path} was changed after it was written: {again}")
-    if photons.is_file() and hash_file(photons) != about.photons_sha256:
+    if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
         raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
     return Counts(
         **arrays,
-        exposure_s=about.exposure_s,
-        settle_s=about.settle_s,
-        drift=about.drift,
-        inputs=about.inputs,
-        faults=about.faults,
-        dead_time=about.dead_time,
+        exposure_s=provenance.exposure_s,
+        settle_s=provenance.settle_s,
+        drift=provenance.drift,
+        inputs=provenance.inputs,
+        faults=provenance.faults,
+        dead_time=provenance.dead_time,
     )
 
 
@@ -248,7 +248,7 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(found.digest(), np.uint8)
 
 
-class _About(BaseModel):
+class _Provenance(BaseModel):
     """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -276,8 +276,8 @@ def _member(
     if shape is None:
         shape = ((len(content) - NPY_HEADER) // kind.itemsize,)
     header = io.BytesIO()
-    about = {"descr": dtype, "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(header, about)
+    described = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, described)
     held = header.getvalue()
     if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
         raise ValueError(name)

@@ -20,7 +20,7 @@ from deepfsi.hardware.recording.sentinels import (
     LAWS,
     Background,
     Checked,
-    Seen,
+    LightCurve,
     check_light,
 )
 from deepfsi.hardware.recording.tails import FALSE_ALARMS
@@ -53,14 +53,14 @@ def wire(inputs: tuple[int, ...], manifest: Manifest) -> list[tuple[int, ...]]:
     return [inputs[first : first + count] for first in range(0, len(inputs), count)]
 
 
-def see_inputs(
+def light_curves(
     photons: np.ndarray,
     seconds: np.ndarray,
     middles: np.ndarray,
     scenes: np.ndarray,
     wired: list[tuple[int, ...]],
     variance: np.ndarray | None = None,
-) -> tuple[list[Seen], list[Seen]]:
+) -> tuple[list[LightCurve], list[LightCurve]]:
     """Photons in the parts of frames, for `find_light`.
 
     Of each arm's detectors together, and of each detector where an arm has several.
@@ -81,7 +81,7 @@ def see_inputs(
 
     for arm, inputs in enumerate(wired):
         first = arm * len(inputs)
-        together = Seen(
+        together = LightCurve(
             *poisson(slice(first, first + len(inputs))),
             middles,
             scenes,
@@ -97,18 +97,18 @@ def see_inputs(
 
 
 def find_light(
-    arms: list[Seen], detectors: list[Seen], manifest: Manifest, lost: np.ndarray
+    arms: list[LightCurve], detectors: list[LightCurve], manifest: Manifest, lost: np.ndarray
 ) -> Light:
     """Light of an acquisition."""
     chance = FALSE_ALARMS / (len(arms) + len(detectors))
-    checked = [check_light(seen, manifest, lost, chance) for seen in arms]
-    alone = [check_light(seen, manifest, lost, chance) for seen in detectors]
+    checked = [check_light(curve, manifest, lost, chance) for curve in arms]
+    alone = [check_light(curve, manifest, lost, chance) for curve in detectors]
     faults = [fault for each in checked for fault in each.faults]
-    told = {(fault.kind, fault.scene) for fault in faults}
-    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in told]
+    named = {(fault.kind, fault.scene) for fault in faults}
+    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in named]
     flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
-    for seen, each in zip(detectors or arms, alone or checked, strict=True):
-        faults += _name_backgrounds(seen, each.background)
+    for curve, each in zip(detectors or arms, alone or checked, strict=True):
+        faults += _name_backgrounds(curve, each.background)
     faults += changes
     faults += _find_blind(detectors, [each.background for each in alone])
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
@@ -118,13 +118,13 @@ def find_light(
 
 
 def _find_flux(
-    seen: Seen, checked: Checked, brightness: Brightness | None, chance: float
+    curve: LightCurve, checked: Checked, brightness: Brightness | None, chance: float
 ) -> tuple[np.ndarray, list[Fault]]:
     """Flux (P,) and the faults of its changes, from passes whose light was steady if any was."""
     used = checked.sound if checked.sound.any() else checked.lit
     if not used.any():
         return np.zeros(len(used)), []
-    on, on_s = seen.together(seen.bright)
+    on, on_s = curve.together(curve.bright)
     used = used & (on_s > 0)
     rate = checked.background.rate
     error = rate**2 / np.maximum(checked.background.photons, 1)
@@ -149,7 +149,7 @@ def _find_flux(
             for (a, b), part in zip(pairwise(starts), parts, strict=True)
         ]
     )
-    scenes = seen.scenes[places]
+    scenes = curve.scenes[places]
     faults = [_name_step(row, scenes, one, other) for one, other in pairwise(parts)]
     return flux, faults
 
@@ -203,9 +203,9 @@ class _Spread:
         return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
 
 
-def _find_blind(detectors: list[Seen], backgrounds: list[Background]) -> list[Fault]:
+def _find_blind(detectors: list[LightCurve], backgrounds: list[Background]) -> list[Fault]:
     """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
-    bright = [seen.together(seen.bright) for seen in detectors]
+    bright = [curve.together(curve.bright) for curve in detectors]
     photons = np.array([float(found.sum()) for found, _ in bright])
     pairs = zip(backgrounds, bright, strict=True)
     dark = np.array([float(each.rate @ seconds) for each, (_, seconds) in pairs])
@@ -222,14 +222,14 @@ def _find_blind(detectors: list[Seen], backgrounds: list[Background]) -> list[Fa
     return faults
 
 
-def _name_backgrounds(seen: Seen, background: Background) -> list[Fault]:
+def _name_backgrounds(curve: LightCurve, background: Background) -> list[Fault]:
     """Changes of the background; counts are rid of each scene's own."""
     faults, rate = [], background.rate
     for part in background.parts[1:]:
         detail = (
-            f"dark frames{seen.name} have {rate[part.start]:.4g} counts/s, and "
+            f"dark frames{curve.name} have {rate[part.start]:.4g} counts/s, and "
             f"{rate[part.start - 1]:.4g} before: the background is that of scenes from here on"
         )
-        scene = int(seen.scenes[part.start])
+        scene = int(curve.scenes[part.start])
         faults.append(Fault(kind="background", scene=scene, frame=None, detail=detail))
     return faults

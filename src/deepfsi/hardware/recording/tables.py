@@ -20,7 +20,7 @@ from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.light import find_light, see_inputs, wire
+from deepfsi.hardware.recording.light import find_light, light_curves, wire
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.tables.table_files import Table
 
@@ -100,15 +100,15 @@ def column_names(manifest: Manifest) -> list[str]:
     `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
     and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on.
     """
-    names, seen = [], set()
+    names, named = [], set()
     for frame in manifest.frames:
         name = frame.role
         if frame.role == "mask":
             sign = "" if manifest.rails == 1 or frame.rail == "both" else "+-"[frame.rail != "plus"]
             names.append(f"mask{frame.mask}{sign}")
         else:
-            names.append(f"{name}2" if name in seen else name)
-            seen.add(name)
+            names.append(f"{name}2" if name in named else name)
+            named.add(name)
     inputs = manifest.inputs
     if inputs == 1:
         return names
@@ -354,8 +354,8 @@ def _find_light(
         middles = (np.cumsum(passes.times) - passes.times / 2)[:, None]
         wired = wire(tuple(range(manifest.inputs)), manifest)
         places = middles, np.arange(scenes), wired
-        seen = see_inputs(found[:, :, None], seconds[..., None], *places, noise[:, :, None])
-        light = find_light(*seen, manifest, np.empty(0, np.int64))
+        curves = light_curves(found[:, :, None], seconds[..., None], *places, noise[:, :, None])
+        light = find_light(*curves, manifest, np.empty(0, np.int64))
         flux, measured, faults = light.flux, light.dark_rate, light.faults
     if given is None:
         dark = measured
