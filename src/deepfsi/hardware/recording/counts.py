@@ -4,8 +4,8 @@ The file carries hashes of what was counted (settings, patterns, photons.ptu) an
 content: counts of something else, and counts that were edited, are refused.
 """
 
+import dataclasses
 import io
-import json
 import math
 import os
 import struct
@@ -150,22 +150,17 @@ class Counts:
 
     def save(self, folder: Path, acquisition: Acquisition) -> None:
         """Write counts.npz to the folder of the acquisition that was counted."""
-        provenance = {
-            "acquisition": acquisition.digest,
-            "photons_sha256": hash_file(folder / "photons.ptu"),
-            "repeats": self.counts.shape[1],
-            "exposure_s": self.exposure_s,
-            "settle_s": self.settle_s,
-            "drift": self.drift,
-            "inputs": self.inputs,
-            "faults": [fault.model_dump() for fault in self.faults],
-            "dead_time": self.dead_time.model_dump(),
-        }
-        text = np.frombuffer(json.dumps(provenance).encode(), np.uint8)
+        held = vars(self)
         arrays: dict[str, Any] = {
-            name: held for name, held in vars(self).items() if isinstance(held, np.ndarray)
+            name: each for name, each in held.items() if isinstance(each, np.ndarray)
         }
-        arrays["about"] = text
+        provenance = _Provenance(
+            acquisition=acquisition.digest,
+            photons_sha256=hash_file(folder / "photons.ptu"),
+            repeats=self.counts.shape[1],
+            **{name: each for name, each in held.items() if name not in arrays},
+        )
+        arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
         file = io.BytesIO()
         np.savez(file, sha256=_hash_arrays(arrays), **arrays)
         write_atomically(folder / "counts.npz", file.getvalue())
@@ -210,7 +205,9 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
                 "dark_rate": ("<f8", (scenes, rails, *manifest.several)),
                 "lengths_s": ("<f8", (rails, masks)),
             }
-            arrays = {name: _member(archive, name, *kind) for name, kind in kinds.items()}
+            arrays: dict[str, Any] = {
+                name: _member(archive, name, *kind) for name, kind in kinds.items()
+            }
             digest = _member(archive, "sha256", "|u1", (sha256().digest_size,))
     except InputError:
         raise
@@ -222,15 +219,8 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         raise InputError(f"{path} was changed after it was written: {again}")
     if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
         raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
-    return Counts(
-        **arrays,
-        exposure_s=provenance.exposure_s,
-        settle_s=provenance.settle_s,
-        drift=provenance.drift,
-        inputs=provenance.inputs,
-        faults=provenance.faults,
-        dead_time=provenance.dead_time,
-    )
+    fields = {field.name for field in dataclasses.fields(Counts)}
+    return Counts(**arrays, **{name: held for name, held in provenance if name in fields})
 
 
 def hash_file(path: Path) -> str:

@@ -52,8 +52,8 @@ class Fault(BaseModel):
         "missing", "extra", "late", "lost",
         "dark", "unsteady", "brighter", "flicker", "level", "background", "blind",
     ]  # fmt: skip
-    scene: int | None
-    frame: int | None
+    scene: int | None = None
+    frame: int | None = None
     detail: str
 
     def __str__(self) -> str:
@@ -102,7 +102,7 @@ def name_faults(
                     f"from {each.expected[0]:.6f} s, which frame its markers start is not "
                     "certain, and the all-ON and all-OFF frames do not tell"
                 )
-            faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
+            faults.append(Fault(kind="lost", scene=scene, detail=detail))
             continue
         starts[scene] = np.where(each.places >= 0, times[each.places], each.expected)
         for frames in _runs(np.flatnonzero(each.places < 0)):

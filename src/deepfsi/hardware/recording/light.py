@@ -140,7 +140,7 @@ def _find_flux(
                 f"all ON {'rises' if share > 1 else 'falls'} steadily, to {share:.3g} times its "
                 "first brightness: each scene has a budget of its own"
             )
-            fault = Fault(kind="level", scene=None, frame=None, detail=detail)
+            fault = Fault(kind="level", detail=detail)
             return np.interp(np.arange(len(used)), places, line), [fault]
     starts = [0, *(int(places[part.start]) for part in parts[1:]), len(used)]
     flux = np.concatenate(
@@ -187,7 +187,7 @@ def _name_step(row: Row, scenes: np.ndarray, before: slice, after: slice) -> Fau
         f"all ON is {_mean(row, after) / max(_mean(row, before), 1e-300):.3g} times as bright as "
         f"before, and scenes do not differ so much: {some} have a budget of their own"
     )
-    return Fault(kind="level", scene=int(first), frame=None, detail=detail)
+    return Fault(kind="level", scene=int(first), detail=detail)
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _find_blind(detectors: list[LightCurve], backgrounds: list[Background]) -> l
             f"almost no light{detectors[place].name} in all scenes together: their parts that this "
             "detector sees are dark, or it is not wired to that input"
         )
-        faults.append(Fault(kind="blind", scene=None, frame=None, detail=detail))
+        faults.append(Fault(kind="blind", detail=detail))
     return faults
 
 
@@ -231,5 +231,5 @@ def _name_backgrounds(curve: LightCurve, background: Background) -> list[Fault]:
             f"{rate[part.start - 1]:.4g} before: the background is that of scenes from here on"
         )
         scene = int(curve.scenes[part.start])
-        faults.append(Fault(kind="background", scene=scene, frame=None, detail=detail))
+        faults.append(Fault(kind="background", scene=scene, detail=detail))
     return faults

@@ -154,7 +154,7 @@ def _find_restless_lamp(
         f"the light was unsteady in {len(wrong)} of {passes} passes, so it may have "
         "been in others: use a steady lamp, and keep stray light out"
     )
-    return [Fault(kind="flicker", scene=None, frame=None, detail=detail)]
+    return [Fault(kind="flicker", detail=detail)]
 
 
 def find_background(curve: LightCurve, chance: float) -> Background:
@@ -258,7 +258,7 @@ def _find_rhythm(curve: LightCurve, manifest: Manifest, chance: float) -> tuple[
                 f"the light{curve.name} rises and falls by {found.amplitude:.0%} at "
                 f"{found.hertz:.4g} Hz: use a lamp that does not"
             )
-            return (Fault(kind="flicker", scene=None, frame=None, detail=detail),)
+            return (Fault(kind="flicker", detail=detail),)
     photons, seconds = curve.of(curve.bright)
     known = (seconds > 0).all(axis=1) & (photons.sum(axis=1) > 0)
     photons, seconds = photons[known].astype(np.float64), seconds[known]
@@ -276,7 +276,7 @@ def _find_rhythm(curve: LightCurve, manifest: Manifest, chance: float) -> tuple[
         f"the all-{'ON' if curve.bright[0] == 0 else 'OFF'} frames of a pass{curve.name} differ by "
         f"{size:.0%} (rms over passes), more than their photons' noise: use a steady lamp"
     )
-    return (Fault(kind="flicker", scene=None, frame=None, detail=detail),)
+    return (Fault(kind="flicker", detail=detail),)
 
 
 def _name_dark(curve: LightCurve, place: int, scene: int) -> Fault:
@@ -288,7 +288,7 @@ def _name_dark(curve: LightCurve, place: int, scene: int) -> Fault:
         f"no light{curve.name}: {on / max(on_s, 1e-300):.4g} counts/s with all light, "
         f"{off / max(off_s, 1e-300):.4g} with none"
     )
-    return Fault(kind="dark", scene=scene, frame=None, detail=detail)
+    return Fault(kind="dark", scene=scene, detail=detail)
 
 
 def _name_brighter(curve: LightCurve, manifest: Manifest, place: int, which: np.ndarray) -> Fault:
@@ -324,7 +324,7 @@ def _name_unsteady(
         f"light{curve.name} changed within the pass: {one:.0f} photons in "
         f"{manifest.frames[frames[0]]} at its start, {other:.0f} at its end"
     )
-    return Fault(kind="unsteady", scene=scene, frame=None, detail=detail)
+    return Fault(kind="unsteady", scene=scene, detail=detail)
 
 
 def _list_frames(which: np.ndarray) -> str:
