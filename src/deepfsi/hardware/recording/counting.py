@@ -37,9 +37,9 @@ from deepfsi.hardware.recording.gates import (
     find_lateness,
     in_ticks,
 )
-from deepfsi.hardware.recording.light import Light, find_light, light_curves, wire
+from deepfsi.hardware.recording.light import Light, find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.hardware.recording.sentinels import PARTS, LightCurve
+from deepfsi.hardware.recording.sentinels import PARTS
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
@@ -98,7 +98,7 @@ def count(
     windows = Windows.of(manifest, gates, frames)
     whole = frames.whole
     starts, parts = frames.starts_s[whole], find_frame_parts(frames, gates.settle_s, PARTS)
-    (found, seconds), parted = _count_windows(
+    (found, seconds), (parted, parted_s) = _count_windows(
         header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
@@ -112,8 +112,14 @@ def count(
     dead = _find_dead_time(Path(folder), dead_time)
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
     factors = dead.correction(rates)
-    curves = _light_curves(parts, parted, fits, whole, wire(acquisition.inputs, manifest), factors)
-    light = find_light(*curves, manifest, lost)
+    shape = len(rates), *parts.middles.shape
+    parted = parted[fits].reshape(*shape, -1)
+    arrivals = parted * factors.arrivals[:, :, None]
+    variance = parted * factors.variance[:, :, None]
+    open_s, scenes = parted_s[fits].reshape(shape), np.flatnonzero(whole)
+    light = find_light(
+        arrivals, variance, open_s, parts.middles, scenes, acquisition.inputs, manifest, lost
+    )
     _check_lit(header, acquisition, light)
     gated = found[fits][:, windows.gates].swapaxes(1, 2)
     counts = Counts(
@@ -190,24 +196,6 @@ def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
     if given is None and (folder / "calibration" / "calibration.json").is_file():
         given = load_calibration(folder / "calibration").dead_time
     return given or NO_DEAD_TIME
-
-
-def _light_curves(
-    parts: FrameParts,
-    parted: tuple[np.ndarray, np.ndarray],
-    fits: np.ndarray,
-    whole: np.ndarray,
-    wired: list[tuple[int, ...]],
-    factors: Correction,
-) -> tuple[list[LightCurve], list[LightCurve]]:
-    """Photons in the parts of frames, of the passes that fit, for `find_light`."""
-    shape = int(fits.sum()), *parts.middles.shape
-    photons = parted[0][fits].reshape(*shape, -1)
-    arrivals, variance = (
-        photons * each[:, :, None] for each in (factors.arrivals, factors.variance)
-    )
-    places = parts.middles, np.flatnonzero(whole), wired
-    return light_curves(arrivals, parted[1][fits].reshape(shape), *places, variance)
 
 
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:

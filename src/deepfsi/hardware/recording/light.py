@@ -14,7 +14,7 @@ from deepfsi.hardware.patterns.sequence import Brightness, Manifest
 from deepfsi.hardware.recording.acquisition import name_inputs
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.levels import Row, find_parts
+from deepfsi.hardware.recording.levels import Allowed, Row, find_parts
 from deepfsi.hardware.recording.sentinels import (
     HARMLESS,
     LAWS,
@@ -47,34 +47,55 @@ class Light:
     faults: tuple[Fault, ...]
 
 
-def wire(inputs: tuple[int, ...], manifest: Manifest) -> list[tuple[int, ...]]:
-    """Inputs of the detectors of each arm."""
-    count = manifest.detector_count
-    return [inputs[first : first + count] for first in range(0, len(inputs), count)]
-
-
-def light_curves(
+def find_light(
     photons: np.ndarray,
+    variance: np.ndarray,
+    seconds: np.ndarray,
+    middles: np.ndarray,
+    scenes: np.ndarray,
+    inputs: tuple[int, ...],
+    manifest: Manifest,
+    lost: np.ndarray,
+) -> Light:
+    """Light of an acquisition, from the parts of frames of the passes that were recorded.
+
+    Shapes: photons, variance (P, F, K, inputs); seconds (P, F, K); middles (F, K); scenes (P,).
+    """
+    count = manifest.detector_count
+    wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
+    arms, detectors = _light_curves(photons, variance, seconds, middles, scenes, wired)
+    chance = FALSE_ALARMS / (len(arms) + len(detectors))
+    checked = [check_light(curve, manifest, lost, chance) for curve in arms]
+    alone = [check_light(curve, manifest, lost, chance) for curve in detectors]
+    faults = [fault for each in checked for fault in each.faults]
+    named = {(fault.kind, fault.scene) for fault in faults}
+    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in named]
+    flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
+    for curve, each in zip(detectors or arms, alone or checked, strict=True):
+        faults += _name_backgrounds(curve, each.background)
+    faults += changes
+    faults += _find_blind(detectors, [each.background for each in alone])
+    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
+    rates = np.stack([each.background.rate for each in alone or checked], axis=1)
+    lit = np.logical_and.reduce([each.lit for each in checked])
+    return Light(flux, rates, lit, tuple(faults))
+
+
+def _light_curves(
+    photons: np.ndarray,
+    variance: np.ndarray,
     seconds: np.ndarray,
     middles: np.ndarray,
     scenes: np.ndarray,
     wired: list[tuple[int, ...]],
-    variance: np.ndarray | None = None,
 ) -> tuple[list[LightCurve], list[LightCurve]]:
-    """Photons in the parts of frames, for `find_light`.
-
-    Of each arm's detectors together, and of each detector where an arm has several.
-
-    Shapes: photons (P, F, K, inputs); variance (P, F, K, inputs).
-    """
+    """Light of each arm's detectors together, and of each detector where an arm has several."""
     frames = len(middles)
     on, off = (0, frames - 2), (1, frames - 1)
     arms, detectors = [], []
 
     def poisson(columns: slice) -> tuple[np.ndarray, np.ndarray]:
         held = photons[..., columns].sum(axis=-1)
-        if variance is None:
-            return held, seconds
         noise = variance[..., columns].sum(axis=(-2, -1))
         share = np.where(noise > 0, held.sum(axis=-1) / np.where(noise > 0, noise, 1), 1)[..., None]
         return held * share, seconds * share
@@ -96,27 +117,6 @@ def light_curves(
     return arms, detectors
 
 
-def find_light(
-    arms: list[LightCurve], detectors: list[LightCurve], manifest: Manifest, lost: np.ndarray
-) -> Light:
-    """Light of an acquisition."""
-    chance = FALSE_ALARMS / (len(arms) + len(detectors))
-    checked = [check_light(curve, manifest, lost, chance) for curve in arms]
-    alone = [check_light(curve, manifest, lost, chance) for curve in detectors]
-    faults = [fault for each in checked for fault in each.faults]
-    named = {(fault.kind, fault.scene) for fault in faults}
-    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in named]
-    flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
-    for curve, each in zip(detectors or arms, alone or checked, strict=True):
-        faults += _name_backgrounds(curve, each.background)
-    faults += changes
-    faults += _find_blind(detectors, [each.background for each in alone])
-    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
-    rates = np.stack([each.background.rate for each in alone or checked], axis=1)
-    lit = np.logical_and.reduce([each.lit for each in checked])
-    return Light(flux, rates, lit, tuple(faults))
-
-
 def _find_flux(
     curve: LightCurve, checked: Checked, brightness: Brightness | None, chance: float
 ) -> tuple[np.ndarray, list[Fault]]:
@@ -132,7 +132,7 @@ def _find_flux(
     row = Row(counts[used], on[used] + error[used] * on_s[used] ** 2, on_s[used])
     parts, places = [slice(0, int(used.sum()))], np.flatnonzero(used)
     if brightness is not None:
-        parts = find_parts(row, _Spread(brightness), chance)
+        parts = find_parts(row, _spread(brightness), chance)
         line = _fit_decay(row, parts, brightness)
         if line is not None:
             share = line[-1] / line[0]
@@ -190,17 +190,15 @@ def _name_step(row: Row, scenes: np.ndarray, before: slice, after: slice) -> Fau
     return Fault(kind="level", scene=int(first), detail=detail)
 
 
-@dataclass(frozen=True)
-class _Spread:
+def _spread(known: Brightness) -> Allowed:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
+    most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
 
-    brightness: Brightness
-
-    def __call__(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        known = self.brightness
+    def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         noise = SPREAD_SIGMAS * known.within * np.sqrt(1 / one + 1 / other)
-        most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
         return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
+
+    return allowed
 
 
 def _find_blind(detectors: list[LightCurve], backgrounds: list[Background]) -> list[Fault]:

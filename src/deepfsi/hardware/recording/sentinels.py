@@ -116,8 +116,10 @@ def check_light(curve: LightCurve, manifest: Manifest, lost: np.ndarray, chance:
     background = find_background(curve, each)
     lit = _find_lit(curve, background, each)
     looked_at = np.ones_like(lit) if curve.part else lit  # what sees a part need not be lit
-    drift = _find_drifts(curve, background, each)
-    restless = _find_restless(curve, background, each)
+    on, on_s = curve.together(curve.bright)
+    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
+    drift = _find_drifts(curve, background, light, each)
+    restless = _find_restless(curve, light, each)
     brighter = _find_brighter(curve, each)
     rhythm = _find_rhythm(curve, manifest, each)
     faults = list(rhythm)
@@ -160,14 +162,9 @@ def _find_restless_lamp(
 def find_background(curve: LightCurve, chance: float) -> Background:
     """Background of each pass: that of its own dark frames and of its neighbours that agree."""
     photons, seconds = curve.together(curve.dark)
-    tolerated = HARMLESS_DARK * _usual_light(curve)
     usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
-    ratio = 1 + tolerated / usual
-
-    def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return np.full(np.shape(one), ratio)
-
-    parts = find_parts(Row(photons, photons, seconds), allowed, chance)
+    ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
+    parts = find_parts(Row(photons, photons, seconds), lambda *_: np.array(ratio), chance)
     pooled, pooled_s = photons.astype(np.float64), seconds.copy()
     for part in parts:
         pooled[part], pooled_s[part] = photons[part].sum(), seconds[part].sum()
@@ -194,32 +191,29 @@ def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.nd
     return lit
 
 
-def _find_drifts(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
+def _find_drifts(
+    curve: LightCurve, background: Background, light: np.ndarray, chance: float
+) -> np.ndarray:
     """Passes whose two bright frames, or two dark ones, differ: (P, 2)."""
-    on, on_s = curve.together(curve.bright)
-    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
-    out = np.zeros((len(on), 2), bool)
+    out = np.zeros((len(light), 2), bool)
     floor = (background.photons + 1) / np.where(background.seconds > 0, background.seconds, 1.0)
-    for column, (frames, ratio) in enumerate(
-        ((curve.bright, 1 + HARMLESS), (curve.dark, 1 + HARMLESS_DARK * light / floor))
-    ):
+    ratios: list[np.ndarray | float] = [1 + HARMLESS, 1 + HARMLESS_DARK * light / floor]
+    for column, (frames, ratio) in enumerate(zip((curve.bright, curve.dark), ratios, strict=True)):
         photons, seconds = curve.of(frames)
         for one, other in ((0, 1), (1, 0)):
             chances = excess_chance(
                 photons[:, one], seconds[:, one], photons[:, other], seconds[:, other], ratio
             )
-            out[:, column] |= chances * 2 * len(on) <= chance
+            out[:, column] |= chances * 2 * len(light) <= chance
     return out
 
 
-def _find_restless(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
+def _find_restless(curve: LightCurve, light: np.ndarray, chance: float) -> np.ndarray:
     """Frames (P, F) in which the light is not steady."""
     whole, whole_s = curve.photons.sum(axis=2), curve.seconds.sum(axis=2)
     out = np.zeros(whole.shape, bool)
     if curve.photons.shape[2] < PARTS:
         return out  # frames were counted whole
-    on, on_s = curve.together(curve.bright)
-    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
     rate = (whole + 1) / np.where(whole_s > 0, whole_s, np.inf)
     ratio = 1 + np.maximum(HARMLESS, HARMLESS_DARK * light[:, None] / np.maximum(rate, 1e-300))
     ratio = np.where(whole_s > 0, ratio, 1.0)

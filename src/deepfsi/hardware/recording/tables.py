@@ -20,7 +20,7 @@ from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.light import find_light, light_curves, wire
+from deepfsi.hardware.recording.light import find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.tables.table_files import Table
 
@@ -352,10 +352,9 @@ def _find_light(
         measured[:] = measured.mean(axis=0)
     else:
         middles = (np.cumsum(passes.times) - passes.times / 2)[:, None]
-        wired = wire(tuple(range(manifest.inputs)), manifest)
-        places = middles, np.arange(scenes), wired
-        curves = light_curves(found[:, :, None], seconds[..., None], *places, noise[:, :, None])
-        light = find_light(*curves, manifest, np.empty(0, np.int64))
+        whole = found[:, :, None], noise[:, :, None], seconds[..., None], middles
+        inputs, lost = tuple(range(manifest.inputs)), np.empty(0, np.int64)
+        light = find_light(*whole, np.arange(scenes), inputs, manifest, lost)
         flux, measured, faults = light.flux, light.dark_rate, light.faults
     if given is None:
         dark = measured
