@@ -12,10 +12,11 @@ from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import inspect
 from deepfsi.hardware.recording.acquisition import (
     Acquisition,
+    check_fixed,
     check_inputs,
     gates_of,
     name_inputs,
-    read_fixed,
+    read_acquisition,
 )
 from deepfsi.hardware.recording.alignment import find_steps
 from deepfsi.hardware.recording.calibration_file import load_calibration
@@ -89,7 +90,8 @@ def count(
         If files are missing, damaged or do not fit, gates do not fit, no exposure is whole, or the
         counter is too near its saturation.
     """
-    recorded, patterns = read_fixed(folder)
+    recorded, patterns = read_acquisition(folder)
+    check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
     header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)

@@ -22,6 +22,8 @@ MOST_RESTORED = 3
 MOST_FAULTS = 10_000
 """Faults of a recording at most; one with more is refused."""
 
+MARKERS = ("missing", "extra", "late", "lost")
+"""Faults of the markers; the others are of the light."""
 
 SPOILING = ("dark", "unsteady", "brighter", "flicker")
 """Faults of the light that leave a scene's counts without a meaning."""
@@ -70,12 +72,7 @@ class Fault(BaseModel):
 
     def line(self, names: Sequence[str] = ()) -> str:
         """The fault in one line that also says if it is of markers or light; as of `words`."""
-        return f"{'marker' if self.of_markers else 'light'} {self.words(names)}"
-
-    @property
-    def of_markers(self) -> bool:
-        """True for a fault of the markers, False for one of the light."""
-        return self.kind in ("missing", "extra", "late", "lost")
+        return f"{'marker' if self.kind in MARKERS else 'light'} {self.words(names)}"
 
 
 def name_faults(
