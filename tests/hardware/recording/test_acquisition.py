@@ -79,7 +79,7 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path, monkeypatch)
     with pytest.raises(InputError, match="no patterns"):
         prepare(tmp_path / "other", tmp_path / "none", named(1))
     monkeypatch.setattr(acquisition, "MOST_FRAMES", 30)
-    with pytest.raises(InputError, match="4 scenes of .* at most 30 frames are allowed: split it"):
+    with pytest.raises(InputError, match=r"4 scenes of .* at most 30 frames are allowed: split it"):
         prepare(tmp_path / "other", source, named(4))
     assert not (tmp_path / "other").exists()
     assert list(tmp_path.iterdir()) == [run.folder]
