@@ -52,61 +52,36 @@ _UNREADABLE = (
 
 @dataclass(frozen=True)
 class Counts:
-    """Photon counts of each readout.
+    """Photon counts of each readout; the axis D is there only of several detectors."""
 
-    Attributes
-    ----------
-    counts : array, shape (S, R, rails, m[, D])
-        Registered counts, int64, or the values of a table; D only of several detectors. 0 for a
-        rail that is dark and for an exposure that is not valid.
-    arrivals, variance : arrays, shape (S, R, rails, m[, D])
-        Counts of the light and the dark in each gate by themselves, estimated from what was
-        registered, and the variance of their noise; both are the counts where nothing was lost.
-    valid : array, shape (S, R)
-        bool; whether all readouts of an exposure were recorded.
-    gate_s : array, shape (f,)
-        For how long each mask's frame is counted, seconds.
-    on_rate, off_rate : array, shape (S,)
-        Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together; NaN
-        where a scene is not valid.
-    flux : array, shape (S,)
-        Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two changes
-        of the lamp. NaN where a scene is not valid.
-    dark_rate : array, shape (S, rails[, D])
-        Counts/s of the input that reads each rail, when no mirror sends it light: of all-OFF
-        frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree.
-    exposure_s : float
-        Total exposure, seconds.
-    settle_s : float
-        Time before the first gate of each frame, seconds.
-    lengths_s : array, shape (rails, m)
-        For how long each readout is counted, seconds; 0 for a rail that is dark.
-    drift : float
-        By how much passes lasted longer than planned on the counter's clock, as a share.
-    inputs : tuple of int
-        Of the counter, 0 for input 1: those whose photons were counted.
-    faults : tuple of Fault
-        What was wrong with the recording.
-    dead_time : DeadTime
-        Of the counter, for which the arrivals and all rates are corrected; none is 0.
-    """
-
+    # (S, R, rails, m[, D]): Registered counts, int64, or the values of a table. 0 for a rail that
+    # is dark and for an exposure that is not valid
     counts: np.ndarray
+    # (S, R, rails, m[, D]): Counts of the light and the dark in each gate by themselves, estimated
+    # from what was registered, and the variance of their noise. Both are the counts where nothing
+    # was lost
     arrivals: np.ndarray
     variance: np.ndarray
-    valid: np.ndarray
-    gate_s: np.ndarray
+    valid: np.ndarray  # (S, R): bool; whether all readouts of an exposure were recorded
+    gate_s: np.ndarray  # (f,): For how long each mask's frame is counted, seconds
+    # (S,): Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together;
+    # NaN where a scene is not valid
     on_rate: np.ndarray
     off_rate: np.ndarray
+    # (S,): Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two
+    # changes of the lamp; NaN where a scene is not valid
     flux: np.ndarray
+    # (S, rails[, D]): Counts/s of the input that reads each rail, when no mirror sends it light: of
+    # all-OFF frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree
     dark_rate: np.ndarray
-    exposure_s: float
-    settle_s: float
+    exposure_s: float  # total, seconds
+    settle_s: float  # time before the first gate of each frame, seconds
+    # (rails, m): For how long each readout is counted, seconds; 0 for a rail that is dark
     lengths_s: np.ndarray
-    drift: float
-    inputs: tuple[int, ...]
-    faults: tuple[Fault, ...]
-    dead_time: DeadTime = NO_DEAD_TIME
+    drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
+    inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
+    faults: tuple[Fault, ...]  # of the recording
+    dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
 
     @property
     def background(self) -> np.ndarray:

@@ -34,42 +34,18 @@ Along = Literal["rows", "columns"]
 
 @dataclass(frozen=True)
 class TableSettings:
-    """Settings with which a table is read.
+    """Settings with which a table is read; `InputError` if one of them is not allowed."""
 
-    Parameters
-    ----------
-    photons : float, optional
-        Budget of an exposure; that of the all-ON frames unless given.
-    background : float, optional
-        Counts that an input has in the masks' frames of one exposure together without light; those
-        of the all-OFF frames unless given, and none without such frames.
-    settle_s : float
-        Time after each marker that was not counted, seconds.
-    exposures : {"rows", "columns"}, optional
-        Told by the shape unless given.
-    repeats : int
-        Exposures of each scene, one after another, where the table does not name scenes.
-    gain : float, optional
-        Counts for a unit of the table, of an analogue detector.
-    read_noise : float, optional
-        Of each value of an analogue detector, counts rms.
-    dead_time : DeadTime
-        Of a photon counter, to be corrected for.
-
-    Raises
-    ------
-    InputError
-        If one of them is not allowed.
-    """
-
-    photons: float | None = None
+    photons: float | None = None  # budget of an exposure; that of the all-ON frames unless given
+    # Counts that an input has in the masks' frames of one exposure together without light; those of
+    # the all-OFF frames unless given, and none without such frames
     background: float | None = None
-    settle_s: float = 0.0
-    exposures: str | None = None
-    repeats: int = 1
-    gain: float | None = None
-    read_noise: float | None = None
-    dead_time: DeadTime = NO_DEAD_TIME
+    settle_s: float = 0.0  # time after each marker that was not counted, seconds
+    exposures: str | None = None  # "rows" or "columns"; as the shape says unless given
+    repeats: int = 1  # exposures of each scene, one after another, where the table names no scenes
+    gain: float | None = None  # counts for a unit of the table, of an analogue detector
+    read_noise: float | None = None  # of each value of an analogue detector, counts rms
+    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
 
     def __post_init__(self) -> None:
         if self.exposures is not None:

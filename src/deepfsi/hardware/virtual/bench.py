@@ -27,34 +27,23 @@ START_S = 1e-3
 
 
 class Latencies(BaseModel):
-    """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources.
-
-    Attributes
-    ----------
-    load : float
-        Of each pattern into the device, once before the first scene.
-    display : float
-        Until the display shows another scene, and it has settled.
-    command : float
-        From a decision until the first frame of its list is shown: USB, and the device's start.
-    trigger : float
-        From the start of a frame until its marker is recorded.
-    block : float
-        The counter hands over its records in blocks, each so long after the last.
-    transfer : float
-        From the end of a block until the computer has it.
-    decision : float
-        From the counts until the next list is known, or the class.
-    """
+    """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Of each pattern into the device, once before the first scene
     load: float = Field(3.3e-3, ge=0, le=1e3)
+    # Until the display shows another scene, and it has settled
     display: float = Field(20e-3, ge=0, le=1e3)
+    # From a decision until the first frame of its list is shown: USB, and the device's start
     command: float = Field(1e-3, ge=0, le=1e3)
+    # From the start of a frame until its marker is recorded
     trigger: float = Field(0.0, ge=0, le=1e-6)
+    # The counter hands over its records in blocks, each so long after the last
     block: float = Field(1e-3, gt=0, le=1e3)
+    # From the end of a block until the computer has it
     transfer: float = Field(0.25e-3, ge=0, le=1e3)
+    # From the counts until the next list is known, or the class
     decision: float = Field(0.4e-3, ge=0, le=1e3)
 
 
