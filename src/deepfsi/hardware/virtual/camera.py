@@ -336,7 +336,18 @@ def record(
     _check_flux(settings.flux)
     given: Sequence[str | None] = labels or [None] * len(names)
     shown = (Scene(name=name, label=label) for name, label in zip(names, given, strict=True))
-    wanted = _describe(tuple(shown), manifest, settings)
+    wanted = plan_acquisition(
+        manifest,
+        tuple(shown),
+        exposure_s=settings.exposure_s,
+        settle_s=settings.settle_s,
+        repeats=settings.repeats,
+        marker_bit=MARKER,
+        **({} if settings.inputs is None else {"inputs": settings.inputs}),
+        flux=settings.flux or None,
+        camera=camera.model_dump(mode="json"),
+        seed=settings.seed,
+    )
     with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
@@ -344,24 +355,6 @@ def record(
         path = draft / "photons.ptu"
         write_photons(path, manifest, flow, camera, rng, acquisition.inputs, report.part(0.5, 1))
     return acquisition
-
-
-def _describe(
-    scenes: tuple[Scene, ...], manifest: Manifest, settings: RecordingSettings
-) -> Acquisition:
-    """Acquisition of a recording, with as many repeats as fit and can be counted."""
-    return plan_acquisition(
-        manifest,
-        scenes,
-        exposure_s=settings.exposure_s,
-        settle_s=settings.settle_s,
-        repeats=settings.repeats,
-        marker_bit=MARKER,
-        **({} if settings.inputs is None else {"inputs": settings.inputs}),
-        flux=settings.flux or None,
-        camera=settings.camera.model_dump(mode="json"),
-        seed=settings.seed,
-    )
 
 
 def check_file_inputs(inputs: Sequence[int]) -> None:
