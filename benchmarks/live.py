@@ -46,8 +46,8 @@ from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
-from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.laboratory.live.decisions import FrameList, Observer
 from deepfsi.laboratory.live.loop import Loop, LoopHeader, judge
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
@@ -251,9 +251,9 @@ def marker_to_decision(
     design = DesignRails(rails, "free-dwell", (8, 8), 32.0, looks=loop.looks, loop=loop.to_bytes())
     export_patterns(design, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
     x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
-    rates = arrival_rates(folder / "patterns", x, Camera(), flux)
-    laboratory = Laboratory(rates, Camera(), Latencies())
-    devices = Bench(BenchProjector(laboratory), BenchCounter(laboratory, (0,)), laboratory.display)
+    rates = arrival_rates(folder / "patterns", x, VirtualCamera(), flux)
+    setup = VirtualSetup(rates, VirtualCamera(), Latencies())
+    devices = Bench(BenchProjector(setup), BenchCounter(setup, (0,)), setup.display)
     scenes = tuple(Scene(name=str(k)) for k in range(len(x)))
     acquisition = plan_live(folder / "patterns", scenes, EXPOSURE_S)
     wanted = [

@@ -1,4 +1,4 @@
-"""Live runs that the tests share: a small design, its patterns and a virtual laboratory."""
+"""Live runs that the tests share: a small design, its patterns and a virtual setup."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
-from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.replay import Replayed, read_live_counts, replay_run
 from deepfsi.laboratory.live.run import Bench, Decided, plan_live, run_live
@@ -36,17 +36,17 @@ def make_patterns(folder: Path, digits, optics: str = "single", device=None, **s
 
 
 def bench(
-    patterns: Path, scenes: np.ndarray, flux: float, camera: Camera = CAMERAS["ideal"],
+    patterns: Path, scenes: np.ndarray, flux: float, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, seed: int = 0,
 ) -> Bench:  # fmt: skip
     rates = arrival_rates(patterns, scenes, camera, flux)
     latencies = latencies or Latencies()
-    laboratory = Laboratory(rates, camera, latencies, seed)
+    setup = VirtualSetup(rates, camera, latencies, seed)
     return Bench(
-        BenchProjector(laboratory),
-        BenchCounter(laboratory, tuple(range(rates.shape[2]))),
-        laboratory.display,
-        lambda: laboratory.now_s,
+        BenchProjector(setup),
+        BenchCounter(setup, tuple(range(rates.shape[2]))),
+        setup.display,
+        lambda: setup.now_s,
         latencies.model_dump(),
     )
 
@@ -65,7 +65,7 @@ def replay(folder: Path) -> tuple[Replayed, ...]:
 
 def live(
     folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
-    exposure_s: float = 10e-3, camera: Camera = CAMERAS["ideal"],
+    exposure_s: float = 10e-3, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, **settings,
 ) -> list[Decided]:  # fmt: skip
     """Run a few scenes."""

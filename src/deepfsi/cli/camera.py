@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from deepfsi.hardware.ptu.contents import Contents
     from deepfsi.hardware.recording.counts import Counts
-    from deepfsi.hardware.virtual.camera import Camera
+    from deepfsi.hardware.virtual.camera import VirtualCamera
     from deepfsi.laboratory.live.replay import LiveCounts
 
 NO_DRIFT = 1e-7
@@ -301,17 +301,17 @@ def ask_for_room(events: float) -> None:
     )
 
 
-def find_camera(text: str) -> "Camera":
+def find_camera(text: str) -> "VirtualCamera":
     """Virtual camera of a name or a TOML file, or `InputError`."""
     from deepfsi.errors import closest
-    from deepfsi.hardware.virtual.camera import CAMERAS, Camera
+    from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 
     if text in CAMERAS:
         return CAMERAS[text]
     if not text.endswith(".toml"):
         raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return Camera.model_validate(common.read_toml(text, Path(text)))
+        return VirtualCamera.model_validate(common.read_toml(text, Path(text)))
 
 
 def _span(values: "np.ndarray") -> str:

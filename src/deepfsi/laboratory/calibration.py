@@ -7,8 +7,8 @@ import numpy as np
 from deepfsi.datasets import read_display, write_pictures
 from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
 from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
-from deepfsi.hardware.calibration.view import Calibration, save_calibration
 from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Acquisition
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
-from deepfsi.hardware.virtual.camera import Camera, arrival_rates, expected_events
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates, expected_events
 from deepfsi.laboratory.live.run import Bench
 from deepfsi.progress import SILENT, Report
 
@@ -20,9 +20,9 @@ def virtual_bench(
     report: Report = SILENT,
 ) -> Bench:
     """Bench for scenes (S, h, w) with the camera, flux, seed and wiring of an acquisition."""
-    camera = Camera.model_validate(acquisition.camera)
+    camera = VirtualCamera.model_validate(acquisition.camera)
     rates = arrival_rates(patterns, scenes, camera, acquisition.flux or 0.0, report)
-    laboratory = Laboratory(rates, camera, latencies, acquisition.seed or 0)
+    laboratory = VirtualSetup(rates, camera, latencies, acquisition.seed or 0)
     return Bench(
         BenchProjector(laboratory),
         BenchCounter(laboratory, acquisition.inputs, acquisition.marker_bit),
@@ -34,6 +34,6 @@ def virtual_bench(
 
 def most_events(patterns: Path, scenes: np.ndarray, acquisition: Acquisition) -> float:
     """Photons and dark counts that a virtual live run is expected to record, at most."""
-    camera, known = Camera.model_validate(acquisition.camera), read_patterns(patterns)
+    camera, known = VirtualCamera.model_validate(acquisition.camera), read_patterns(patterns)
     passes = acquisition.exposure_s / known.manifest.pass_s + 1
     return expected_events(known, scenes, camera, acquisition.flux or 0.0) * passes
