@@ -3,9 +3,8 @@
 - ``digits``: 8x8, embedded in scikit-learn;
 - ``mnist``, ``fashion-mnist``: padded to 32x32; the original files, found in
   ``$DEEPFSI_DATA/NAME/`` or else downloaded once;
-- ``cifar10``: 32x32, grey; the official binary or Python archive, or the unpacked
-  ``cifar-10-batches-bin/``, found in ``$DEEPFSI_DATA/cifar10/`` or ``$DEEPFSI_DATA``, or else
-  downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
+- ``cifar10``: 32x32, grey; the official binary archive, found in ``$DEEPFSI_DATA/cifar10/`` or
+  else downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
 - ``cifar10-jpeg``: its images decoded from lossy JPEG, in
   ``$DEEPFSI_DATA/cifar10/cifar10-jpeg.zip``;
 - ``indian-pines`` (220 bands), ``indian-pines-corrected`` (200 bands): the ``.mat`` files in
@@ -37,7 +36,7 @@ NAMES = ("digits", *FILES)
 class DatasetInfo(NamedTuple):
     """Numbers of images, pixels (N) and classes of a named data set, and where it is.
 
-    `where` is "embedded", the folder or file, or "not here".
+    `where` is "embedded", the folder, or "not here".
     """
 
     name: str
@@ -68,7 +67,7 @@ def download(name: str) -> Path:
 
     What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
     into it, each from the first mirror that gives it whole. Of names that cannot be downloaded,
-    this finds the files that are here. Gives the folder or file.
+    this finds the files that are here. Gives their folder.
     """
     if name == "digits":
         raise InputError(

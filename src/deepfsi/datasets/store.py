@@ -4,6 +4,7 @@ import hashlib
 import os
 import sys
 import time
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
@@ -26,30 +27,42 @@ def cache(name: str) -> Path:
     return Path(pooch.os_cache("deepfsi")) / name
 
 
-def data_root() -> Path | None:
-    """The folder that ``$DEEPFSI_DATA`` names, if it is set."""
-    root = os.environ.get("DEEPFSI_DATA")
-    if not root:
-        return None
-    if not Path(root).is_dir():
-        raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
-    return Path(root)
-
-
 def candidates(name: str) -> list[Path]:
     """Folders where the files of a data set may be, the first before the second."""
-    root = data_root()
-    return [cache(name)] if root is None else [root / name, cache(name)]
+    root = os.environ.get("DEEPFSI_DATA")
+    if not root:
+        return [cache(name)]
+    if not Path(root).is_dir():
+        raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
+    return [Path(root) / name, cache(name)]
 
 
-def find_folder(name: str, files: tuple[str, ...]) -> Path | None:
+def find_folder(name: str, files: Iterable[str]) -> Path | None:
     """First of the `candidates` that has all the files."""
     whole = (each for each in candidates(name) if all((each / f).is_file() for f in files))
     return next(whole, None)
 
 
-def check_file(path: Path, known_hash: str) -> FileCheck:
-    """Compare a file with its hash, "algorithm:hex"."""
+def check_files(name: str, hashes: Mapping[str, str]) -> list[FileCheck]:
+    """Compare the files of a data set with their hashes, "algorithm:hex"."""
+    folder = find_folder(name, hashes) or candidates(name)[0]
+    return [_check_file(folder / file, known_hash) for file, known_hash in hashes.items()]
+
+
+def whole_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
+    """Folder of the files of a data set, downloaded where they are missing, all whole."""
+    folder = find_folder(name, hashes)
+    if folder is None or folder == cache(name):
+        for file, known_hash in hashes.items():
+            retrieve(name, file, known_hash, mirrors)
+        return cache(name)
+    for file, ok, detail in check_files(name, hashes):
+        if not ok:
+            raise InputError(f"{folder / file}: {detail}; replace it with the original")
+    return folder
+
+
+def _check_file(path: Path, known_hash: str) -> FileCheck:
     algorithm, _, expected = known_hash.partition(":")
     try:
         with path.open("rb") as file:
