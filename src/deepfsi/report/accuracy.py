@@ -85,7 +85,7 @@ def axis_text(axis: str, value: Any) -> str:
     if axis == "trained_at":
         return f"from {style.photons_text(value)}"
     if axis == "detectors":
-        return "1 detector" if value == "1x1" else f"{value} detectors"
+        return f"{value} detectors"
     return f"from {value}" if axis == "trained_under" else str(value)
 
 

@@ -4,7 +4,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
-from deepfsi.report.terms import DESIGNS
+from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
 from deepfsi.sweeps.results import Point, Results, read_results
 
 MASKS_SHOWN = 12
@@ -88,6 +88,8 @@ def page_text(results: Results, designs: Path) -> str:
         "page.html.jinja",
         results=results,
         opened=opened(results),
+        camera=camera_text(points),
+        impulse=any(p.design == "impulse" for p in points),
         summary=[summary(results, noise) for noise in accuracy.noises(results)],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
@@ -132,6 +134,29 @@ def opened(results: Results) -> str:
     return text + "."
 
 
+def with_one_detector(points: Iterable[Point]) -> bool:
+    """True if one detector does for every design but impulse imaging."""
+    return all(
+        p.light in ONE_DETECTOR and p.detectors == "1x1" for p in points if p.design != "impulse"
+    )
+
+
+def camera_text(points: Iterable[Point]) -> str:
+    """Say how the designs' masks share the light, and what counts it."""
+    rows = [p for p in points if p.design != "impulse"]
+    if rows and {p.light for p in rows} == {"column"}:
+        return (
+            "Under the light law column, optics split the scene’s Φ photons among all masks at "
+            "once, with a detector for each readout, which no single mirror device does."
+        )
+    if rows and with_one_detector(rows):
+        return (
+            "A camera with one detector: each mask in turn sends it a part of the scene’s Φ "
+            "photons."
+        )
+    return "Each mask sends a part of the scene’s Φ photons to a detector."
+
+
 def optics_text(point: Point) -> str:
     """Light law and rails of a point, with several detectors and both rails read where it has."""
     parts = [point.light, point.rails]
@@ -155,7 +180,7 @@ def chosen(results: Results, noise: str) -> list[Point]:
 
 
 def ranking(points: list[Point], photons: float) -> list[Point]:
-    """Designs that one device shows at a budget, most accurate first; impulse imaging if alone.
+    """Designs at a budget, most accurate first; impulse imaging only if alone.
 
     Of a design that was trained in several ways on the same light, the one that validation chose.
     """
@@ -185,8 +210,8 @@ def summary(results: Results, noise: str) -> str:
 
     text = f"Under {noise_text(noise)}, "
     if len(names) > 1:
-        one = all(p.detectors == "1x1" for p in points)
-        where = "with one detector" if one else "beside impulse imaging"
+        where = " beside impulse imaging" if any(p.design == "impulse" for p in points) else ""
+        where = " with one detector" if with_one_detector(points) else where
         text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets}, where)
     text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
     for photons in dict.fromkeys([budgets[0], budgets[-1]]):
@@ -233,7 +258,7 @@ def _winners(names: dict[float, list[str]], among: str) -> str:
         for who, where in rest
     ]
     where = f"at {listed(first_wins)} photons{''.join(then)}"
-    return f"{listed([*first])} {verb} {among} {where}; "
+    return f"{listed([*first])} {verb}{among} {where}; "
 
 
 def listed(words: list[str]) -> str:
