@@ -1,7 +1,5 @@
 """A `Dataset` of arrays in memory or in an ``.npz`` file; every other source ends here too."""
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +12,7 @@ from deepfsi.datasets.dataset import Dataset, Labels, Reflectance
 from deepfsi.datasets.values import Values, grey, measure, reflectance
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
+from deepfsi.tables.array_files import read_npz
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -303,21 +302,7 @@ def draw_stratified(
 
 def load_npz(path: Path, options: Options) -> Dataset:
     """Data set of the arrays `x` and `y`, and of a test part where it is there."""
-    if not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
-    try:
-        with zipfile.ZipFile(path) as members:
-            size = sum(member.file_size for member in members.infolist())
-        check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller scenes")
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except InputError:
-        raise
-    except (EOFError, MemoryError, OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"cannot read {path} ({error}); "
-            "write plain arrays of numbers or strings with numpy.savez"
-        ) from error
+    arrays = read_npz(path)
     if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test"}:
         raise InputError(
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
