@@ -6,6 +6,7 @@ import io
 import os
 import tarfile
 import zipfile
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +61,9 @@ def test_the_archive_gives_grey_scenes(home, monkeypatch):
     assert data.name == "CIFAR-10"
     assert data.classes[6] == "frog"
     assert data.image_shape == (32, 32)
-    assert data.preprocessing == "Grey levels divided by 255."
+    told = "120 images of 32x32 pixels, 120 in colour, turned to grey; 8-bit values from "
+    assert data.preprocessing.startswith(told)
+    assert data.preprocessing.endswith(", divided by 255.")
     assert data.y_test.tolist() == RECORDS[5, :, 0].tolist()
     assert np.abs(data.x_test - luma(RECORDS[5])).max() < 0.51 / 255 + 1e-6
     train = RECORDS[:5].reshape(100, 3073)
@@ -80,9 +83,9 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(home, monkeypatch):
     assert data.image_shape == (64, 64)
     assert np.bincount(data.y_train).tolist() == [3] * 10
     assert len(data.x_test) == 20
-    assert data.preprocessing == (
-        "30 training images drawn by class; grey levels, resized bilinearly to 64x64 pixels, "
-        "divided by 255."
+    assert data.preprocessing.startswith("30 training images drawn by class; 50 images of 32x32")
+    assert "in colour, turned to grey, resized bilinearly to 64x64 pixels; 8-bit" in (
+        data.preprocessing
     )
     x = data.x_test.reshape(-1, 64, 64)
     plain = load_dataset("cifar10").x_test.reshape(-1, 32, 32)
@@ -170,11 +173,11 @@ LOSSLESS = DATA / "cifar-10-train-first4000-lossless.bin.gz"
 
 @pytest.mark.skipif(not LOSSLESS.is_file(), reason="needs $DEEPFSI_DATA/cifar10")
 def test_real_records():
-    """The first training image, a frog: the light of its corners, whose colours are known."""
-    records = np.frombuffer(gzip.decompress(LOSSLESS.read_bytes()), np.uint8)
-    records = records.reshape(-1, cifar.RECORD)
-    assert cifar.CLASSES[records[0, 0]] == "frog"
-    [image] = cifar._grey(records[:1], None)
-    for corner, colour in ((image[0, 0], (59, 62, 63)), (image[31, 31], (123, 92, 72))):
-        assert corner == pytest.approx(np.dot((0.299, 0.587, 0.114), colour), abs=0.51)
-    assert np.bincount(records[:, 0])[:3].tolist() == [396, 366, 420]
+    """The first training image, a frog, and the colours of its corners."""
+    pictures = cifar.list_records(gzip.decompress(LOSSLESS.read_bytes()), "first")
+    assert pictures[0].label == "frog"
+    image = np.asarray(Image.open(pictures[0].open()))
+    assert image[0, 0].tolist() == [59, 62, 63]
+    assert image[31, 31].tolist() == [123, 92, 72]
+    labels = Counter(picture.label for picture in pictures)
+    assert [labels[name] for name in cifar.CLASSES[:3]] == [396, 366, 420]

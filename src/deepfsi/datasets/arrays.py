@@ -89,27 +89,13 @@ def from_arrays(
     >>> data.classes, data.x_train.shape, data.x_test.shape
     (('bright', 'dark'), (16, 2), (4, 2))
     """
-    test = both_or_neither(x_test, y_test, name)
+    test = x_test, y_test
     return split_arrays((x, y), test, classes=classes, name=name, seed=seed, rescale=rescale)
-
-
-def both_or_neither(
-    x_test: npt.ArrayLike | None, y_test: npt.ArrayLike | None, name: str
-) -> Scenes | None:
-    """Test scenes and their labels, None for neither; `InputError` for one without the other.
-
-    Parameters as of `from_arrays`.
-    """
-    if x_test is not None and y_test is not None:
-        return x_test, y_test
-    if not (x_test is None and y_test is None):
-        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
-    return None
 
 
 def split_arrays(
     train: Scenes,
-    test: Scenes | None,
+    test: tuple[npt.ArrayLike | None, npt.ArrayLike | None] = (None, None),
     *,
     classes: Sequence[str] | None = None,
     name: str,
@@ -124,13 +110,16 @@ def split_arrays(
     training part, and without a description the values are described as they are.
     """
     check_seed(seed)
-    given = [train[0]] if test is None else [train[0], test[0]]
+    x_test, y_test = test
+    if (x_test is None) != (y_test is None):
+        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
+    given = [train[0]] if x_test is None else [train[0], x_test]
     scenes, described, white = _scenes(given, name, white)
     x, y = scenes[0], _labels(train[1], len(scenes[0]), f"{name}: y")
     names, numbers = _classes(y, classes, name)
     labels = _class_numbers(y, numbers, f"{name}: y")
-    _check_counts(labels, names, name, drawn=test is None)
-    if test is None:
+    _check_counts(labels, names, name, drawn=y_test is None)
+    if y_test is None:
         from sklearn.model_selection import train_test_split
 
         order, drawn = train_test_split(
@@ -139,8 +128,8 @@ def split_arrays(
         tested = x[drawn], labels[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(labels))
-        y_test = _labels(test[1], len(scenes[1]), f"{name}: y_test")
-        tested = scenes[1], _class_numbers(y_test, numbers, f"{name}: y_test")
+        known = _labels(y_test, len(scenes[1]), f"{name}: y_test")
+        tested = scenes[1], _class_numbers(known, numbers, f"{name}: y_test")
     trained = x[order], labels[order]
     said = values or described
     data = assemble(name, trained, tested, classes=names, values=said, rescale=rescale)
@@ -308,19 +297,10 @@ def load_npz(path: Path, options: Options) -> Dataset:
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
             "give x and y, optionally x_test and y_test, and no other names"
         )
-    return load_arrays(
-        (arrays["x"], arrays["y"], arrays.get("x_test"), arrays.get("y_test")), path.stem, options
-    )
-
-
-def load_arrays(arrays: Sequence[Any], name: str, options: Options) -> Dataset:
-    """Data set of (x, y) or (x, y, x_test, y_test); parameters as of `load_dataset`."""
-    x, y, *test = arrays
-    x_test, y_test = test or (None, None)
     return split_arrays(
-        (x, y),
-        both_or_neither(x_test, y_test, name),
-        name=name,
+        (arrays["x"], arrays["y"]),
+        (arrays.get("x_test"), arrays.get("y_test")),
+        name=path.stem,
         seed=options.seed,
         rescale=options.rescale,
         white=options.white,

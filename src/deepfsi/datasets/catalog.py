@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from deepfsi.datasets import cifar, idx, indian_pines
 from deepfsi.datasets.store import FileCheck
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known
 
 CIFAR = ("cifar10", "cifar10-jpeg")
 """Names whose files are CIFAR-10's."""
@@ -73,7 +73,7 @@ def download(name: str) -> Path:
         raise InputError(
             "digits is embedded in scikit-learn: there is nothing to download, load it"
         )
-    _check_name(name)
+    check_known("data set", name, NAMES)
     return FILES[name].download(name)
 
 
@@ -83,12 +83,7 @@ def check(name: str) -> list[FileCheck]:
     They are in the folder where all are, or else where they belong. Where no hash is known, the
     content is looked at instead.
     """
-    _check_name(name)
+    check_known("data set", name, NAMES)
     if name == "digits":
         return [FileCheck("digits", True, "embedded in scikit-learn")]
     return FILES[name].check(name)
-
-
-def _check_name(name: str) -> None:
-    if name not in NAMES:
-        raise InputError(f"unknown data set '{name}': {closest(name, NAMES)}")

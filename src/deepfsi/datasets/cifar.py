@@ -4,17 +4,18 @@ A. Krizhevsky, "Learning Multiple Layers of Features from Tiny Images", technica
 of Toronto, 2009.
 """
 
+import io
 import tarfile
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.datasets import pictures
-from deepfsi.datasets.arrays import Options, draw_stratified, split_arrays
+from deepfsi.datasets.arrays import Options
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.decoding import Shape
 from deepfsi.datasets.pictures import Picture
 from deepfsi.datasets.store import FileCheck, candidates, check_files, find_folder, whole_files
 from deepfsi.errors import InputError
@@ -37,9 +38,6 @@ BATCH = 10_000
 
 SIDE = 32
 """Height and width of an image, pixels."""
-
-RECORD = 1 + 3 * SIDE * SIDE
-"""Bytes of an image: its label, then all reds, all greens and all blues."""
 
 JPEG_FILE = "cifar10-jpeg.zip"
 
@@ -79,55 +77,44 @@ def check(name: str) -> list[FileCheck]:
 
 def load_cifar(name: str, options: Options) -> Dataset:
     """Load grey CIFAR-10, or its copy in JPEG, in its own split; the training part is shuffled."""
-    shape, seed, images = pictures.as_shape(options.size), options.seed, options.images
-    if shape is not None:
-        pictures.check_total(6 * BATCH, shape)
-    if name == "cifar10-jpeg":
-        return _load_jpeg(download(name) / JPEG_FILE, options)
-    records = read_records(download(name) / ARCHIVE)
-    labels, n = records[:, 0].astype(np.int64), len(records) - BATCH
-    train = np.arange(n) if images is None else draw_stratified(labels[:n], images, seed, name)
-    return split_arrays(
-        (_grey(records[train], shape), labels[train]),
-        (_grey(records[n:], shape), labels[n:]),
-        classes=CLASSES,
-        name="CIFAR-10",
-        seed=seed,
-        rescale=options.rescale,
-        values=pictures.describe(shape, True, images),
-    )
+    folder = download(name)
+    if name == "cifar10":
+        found = list_archive(folder / ARCHIVE)
+        return pictures.from_listings(found, "CIFAR-10", options, bilinear=True)
+    with pictures.open_listings(folder / JPEG_FILE) as listings:
+        if detail := _unlike(listings):
+            raise InputError(
+                f"{folder / JPEG_FILE}: {detail}; replace it, or give its path to load it as any "
+                "zip file"
+            )
+        return pictures.from_listings(listings, "JPEG-decoded CIFAR-10", options, bilinear=True)
 
 
-def read_records(path: Path) -> npt.NDArray[np.uint8]:
-    """Labels and pixels (60 000, 3073) of the archive, the test batch last."""
+def list_archive(path: Path) -> list[list[Picture]]:
+    """Pictures of the archive's training and test part, in its order."""
     with tarfile.open(path, "r:gz") as archive:
         contents = {
             Path(member.name).name: file.read()
             for member in archive
             if (file := archive.extractfile(member)) is not None
         }
-    return np.frombuffer(b"".join(contents[name] for name in BATCHES), np.uint8).reshape(-1, RECORD)
+    train, test = b"".join(contents[name] for name in BATCHES[:-1]), contents[BATCHES[-1]]
+    return [list_records(train, str(path)), list_records(test, str(path))]
 
 
-def _grey(records: npt.NDArray[np.uint8], shape: Shape | None) -> npt.NDArray[np.uint8]:
-    """Records (n, 3073) as grey images (n, H, W)."""
-    from PIL import Image
+def list_records(content: bytes, where: str) -> list[Picture]:
+    """Pictures of records, each a label, then all reds, all greens and all blues."""
+    records = np.frombuffer(content, np.uint8).reshape(-1, 1 + 3 * SIDE * SIDE)
+    pixels = records[:, 1:].reshape(-1, 3, SIDE * SIDE).swapaxes(1, 2)
+    return [
+        Picture(CLASSES[label], where, partial(_as_ppm, colours))
+        for label, colours in zip(records[:, 0], pixels, strict=True)
+    ]
 
-    grey = np.empty((len(records), *(shape or (SIDE, SIDE))), np.uint8)
-    for i, record in enumerate(records):
-        colour = np.ascontiguousarray(record[1:].reshape(3, SIDE, SIDE).transpose(1, 2, 0))
-        grey[i] = pictures.resized(Image.fromarray(colour).convert("L"), shape, True)
-    return grey
 
-
-def _load_jpeg(path: Path, options: Options) -> Dataset:
-    with pictures.open_listings(path) as listings:
-        detail = _unlike(listings)
-        if detail:
-            raise InputError(
-                f"{path}: {detail}; replace it, or give its path to load it as any zip file"
-            )
-        return pictures.from_listings(listings, "JPEG-decoded CIFAR-10", options, bilinear=True)
+def _as_ppm(colours: npt.NDArray[np.uint8]) -> io.BytesIO:
+    """Pixels (1024, 3) as an image file."""
+    return io.BytesIO(b"P6 %d %d 255\n" % (SIDE, SIDE) + colours.tobytes())
 
 
 def _unlike(listings: list[list[Picture]]) -> str:

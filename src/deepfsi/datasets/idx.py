@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.datasets.arrays import Range, assemble
-from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.store import FileCheck, check_files, find_folder, whole_files
-from deepfsi.datasets.values import unit
 
 IDX_FILES = (
     "train-images-idx3-ubyte.gz",
@@ -71,15 +70,19 @@ def load_idx(name: str, rescale: Range) -> Dataset:
     """Load the original in its own split and order, framed to 32x32."""
     folder = download(name)
     images, labels, images_test, labels_test = (_read_idx(folder / file) for file in IDX_FILES)
-    frame = ((0, 0), (2, 2), (2, 2))
     return assemble(
         name,
-        (unit(np.pad(images, frame)), labels.astype(np.int64)),
-        (unit(np.pad(images_test, frame)), labels_test.astype(np.int64)),
+        (_framed(images), labels.astype(np.int64)),
+        (_framed(images_test), labels_test.astype(np.int64)),
         classes=ORIGINALS[name].classes,
         values="Padded from 28x28 to 32x32 with black, divided by 255",
         rescale=rescale,
     )
+
+
+def _framed(images: npt.NDArray[np.uint8]) -> Reflectance:
+    """Images (n, 28, 28) as reflectance (n, 32, 32)."""
+    return np.divide(np.pad(images, ((0, 0), (2, 2), (2, 2))), 255, dtype=np.float32)
 
 
 def _read_idx(path: Path) -> npt.NDArray[np.uint8]:

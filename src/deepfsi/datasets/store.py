@@ -2,14 +2,13 @@
 
 import hashlib
 import os
-import sys
-import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from deepfsi.errors import InputError
+from deepfsi.progress import Report, terminal_bar
 
 
 class FileCheck(NamedTuple):
@@ -81,49 +80,35 @@ def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) ->
     pooch.get_logger().setLevel("WARNING")
     failures = []
     for mirror in mirrors:
-        progress = DownloadBar(file)
         try:
-            pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=progress)
+            with terminal_bar(file) as report:
+                shown = _Download(report)
+                pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=shown)
             return
         except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
             reason = "wrong hash" if isinstance(error, ValueError) else type(error).__name__
             failures.append(f"{urlsplit(mirror).netloc} ({reason})")
-        finally:
-            progress.close()
     raise InputError(
         f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put the "
         f"original files into a folder {name} and set DEEPFSI_DATA to the folder that holds it"
     )
 
 
-class DownloadBar:
-    """Progress bar of pooch: a line on stderr, from the third second on."""
+class _Download:
+    """What pooch tells of a download, as a report."""
 
-    def __init__(self, file: str) -> None:
-        self.file = file
-        self.total = self.done = 0
-        self.due = time.monotonic() + 2
-        self.shown = False
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.total = self.done = 0  # bytes; the total stays 0 where the server does not tell it
 
     def update(self, size: int) -> None:
         """Count that many bytes more."""
         self.done += size
-        if time.monotonic() >= self.due:
-            print(
-                f"\r{self.file}: {self.done / 1e6:.1f} of {self.total / 1e6:.1f} MB",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
-            self.due = time.monotonic() + 0.2
-            self.shown = True
+        self.report(self.done / self.total if self.total else 0.0)
 
     def reset(self) -> None:
         """Count from 0 again."""
         self.done = 0
 
     def close(self) -> None:
-        """End the line, if there is one."""
-        if self.shown:
-            print(file=sys.stderr)
-            self.shown = False
+        """The bar ends with its block."""
