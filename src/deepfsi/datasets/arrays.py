@@ -95,7 +95,7 @@ def from_arrays(
 
 def split_arrays(
     train: Scenes,
-    test: tuple[npt.ArrayLike | None, npt.ArrayLike | None] = (None, None),
+    test: Sequence[npt.ArrayLike | None] = (None, None),
     *,
     classes: Sequence[str] | None = None,
     name: str,

@@ -53,13 +53,11 @@ def list_datasets() -> list[DatasetInfo]:
         | dict.fromkeys(CIFAR, (60_000, 1024, 10))
         | dict.fromkeys(indian_pines.SOURCES, (10_249, indian_pines.BANDS, 16))
     )
-    return [
-        DatasetInfo("digits", 1797, 64, 10, "embedded"),
-        *(
-            DatasetInfo(name, *sizes[name], str(files.where(name) or "not here"))
-            for name, files in FILES.items()
-        ),
-    ]
+    listed = (
+        DatasetInfo(name, *sizes[name], str(files.where(name) or "not here"))
+        for name, files in FILES.items()
+    )
+    return [DatasetInfo("digits", 1797, 64, 10, "embedded"), *listed]
 
 
 def download(name: str) -> Path:
@@ -70,9 +68,7 @@ def download(name: str) -> Path:
     this finds the files that are here. Gives their folder.
     """
     if name == "digits":
-        raise InputError(
-            "digits is embedded in scikit-learn: there is nothing to download, load it"
-        )
+        raise InputError("digits is part of scikit-learn: there is nothing to download, load it")
     check_known("data set", name, NAMES)
     return FILES[name].download(name)
 

@@ -31,7 +31,6 @@ def read_cube(
     variables: tuple[str | None, str | None] = (None, None),
     name: str | None = None,
     classes: Sequence[str] | None = None,
-    wavelengths: npt.NDArray[np.float64] | None = None,
     origin: str = "Spectra",
 ) -> SpectralImage:
     """Read a cube and its label map."""
@@ -44,7 +43,7 @@ def read_cube(
         cube=cube.values,
         labels=_integers(label_map.values),
         classes=names if classes is None else classes,
-        wavelengths=cube.wavelengths if wavelengths is None else wavelengths,
+        wavelengths=cube.wavelengths,
         origin=origin,
     )
 

@@ -138,12 +138,12 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
         if part.is_dir():
             yield (part.name,), None
             for path in part.iterdir():
-                yield (part.name, path.name), Picture(part.name, str(path), opener(path))
+                yield (part.name, path.name), picture_file(path, part.name)
 
 
-def opener(path: Path) -> Callable[[], IO[bytes]]:
-    """Function that opens a file."""
-    return lambda: path.open("rb")
+def picture_file(path: Path, label: str = "") -> Picture:
+    """Picture of a file."""
+    return Picture(label, str(path), lambda: path.open("rb"))
 
 
 def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
