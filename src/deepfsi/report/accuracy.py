@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,41 +14,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleL
 from deepfsi.report import style
 from deepfsi.sweeps.results import Results
 
-T = TypeVar("T")
-M = TypeVar("M", bound="Measured")
-
-
-class Measured(Protocol):
-    """Accuracy of a design, with its interval."""
-
-    @property
-    def design(self) -> str:
-        """Name of the design."""
-
-    @property
-    def label(self) -> str:
-        """Its short name."""
-
-    @property
-    def title(self) -> str:
-        """Its name, written out."""
-
-    @property
-    def specific(self) -> bool:
-        """True for a feature-specific design."""
-
-    @property
-    def accuracy(self) -> float:
-        """Mean over trials."""
-
-    @property
-    def low(self) -> float:
-        """Lower end of its interval."""
-
-    @property
-    def high(self) -> float:
-        """Upper end of its interval."""
-
+Measured: TypeAlias = Any
+"""Accuracy of a design with its interval: a `Point`, or what has its names, as other cameras do."""
 
 LINE_HEIGHT = 0.06
 """Height of a name at the right edge, in parts of the axis."""
@@ -89,22 +56,26 @@ def axis_text(axis: str, value: Any) -> str:
     return f"from {value}" if axis == "trained_under" else str(value)
 
 
-def series(points: Iterable[T], axes: Fields) -> dict[tuple[str, ...], list[T]]:
+def series(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ...], list[Measured]]:
     """Points by the fields `axes`, the design first, in the order in which they appear."""
-    found: dict[tuple[str, ...], list[T]] = {}
+    found: dict[tuple[str, ...], list[Measured]] = {}
     for point in points:
-        found.setdefault(tuple(str(getattr(point, axis)) for axis in axes), []).append(point)
+        found.setdefault(key_of(point, axes), []).append(point)
     return found
+
+
+def key_of(point: Measured, axes: Fields) -> tuple[str, ...]:
+    """Values of a point's fields, which tell its series."""
+    return tuple(str(getattr(point, axis)) for axis in axes)
 
 
 def series_names(
     points: Iterable[Measured], axes: Fields, field: str = "label"
 ) -> dict[tuple[str, ...], str]:
     """Name of each series: the design's, and the other axes where these tell two apart."""
-    rows = list(series(points, axes).items())
-    names = {}
-    for key, members in rows:
-        kin = [other for other, _ in rows if other[0] == key[0]]
+    groups, names = series(points, axes), {}
+    for key, members in groups.items():
+        kin = [other for other in groups if other[0] == key[0]]
         apart = [
             axis_text(axes[i], getattr(members[0], axes[i]))
             for i in range(1, len(axes))
@@ -159,7 +130,7 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
 def _hollow(points: Iterable[Measured]) -> str:
     """Words for hollow markers of series beside a design's first; empty where there are none."""
     rows = list(points)
-    kinds = {tuple(str(getattr(p, axis)) for axis in CHOSEN) for p in rows}
+    kinds = {key_of(p, CHOSEN) for p in rows}
     several = len(kinds) > len({p.design for p in rows})
     return "hollow: further light laws, rails or detectors" if several else ""
 
@@ -269,13 +240,13 @@ def count_figure(results: Results) -> Figure:
 
 def accuracy_axes(
     ax: Axes,
-    points: Iterable[M],
+    points: Iterable[Measured],
     axes: Fields,
-    across: Callable[[M], float],
+    across: Callable[[Measured], float],
     chance: float,
     *,
     span: tuple[float, float] | None = None,
-    filled: Callable[[M], bool] | None = None,
+    filled: Callable[[Measured], bool] | None = None,
     top: float = 1.0,
 ) -> None:
     """Draw accuracies over a quantity, one line for each series, named at the right edge."""
