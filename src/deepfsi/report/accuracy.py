@@ -23,6 +23,9 @@ LINE_HEIGHT = 0.06
 LONGEST = 32
 """Letters of the longest name in a figure; where one is longer, all are the designs' short ones."""
 
+CHANCE: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+"""Line of the accuracy that chance gives."""
+
 Fields = tuple[str, ...]
 
 CHOSEN: Fields = ("design", "light", "rails", "detectors")
@@ -138,23 +141,18 @@ def _hollow(points: Iterable[Measured]) -> str:
 def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
     """Say below a figure what circles, squares and bars are, and what else its words say."""
     looks: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
-    kinds = {point.specific for point in points}
-    keys = [
-        (Line2D([], [], marker=marker, **looks), name)
-        for marker, name, specific in (
-            ("o", "masks made from training data", True),
-            ("s", "other masks", False),
-        )
-        if specific in kinds
-    ]
-    bar = Line2D([], [], color=style.MUTED, markersize=9, linestyle="none", marker="|")
-    keys.append((bar, "95 % interval"))
-    keys += [(Line2D([], [], linestyle="none"), word) for word in words if word]
-    names = [name for _, name in keys]
+    kinds = {point.specific: _marker(point) for point in points}
+    told = {True: "masks made from training data", False: "other masks"}
+    keys = [Line2D([], [], marker=kinds[kind], **looks) for kind in told if kind in kinds]
+    keys += [Line2D([], [], marker="|", markersize=9, **looks)]
+    names = [*(told[kind] for kind in told if kind in kinds), "95 % interval"]
+    names += filter(None, words)
+    keys += [Line2D([], [], linestyle="none")] * (len(names) - len(keys))
     room = figure.get_figwidth()
     in_a_row = sum(style.inches(name, 9) for name in names) < room
     figure.legend(
-        *zip(*keys, strict=True),
+        keys,
+        names,
         loc="outside lower center",
         ncols=len(keys) if in_a_row else style.columns(names, room, 9),
         frameon=False,
@@ -179,11 +177,9 @@ def _ranking_figure(
             ax.errorbar(
                 point.accuracy,
                 place,
-                xerr=np.clip(
-                    [[point.accuracy - point.low], [point.high - point.accuracy]], 0, None
-                ),
+                xerr=_reach([point]),
                 color=style.COLOURS.get(point.design, style.INK),
-                marker="o" if point.specific else "s",
+                marker=_marker(point),
                 capsize=2,
                 elinewidth=1,
             )
@@ -193,7 +189,7 @@ def _ranking_figure(
         ax.xaxis.set_major_locator(MultipleLocator(top / 4))
         ax.set_xlabel(style.ACCURACY_AXIS)
         ax.grid(axis="x")
-        ax.axvline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)))
+        ax.axvline(chance, **CHANCE)
         ax.annotate(
             "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
             textcoords="offset points", color=style.MUTED,
@@ -206,35 +202,19 @@ def _ranking_figure(
 
 @style.styled
 def count_figure(results: Results) -> Figure:
-    """Accuracy against the number of masks, one panel for each noise and budget.
+    """Accuracy against the number of masks, of results under one noise at one budget.
 
     Filled markers are the mask counts that were chosen; designs whose count is fixed have one.
     """
-    panels = [
-        (noise, photons)
-        for noise in noises(results)
-        for photons in sorted({p.photons for p in results.points if p.noise == noise})
-    ]
-    columns = min(3, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.9 * columns, style.PANEL_HEIGHT * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).flat
-    several = len(noises(results)) > 1
-    for ax, (noise, photons) in zip(axes, panels, strict=False):
-        points = [p for p in results.points if (p.noise, p.photons) == (noise, photons)]
-        apart = tuple(axis for axis in series_axes(results) if axis != "masks")
-        chance = results.data.commonest
-        accuracy_axes(ax, points, apart, attrgetter("masks"), chance, filled=attrgetter("best"))
-        ax.set_xlabel("number of masks m")
-        ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        if len(panels) > 1:
-            heading = f"{style.photons_text(photons)} photons"
-            ax.set_title(f"{heading}, {style.noise_text(noise)}" if several else heading)
-    for ax in list(figure.axes)[len(panels) :]:
-        ax.remove()
-    words = ("filled: number of masks chosen on validation data",) if results.had_choice else ()
-    marker_key(figure, results.points, *words)
+    figure = Figure(figsize=(4.9, style.PANEL_HEIGHT), layout="constrained")
+    ax, axes = figure.subplots(), tuple(a for a in series_axes(results) if a != "masks")
+    chance, masks, best = results.data.commonest, attrgetter("masks"), attrgetter("best")
+    accuracy_axes(ax, results.points, axes, masks, chance, filled=best)
+    ax.set_xlabel("number of masks m")
+    ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    words = "filled: number of masks chosen on validation data" if results.had_choice else ""
+    marker_key(figure, results.points, words)
     return figure
 
 
@@ -262,7 +242,7 @@ def accuracy_axes(
         rows = sorted(members, key=across, reverse=left > right)
         x = np.array([across(p) for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
         full = np.array([filled(p) if filled else variant == 0 for p in rows])
-        _draw_series(ax, rows, x, full, variant=variant, place=place, name=names[key])
+        _draw_series(ax, rows, x, full, variant, place, names[key])
         ends.append(
             (names[key], style.COLOURS.get(key[0], style.INK), float(x[-1]), rows[-1].accuracy)
         )
@@ -270,7 +250,7 @@ def accuracy_axes(
     margin = 10 ** (0.06 * decades)
     edges = min(left, right) / margin, max(left, right) * margin
     ax.set_xlim(edges[::-1] if left > right else edges)
-    ax.axhline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
+    ax.axhline(chance, zorder=2, **CHANCE)
     ax.set_ylim(0, top)
     ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
@@ -282,38 +262,32 @@ def _draw_series(
     ax: Axes,
     rows: Sequence[Measured],
     x: np.ndarray,
-    filled: np.ndarray,
-    *,
+    full: np.ndarray,
     variant: int,
     place: int,
     name: str,
 ) -> None:
     """Draw one line with intervals, and its markers, filled or hollow."""
-    design = rows[0].design
+    design, y = rows[0].design, np.array([p.accuracy for p in rows])
     colour = style.COLOURS.get(design, style.INK)
-    y = np.array([p.accuracy for p in rows])
-    reach = [[p.accuracy - p.low for p in rows], [p.high - p.accuracy for p in rows]]
-    ax.errorbar(
-        x,
-        y,
-        yerr=np.clip(reach, 0, None),
-        color=colour,
-        linestyle=style.LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
-        elinewidth=1,
-        capsize=2,
-        zorder=3 + place / 100,
-    )
-    for full in set(filled.tolist()):
-        ax.plot(
-            x[filled == full],
-            y[filled == full],
-            linestyle="none",
-            marker="o" if rows[0].specific else "s",
-            color=colour,
-            markerfacecolor=colour if full else style.PAPER,
-            zorder=4 + place / 100,
-            label=name,
-        )
+    line = style.LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant))
+    looks: dict[str, Any] = {"color": colour, "elinewidth": 1, "capsize": 2}
+    ax.errorbar(x, y, yerr=_reach(rows), linestyle=line, zorder=3 + place / 100, **looks)
+    for filled in set(full.tolist()):
+        face = colour if filled else style.PAPER
+        looks = {"color": colour, "markerfacecolor": face, "zorder": 4 + place / 100}
+        at = full == filled
+        ax.plot(x[at], y[at], linestyle="none", marker=_marker(rows[0]), label=name, **looks)
+
+
+def _reach(points: Sequence[Measured]) -> np.ndarray:
+    """Lengths (2, n) of the bars below and above each point."""
+    ends = [(p.accuracy - p.low, p.high - p.accuracy) for p in points]
+    return np.clip(np.transpose(ends), 0, None)
+
+
+def _marker(point: Measured) -> str:
+    return "o" if point.specific else "s"
 
 
 def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:

@@ -190,7 +190,7 @@ def summary(results: Results, noise: str) -> str:
 
     text = f"Under {noise_text(noise)}, "
     if len(names) > 1:
-        where = " beside impulse imaging" if any(p.design == "impulse" for p in points) else ""
+        where = " apart from impulse imaging" if any(p.design == "impulse" for p in points) else ""
         where = " with one detector" if with_one_detector(points) else where
         text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets}, where)
     text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
