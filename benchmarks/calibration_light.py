@@ -19,7 +19,6 @@ from scipy.linalg import lstsq
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.experiments.camera.laboratory import LAB
 from deepfsi.hardware.calibration.fit import calibrate, spot_scenes
 from deepfsi.hardware.calibration.scans import SCANS, scan_rails
 from deepfsi.hardware.calibration.view import Calibration
@@ -27,6 +26,7 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.virtual.camera import arrival_rates, draw_counts
+from deepfsi_paper.camera.laboratory import LAB
 
 DEVICE = Device(name="small", columns=256, rows=192)
 CAMERA = LAB.model_copy(update={"blur": LAB.blur / 4, "dark": 0.0})

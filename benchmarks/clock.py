@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from deepfsi import Dataset, Design, learn, load_dataset
-from deepfsi.design.exposure import Exposure
+from deepfsi.design.exposure.trained import Observation
 from deepfsi.files import write_atomically
 from deepfsi.optics.constraints import frames
 from deepfsi.report.style import COLOURS, photons_text, styled
@@ -89,7 +89,7 @@ def test(design: Design, data: Dataset, photons: float) -> tuple[float, float]:
     return right / len(data.y_test), shown / len(data.y_test)
 
 
-def frames_shown(design: Design, looks: list[Exposure]) -> float:
+def frames_shown(design: Design, looks: list[Observation]) -> float:
     """Frames of an exposure, in the mean over scenes."""
     if looks[-1].dwell is None:
         return float(len(frames(design.rails)))

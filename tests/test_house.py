@@ -13,7 +13,7 @@ import pytest
 import deepfsi
 
 ROOT = Path(__file__).parents[1]
-SOURCE = ROOT / "src/deepfsi"
+SOURCE = ROOT / "src"
 TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}
 MODULE_LINES, FUNCTION_LINES, PARAMETERS = 500, 60, 8
 LARGER = set(re.findall(r"^\| `([\w/.]+:\w+)` \|", (ROOT / "CONTRIBUTING.md").read_text(), re.M))
@@ -26,7 +26,7 @@ def functions(tree: ast.AST) -> list[Function]:
 
 
 def name_of(path: Path, function: Function) -> str:
-    return f"{path.relative_to(SOURCE)}:{function.name}"
+    return f"{path.relative_to(SOURCE)}:{function.name}".removeprefix("deepfsi/")
 
 
 def parameters(function: Function) -> list[str]:

@@ -93,20 +93,18 @@ def run(tmp_path, monkeypatch, done, digits):
     MNIST is small there, what trains on it is told to be brief, and its study is the shortest
     experiment of it.
     """
-    from deepfsi import experiments
-    from deepfsi.experiments import experiment
-    from deepfsi.experiments.mnist import starts
+    from deepfsi_paper import experiment, studies
+    from deepfsi_paper.mnist import starts
     from shared.experiments import tiny
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr(idx, "load_idx", lambda name, _: replace(digits, name=name))
     recipes = tiny(starts.EXPERIMENT, 1)
-    monkeypatch.setitem(experiments.STUDIES, "mnist", (starts.EXPERIMENT,))
+    monkeypatch.setitem(studies.STUDIES, "mnist", (starts.EXPERIMENT,))
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda *_: recipes)
-    monkeypatch.setattr("deepfsi.cli.recipes.SHIPPED", tmp_path / "recipes")
-    (tmp_path / "recipes").mkdir()
-    (tmp_path / "recipes/mnist.toml").write_text(
+    monkeypatch.setattr("deepfsi.cli.recipes.shipped", lambda: {"mnist": tmp_path / "small.toml"})
+    (tmp_path / "small.toml").write_text(
         'designs = ["pca"]\nphotons = [1e2, 1e4]\nmasks = 3\n[quick]\ntraining.epochs = 1\n'
     )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = ROOT / "src/deepfsi"
+SOURCE = ROOT / "src"
 BUILD = [sys.executable, "-m", "hatchling", "build", "-d"]
 LIBRARIES = Path(importlib.util.find_spec("torch").origin).parents[1]
 
@@ -57,12 +57,13 @@ def test_a_wheel_of_the_sdist_compares_reproduces_and_writes_pages(installed, tm
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    [package] = installed.glob("lib/*/site-packages/deepfsi")
-    files = {each.relative_to(PACKAGE) for each in PACKAGE.rglob("*.*") if each.suffix != ".pyc"}
-    assert {each.relative_to(package) for each in package.rglob("*.*")} >= files
-    assert (package / "py.typed").is_file()
+    [own] = installed.glob("lib/*/site-packages")
+    files = {each.relative_to(SOURCE) for each in SOURCE.rglob("*.*") if each.suffix != ".pyc"}
+    assert {each.relative_to(own) for each in own.rglob("*.*")} >= files
+    assert {path.parts[0] for path in files} == {"deepfsi", "deepfsi_paper"}
+    assert (own / "deepfsi/py.typed").is_file()
     for name in ("mlgauss", "quantization"):
-        recipe = package / f"experiments/recipes/{name}.toml"
+        recipe = own / f"deepfsi_paper/recipes/{name}.toml"
         recipe.write_text(recipe.read_text().partition("[quick]")[0] + QUICK)
     run("compare", "--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
     assert (tmp_path / "runs/compare/report.html").is_file()

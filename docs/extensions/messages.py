@@ -1,7 +1,8 @@
 """Error messages of the package, read from its source.
 
-The directive `messages` lists those of the modules and folders that it names: every `InputError`,
-and every `ValueError` of a model's field. What a message fills in stands in ‹brackets›.
+The directive `messages` lists those of the modules and folders that it names, those of `deepfsi`
+without its name: every `InputError`, and every `ValueError` of a model's field. What a message
+fills in stands in ‹brackets›.
 """
 
 import ast
@@ -11,18 +12,25 @@ from pathlib import Path
 from markdown import Made
 
 import deepfsi
+import deepfsi_paper
 
-SOURCE = Path(deepfsi.__file__).parent
+SOURCES = [Path(package.__file__).parent for package in (deepfsi, deepfsi_paper)]
 LISTED = re.compile(r"^```\{messages\} (.+)$", re.M)
 ERRORS = ("InputError", "ValueError")
+
+
+def modules():
+    """Files of the packages, each with the folder of its package."""
+    return [(source, path) for source in SOURCES for path in sorted(source.rglob("*.py"))]
 
 
 def assigned(page):
     """Files that each name of a page stands for: of two that hold a file the closer one."""
     named = [name for line in LISTED.findall(page) for name in line.split()]
     found = {name: [] for name in named}
-    for path in sorted(SOURCE.rglob("*.py")):
-        dotted = ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+    for source, path in modules():
+        dotted = ".".join(path.relative_to(source.parent).with_suffix("").parts)
+        dotted = dotted.removeprefix("deepfsi.")
         holders = [name for name in named if f"{dotted}.".startswith(f"{name}.")]
         if holders:
             found[max(holders, key=len)].append(path)

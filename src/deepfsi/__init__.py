@@ -19,27 +19,43 @@ if TYPE_CHECKING:
     from deepfsi.design.classifiers import Mlp as Mlp
     from deepfsi.design.evaluation import Result as Result
     from deepfsi.design.evaluation import evaluate as evaluate
+    from deepfsi.design.exposure import Fixed as Fixed
+    from deepfsi.design.exposure import Looks as Looks
+    from deepfsi.design.exposure import Nested as Nested
+    from deepfsi.design.exposure import Patches as Patches
+    from deepfsi.design.exposure import Range as Range
     from deepfsi.design.own import OwnClassifier as OwnClassifier
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
     from deepfsi.errors import InputError as InputError
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
+    from deepfsi.optics.camera import Camera as Camera
     from deepfsi.optics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
+    from deepfsi.training.job import Job as Job
+    from deepfsi.training.job import Training as Training
     from deepfsi.training.learning import learn as learn
 
 if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
 
 _HOMES = {
+    "Camera": "optics.camera",
     "Dataset": "datasets",
     "Design": "design.artifact",
+    "Fixed": "design.exposure",
     "IdealObserver": "design.posterior",
     "InputError": "errors",
+    "Job": "training.job",
+    "Looks": "design.exposure",
     "Mlp": "design.classifiers",
+    "Nested": "design.exposure",
     "OwnClassifier": "design.own",
+    "Patches": "design.exposure",
+    "Range": "design.exposure",
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
+    "Training": "training.job",
     "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",
@@ -50,14 +66,22 @@ _HOMES = {
 }
 
 __all__ = [
+    "Camera",
     "Dataset",
     "Design",
+    "Fixed",
     "IdealObserver",
     "InputError",
+    "Job",
+    "Looks",
     "Mlp",
+    "Nested",
     "OwnClassifier",
+    "Patches",
+    "Range",
     "Result",
     "Scanner",
+    "Training",
     "design_of",
     "evaluate",
     "from_arrays",

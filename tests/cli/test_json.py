@@ -65,7 +65,7 @@ def test_every_command_takes_json(path):
 
 @pytest.mark.slow
 def test_every_command_reports_with_its_schema(done, tmp_path, monkeypatch):
-    from deepfsi.experiments import experiment
+    from deepfsi_paper import experiment
 
     assert set(STEPS) | ELSEWHERE == set(EVERY_COMMAND)
     monkeypatch.chdir(tmp_path)

@@ -1,10 +1,11 @@
 """Recipes by name and by file, and what is wrong with them, told before any work."""
 
 import json
+import sys
 
 import pytest
 
-from deepfsi.cli.recipes import SHIPPED, read_recipe
+from deepfsi.cli.recipes import read_recipe, shipped
 from deepfsi.errors import InputError
 
 
@@ -53,6 +54,18 @@ def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, words):
         read_recipe(source)
 
 
+def test_the_package_works_without_the_papers_experiments(monkeypatch, refuse, done, tmp_path):
+    monkeypatch.setitem(sys.modules, "deepfsi_paper", None)
+    assert set(shipped()) == {"arms", "baseline", "limits"}
+    assert read_recipe("baseline")["data"] == "mnist"
+    assert "install deepfsi again" in refuse("reproduce", "mnist", "-o", tmp_path / "paper")
+    words = ("--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
+    done("compare", *words, "--workers", "1", "-o", tmp_path)
+    (tmp_path / "report.html").unlink()
+    done("report", tmp_path)
+    assert (tmp_path / "report.html").is_file()
+
+
 def test_every_recipe_says_how_it_is_run():
     """A recipe's own words name it as `sweep` knows it, not as a file beside the source."""
-    assert not [each.name for each in SHIPPED.iterdir() if "recipes/" in each.read_text()]
+    assert not [name for name, each in shipped().items() if "recipes/" in each.read_text()]

@@ -9,10 +9,10 @@ import torch
 
 from conftest import RECIPE
 from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.design.adaptive import Dwells, expose
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.exposure.looks import Dwells, expose
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints

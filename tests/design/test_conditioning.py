@@ -9,8 +9,8 @@ import torch
 
 from conftest import every_optics, generator, quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.conditioning import Conditioning
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import photons_per_pixel
@@ -61,7 +61,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
 
 
 def test_conditioning_inputs_are_written_out():
-    conditioning = Conditioning(photons=10.0, span=100.0, masks=4)
+    conditioning = ConditionedExposure(photons=10.0, span=100.0, masks=4)
     scaled = torch.tensor([[1.0, 2.0, 3.0]])
     inputs = conditioning.inputs(scaled, torch.tensor(100.0), torch.tensor(2))
     assert inputs.tolist() == [[1.0, 2.0, 0.0, 0.0, 1.0, 0.5]]
@@ -70,7 +70,9 @@ def test_conditioning_inputs_are_written_out():
 
 
 def test_chances_are_of_the_fewest_masks_and_more():
-    found = {fewest: Conditioning(1.0, 1.0, 4, fewest).chances.tolist() for fewest in (0, 2, 4)}
+    found = {
+        fewest: ConditionedExposure(1.0, 1.0, 4, fewest).chances.tolist() for fewest in (0, 2, 4)
+    }
     assert found[0] == found[4] == [0, 0, 0, 1]
     few = [0.75 * part / 13 for part in (0, 6, 4, 3)]
     assert found[2] == pytest.approx([*few[:3], few[3] + 0.25])
@@ -131,7 +133,7 @@ def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
 def test_the_noise_of_a_range_is_its_mean_over_budgets():
     """∫ 1/Φ over a log-uniform range in closed form, against the mean of many draws."""
     used = constraints.used(torch.rand(1, 2, 2, 5, generator=generator()), "column")
-    factor, often = mean_over_exposures(used, 1000.0, Conditioning(1.0, 1000.0, 2).chances)
+    factor, often = mean_over_exposures(used, 1000.0, ConditionedExposure(1.0, 1000.0, 2).chances)
     draws = 1000.0 ** -np.random.default_rng(0).random(10**6)
     error = 5 * draws.std() / 1000
     assert float(factor[0, 0]) == pytest.approx(draws.mean(), abs=error)
@@ -167,7 +169,7 @@ def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
     for job, design in zip(jobs, together, strict=True):
         [alone] = train(scenes, [job])
         torch.testing.assert_close(design.rails, alone.rails, rtol=1e-3, atol=1e-5)
-        assert design.exposure == alone.exposure == Conditioning(job.photons, 30.0, 5, 2)
+        assert design.exposure == alone.exposure == ConditionedExposure(job.photons, 30.0, 5, 2)
 
 
 @pytest.mark.parametrize("design", ["pca", "raster", "random"])

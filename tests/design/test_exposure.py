@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.design.exposure import Exposure, cut
+from deepfsi.design.exposure.trained import Observation, cut
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 
@@ -24,7 +24,7 @@ def test_an_image_that_cannot_be_cut_so_is_refused():
 
 
 def test_an_exposure_says_what_it_has_seen():
-    seen = Exposure(torch.tensor([2.0, 0.0]), torch.tensor([0.75, 0.25]))
+    seen = Observation(torch.tensor([2.0, 0.0]), torch.tensor([0.75, 0.25]))
     inputs = seen.inputs(torch.tensor([1.0, 2.0]), torch.tensor([0.5, 0.5]))
     assert inputs.tolist() == [1.0, -2.0, 0.5, pytest.approx(0.5 / 3)]
 

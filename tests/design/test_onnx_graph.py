@@ -13,7 +13,7 @@ from torch import nn
 
 from conftest import PHOTONS, every_design, every_optics, quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.conditioning import Conditioning
+from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.onnx_graph import SCHEMA, to_onnx
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns
@@ -49,7 +49,7 @@ def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
     features = design.features_of(torch.from_numpy(counts)).numpy()
     mean, std = design.mean.numpy(), design.std.numpy()
     size = (np.abs(features / photons[:, None]) + np.abs(mean)) / std
-    if isinstance(design.exposure, Conditioning):
+    if isinstance(design.exposure, ConditionedExposure):
         size = np.pad(
             size, ((0, 0), (0, design.exposure.masks * design.exposure.width - design.features))
         )

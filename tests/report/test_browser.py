@@ -17,10 +17,10 @@ from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import build
 from deepfsi.report.masks import masks_figure
 from deepfsi.report.pictures import pictures_figure
-from deepfsi.report.section import Claim, Picture, Section, Table
-from deepfsi.report.study_page import write_study
 from deepfsi.report.style import COLOURS
 from deepfsi.sweeps.results import read_results, write_results
+from deepfsi_paper.report.section import Claim, Picture, Section, Table
+from deepfsi_paper.report.study_page import write_study
 from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, chromium, look
 from shared.pages import example
 from shared.results import a_point, make_results, some_results, with_all

@@ -13,7 +13,7 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
-from deepfsi.design.exposure import PatchExposure
+from deepfsi.design.exposure.trained import PatchExposure
 from deepfsi.design.live import loop_of
 from deepfsi.design.payload import check_playable, playable
 from deepfsi.errors import InputError

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi import experiments
-from deepfsi.experiments import experiment
-from deepfsi.experiments.camera import laboratory
-from deepfsi.experiments.experiment import Experiment
-from deepfsi.experiments.flexible import claims as flexible
-from deepfsi.experiments.indian_pines import claims as indian_pines
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi_paper import experiment, studies
+from deepfsi_paper.camera import laboratory
+from deepfsi_paper.experiment import Experiment
+from deepfsi_paper.flexible import claims as flexible
+from deepfsi_paper.indian_pines import claims as indian_pines
 
-ALL = [each for members in experiments.STUDIES.values() for each in members]
+ALL = [each for members in studies.STUDIES.values() for each in members]
 APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
 EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
 TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}

@@ -10,8 +10,8 @@ import numpy as np
 
 from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.masks import masks_figure, values_figure
-from deepfsi.report.section import Claim, Picture, Section, Table
 from deepfsi.report.terms import ABBREVIATIONS
+from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from shared.results import make_results
 
 SCRIPT = "<script>window.harmed = true</script>"

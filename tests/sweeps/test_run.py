@@ -1,10 +1,10 @@
 """Comparisons of recipes, those of the experiments among them."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
 
+from deepfsi.cli.recipes import shipped
 from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.run import compare
@@ -12,11 +12,9 @@ from deepfsi.sweeps.trial import Trial, plan
 from shared.trials import small, train_trials
 
 FILES = {
-    path.stem: tomllib.loads(path.read_text())
-    for path in sorted(
-        (Path(__file__).parents[2] / "src/deepfsi/experiments/recipes").glob("*.toml")
-    )
-    if not path.stem.startswith("ovit")  # of another kind: test_ovit
+    name: tomllib.loads(file.read_text())
+    for name, file in sorted(shipped().items())
+    if not name.startswith("ovit")  # of another kind: test_ovit
 }
 
 

@@ -7,7 +7,7 @@ import torch
 from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.exposure import cut
+from deepfsi.design.exposure.trained import cut
 from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError

@@ -38,7 +38,7 @@ def help_if_bare(context: typer.Context) -> None:
 
 
 def load(
-    data: str, size: tuple[int, int] | None, view: Path | None = None, split: str | None = None
+    data: str, size: tuple[int, int] | None, view: Path | None = None, **options: Any
 ) -> "Dataset":
     """Data set of a name or path, as the camera whose calibration is in the folder `view` sees it.
 
@@ -46,7 +46,7 @@ def load(
     """
     from deepfsi.datasets import load_dataset
 
-    scenes = load_dataset(data, size=size, split=split)
+    scenes = load_dataset(data, size=size, **options)
     if view is None:
         return scenes
     from deepfsi.hardware.calibration.view import view_from

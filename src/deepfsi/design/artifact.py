@@ -12,18 +12,19 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
-from deepfsi.design.adaptive import AdaptiveDwells, Dwells
 from deepfsi.design.calibration import find_distribution, sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
-from deepfsi.design.exposure import Exposure, ExposureKind, FixedDwells
+from deepfsi.design.exposure.looks import Dwells, LooksExposure
+from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
@@ -53,7 +54,7 @@ class Design:
         Light law that the rails obey.
     image_shape : tuple of int
     classes : tuple of str
-    exposure : ExposureKind
+    exposure : TrainedExposure
         Dwells of the masks, and the classifier's inputs.
     detection : Detection
         Detectors on parts of the device, and what is read of two rails.
@@ -83,7 +84,7 @@ class Design:
     light: Light
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
-    exposure: ExposureKind = field(default_factory=FixedDwells)
+    exposure: TrainedExposure = field(default_factory=FixedExposure)
     detection: Detection = ONE
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
@@ -140,6 +141,21 @@ class Design:
         """Share of the light law that the masks take within the whole sequence."""
         return self.exposure.used
 
+    @property
+    def camera(self) -> Camera:
+        """The camera that it was trained for, as the file keeps it."""
+        known = self.info.get("job", {}).get("camera")
+        if known is None:
+            return Camera.load(light=self.light)
+        with as_input_error("the design's camera", "train it again"):
+            return Camera.model_validate(known)
+
+    def camera_with(self, **settings: Any) -> Camera:
+        """Its camera with other settings, such as the noise of a test."""
+        if settings.get("noise", "camera") != "camera":
+            settings = {"dark": 0.0, **settings}  # only camera noise has dark counts
+        return Camera.load(self.camera, **settings)
+
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
@@ -165,16 +181,16 @@ class Design:
         dwell : tensor, shape (..., q), optional
             Share of the exposure of each frame.
         """
-        return self.logits_of(Exposure(features / photons, dwell), photons)
+        return self.logits_of(Observation(features / photons, dwell), photons)
 
-    def logits_of(self, seen: Exposure, photons: Tensor | float) -> Tensor:
+    def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
         inputs = seen.inputs(self.mean, self.std)
         return self.classifier(self.exposure.condition(inputs, photons))
 
     def expose(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
-    ) -> Iterator[Exposure]:
+    ) -> Iterator[Observation]:
         """Exposures after each look, with counts of a scanner.
 
         Parameters
@@ -188,7 +204,9 @@ class Design:
             Budget Φ.
         """
         return self.exposure.expose(
-            lambda expected: self.detection.features(scanner.read(expected, generator)),
+            lambda expected, share: self.detection.features(
+                scanner.read(expected, generator, share)
+            ),
             rates, photons, self.mean, self.std,
         )  # fmt: skip
 
@@ -275,7 +293,7 @@ class Design:
     @property
     def _dwells(self) -> Dwells:
         """Dwells of the frames of a look, or `InputError` if they are fixed."""
-        if not isinstance(self.exposure, AdaptiveDwells):
+        if not isinstance(self.exposure, LooksExposure):
             raise InputError("the dwells of this design are fixed")
         return self.exposure.dwells
 

@@ -14,11 +14,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
-from deepfsi.design.adaptive import AdaptiveShape
 from deepfsi.design.classifiers import Mlp, Vit, restored
-from deepfsi.design.conditioning import Conditioning
 from deepfsi.design.consistency import ReadoutDistribution
-from deepfsi.design.exposure import STRICT, FixedDwells, PatchExposure
+from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.design.exposure.looks import LooksShape
+from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
@@ -144,7 +144,8 @@ class Header(BaseModel):
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     exposure: Annotated[
-        FixedDwells | Conditioning | AdaptiveShape | PatchExposure, Field(discriminator="kind")
+        FixedExposure | ConditionedExposure | LooksShape | PatchExposure,
+        Field(discriminator="kind"),
     ]
     classifier: Annotated[MlpSize | VitSize | OwnShape, Field(discriminator="kind")]
     info: dict[str, Any]

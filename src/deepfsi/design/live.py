@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepfsi.design.adaptive import LARGEST_SCORE, AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.exposure.looks import LARGEST_SCORE, LooksExposure
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.hardware.live.networks import About, Layer, Loop
@@ -37,9 +37,9 @@ def loop_of(design: Design) -> Loop:
     return Loop(about, mean, std, _layers(classifier), _layers(exposure.network))
 
 
-def looks_of(design: Design) -> AdaptiveDwells:
+def looks_of(design: Design) -> LooksExposure:
     """Exposure of a design of several looks, or `InputError` where it is of one."""
-    if not isinstance(design.exposure, AdaptiveDwells):
+    if not isinstance(design.exposure, LooksExposure):
         raise InputError("this design has one look: learn one of several with `looks`")
     return design.exposure
 

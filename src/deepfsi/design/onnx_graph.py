@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.design.adaptive import LARGEST_SCORE, AdaptiveDwells
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.exposure.looks import LARGEST_SCORE, LooksExposure
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.optics.dwells import ROUNDING
@@ -44,7 +44,7 @@ def to_onnx(design: Design) -> bytes:
     design.exposure.check_frames()
     inputs: dict[str, Shape] = {"counts": design.counts_shape, "photons": ()}
     outputs: dict[str, Shape] = {"probabilities": (len(design.classes),)}
-    if isinstance(design.exposure, AdaptiveDwells):
+    if isinstance(design.exposure, LooksExposure):
         if isinstance(design.classifier, OwnClassifier):
             raise InputError("a classifier of one's own cannot be exported with several looks")
         _write_looks(design, design.exposure, design.classifier, graph)
@@ -73,9 +73,7 @@ def _write(design: Design, classifier: Mlp, graph: "_Graph") -> None:
     graph.add("Softmax", graph.network("", layers, hidden), to="probabilities", axis=1)
 
 
-def _write_looks(
-    design: Design, exposure: AdaptiveDwells, classifier: Mlp, graph: "_Graph"
-) -> None:
+def _write_looks(design: Design, exposure: LooksExposure, classifier: Mlp, graph: "_Graph") -> None:
     """Write the nodes of a design of several looks: what `adaptive.expose` does in one look."""
     shares, _ = _write_features(design, graph)
     dwells, flat = exposure.dwells, "dwell"

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import LARGEST_SCORE
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import check_data, evaluate
+from deepfsi.design.exposure.looks import LARGEST_SCORE
 from deepfsi.design.live import rule_of
 from deepfsi.design.memory import memory_of
 from deepfsi.design.stopping import StoppingRule, stop

@@ -37,17 +37,15 @@ def check_budget(photons: float) -> float:
     return budget
 
 
-def check_one_budget(photons: float | None, counts: float | None, span: float) -> float:
+def check_one_budget(photons: float | None, counts: float | None) -> float:
     """Return what is given of a budget of photons and one of counts, or raise `InputError`."""
     if photons is not None and counts is None:
         return check_budget(photons)
     if counts is None or photons is not None:
         raise InputError(
             "the light of a design is told once: give `photons`, the budget on the device, or "
-            "`counts`, the photons that its detectors are to count"
+            "`counts`, the photons that its detectors are to count, or a camera with its flux"
         )
-    if span != 1:
-        raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
     if not BUDGETS[0] <= counts <= BUDGETS[1]:
         raise InputError(
             f"{counts!r} counts are not allowed: give a number from {BUDGETS[0]:g} to "

@@ -5,6 +5,7 @@ is arbitrary here (`constraints.fit` brings it to a light law) but for `impulse`
 `raster`, whose scale is what defines them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,9 +20,45 @@ FULL_BASIS_PIXELS = 2048
 larger scenes only those that are asked for."""
 
 
+Shape = tuple[int, ...]
+"""Of a scene: (H, W) of an image, (B,) of a spectrum."""
+
+Make = Callable[[Dataset, int, int], np.ndarray]
+"""Sensing matrix (m, N), float64, of data, a number of masks m and a seed."""
+
+Counts = Callable[[Shape, int], tuple[int, int]]
+"""Smallest and largest number of masks, of a scene's shape and the number of classes."""
+
+
+def _up_to_pixels(shape: Shape, classes: int) -> tuple[int, int]:
+    return 1, int(np.prod(shape))
+
+
+def _one_a_pixel(shape: Shape, classes: int) -> tuple[int, int]:
+    return int(np.prod(shape)), int(np.prod(shape))
+
+
+def _whole_basis(shape: Shape, classes: int) -> tuple[int, int]:
+    order = int(np.prod(padded_shape(shape)))
+    return order, order
+
+
+def _up_to_basis(shape: Shape, classes: int) -> tuple[int, int]:
+    return 1, int(np.prod(padded_shape(shape)))
+
+
+def _below_classes(shape: Shape, classes: int) -> tuple[int, int]:
+    return 1, min(classes - 1, int(np.prod(shape)))
+
+
+def _residues(shape: Shape, classes: int) -> tuple[int, int]:
+    order = s_matrix_order(int(np.prod(shape)))
+    return order, order
+
+
 @dataclass(frozen=True)
 class Code:
-    """Properties of a named design that no data is needed for.
+    """All that the name of a design implies; nobody else compares names.
 
     Attributes
     ----------
@@ -29,43 +66,125 @@ class Code:
         The paper's abbreviation.
     title : str
         For tables and figures.
+    make : callable or None
+        Its matrix; None of one that is learned, or a user's own.
+    counts : callable
+        Numbers of masks that it can have.
     specific : bool
         Feature-specific, that is, made from training data (drawn as a circle, others as a square).
     learned : bool
         Masks are optimised together with the classifier.
+    learned_under : str or None
+        Noise under which its masks are learned first, before a classifier of theirs alone.
     fixed_count : bool
         The number of masks follows from the scene's shape and cannot be chosen.
-    single_rail : bool
-        Has no negative entries by definition.
+    single_rail, signed : bool
+        Has no negative entries by definition, or needs them.
+    every_pixel : bool
+        Has a detector for each pixel: the light law `column`, and no device.
+    scaled : bool
+        Its scale is what defines it, so that no light law changes it.
+    seeded : bool
+        Its matrix is drawn from the seed.
+    shared : bool
+        The matrix of few masks is the first of that of many, so that one is made for all.
+    own : bool
+        Its matrix is the user's.
     """
 
     label: str
     title: str
+    make: Make | None = None
+    counts: Counts = _up_to_pixels
     specific: bool = False
     learned: bool = False
+    learned_under: str | None = None
     fixed_count: bool = False
     single_rail: bool = False
+    signed: bool = False
+    every_pixel: bool = False
+    scaled: bool = False
+    seeded: bool = False
+    shared: bool = False
+    own: bool = False
+
+    @property
+    def learns_masks(self) -> bool:
+        """True if its masks are learned, at once or before its classifier."""
+        return self.learned or self.learned_under is not None
+
+
+def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, data.pixels))
 
 
 DESIGNS: dict[str, Code] = {
-    "impulse": Code("II", "impulse imaging", fixed_count=True, single_rail=True),
-    "raster": Code("RS", "raster scan", fixed_count=True, single_rail=True),
-    "hadamard": Code("HB", "Hadamard basis", fixed_count=True),
-    "truncated-hadamard": Code("TH", "truncated Hadamard"),
-    "pca": Code("FSI", "PCA", specific=True),
+    "impulse": Code(
+        "II",
+        "impulse imaging",
+        lambda data, masks, seed: np.eye(data.pixels),
+        _one_a_pixel,
+        fixed_count=True,
+        single_rail=True,
+        every_pixel=True,
+    ),
+    "raster": Code(
+        "RS",
+        "raster scan",
+        lambda data, masks, seed: np.eye(data.pixels) / data.pixels,
+        _one_a_pixel,
+        fixed_count=True,
+        single_rail=True,
+        scaled=True,
+    ),
+    "hadamard": Code(
+        "HB",
+        "Hadamard basis",
+        lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
+        _whole_basis,
+        fixed_count=True,
+        signed=True,
+    ),
+    "truncated-hadamard": Code(
+        "TH",
+        "truncated Hadamard",
+        lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
+        _up_to_basis,
+    ),
+    "pca": Code(
+        "FSI",
+        "PCA",
+        lambda data, masks, seed: principal_components(data.x_train, masks),
+        specific=True,
+        shared=True,
+    ),
     "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
-    "control": Code("CG", "control group", specific=True),
-    "random": Code("RND", "random ±1"),
-    "lda": Code("LDA", "linear discriminants", specific=True),
-    "class-pairs": Code("CP", "differences of class means", specific=True),
-    "s-matrix": Code("S", "S-matrix", fixed_count=True, single_rail=True),
-    "custom": Code("USER", "own matrix"),
+    "control": Code("CG", "control group", specific=True, learned_under="gaussian"),
+    "random": Code("RND", "random ±1", _random, seeded=True),
+    "lda": Code(
+        "LDA",
+        "linear discriminants",
+        lambda data, masks, seed: discriminants(data.x_train, data.y_train, masks),
+        _below_classes,
+        specific=True,
+    ),
+    "class-pairs": Code(
+        "CP",
+        "differences of class means",
+        lambda data, masks, seed: class_pairs(data.x_train, data.y_train, masks),
+        specific=True,
+    ),
+    "s-matrix": Code(
+        "S",
+        "S-matrix",
+        lambda data, masks, seed: s_matrix(data.pixels),
+        _residues,
+        fixed_count=True,
+        single_rail=True,
+    ),
+    "custom": Code("USER", "own matrix", own=True),
 }
-
-
-def has_learned_masks(name: str) -> bool:
-    """Tell if masks of a design are learned; those of the control group are, under read noise."""
-    return DESIGNS[name].learned or name == "control"
+"""The named designs."""
 
 
 def check_design(name: str) -> str:
@@ -85,22 +204,9 @@ def mask_count(ratio: float, pixels: float) -> int:
     return max(1, round(ratio * pixels))
 
 
-def count_allowed(name: str, image_shape: tuple[int, ...], classes: int) -> tuple[int, int]:
+def count_allowed(name: str, image_shape: Shape, classes: int) -> tuple[int, int]:
     """Smallest and largest number of masks that a design can have for one detector."""
-    pixels = int(np.prod(image_shape))
-    if name in ("impulse", "raster"):
-        return pixels, pixels
-    if name == "hadamard":
-        order = int(np.prod(padded_shape(image_shape)))
-        return order, order
-    if name == "s-matrix":
-        order = s_matrix_order(pixels)
-        return order, order
-    if name == "truncated-hadamard":
-        return 1, int(np.prod(padded_shape(image_shape)))
-    if name == "lda":
-        return 1, min(classes - 1, pixels)
-    return 1, pixels
+    return DESIGNS[name].counts(image_shape, classes)
 
 
 def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
@@ -129,24 +235,10 @@ def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.nd
     seed : int
         For `random` only.
     """
-    pixels = data.pixels
-    if name == "impulse":
-        return np.eye(pixels)
-    if name == "raster":
-        return np.eye(pixels) / pixels
-    if name in ("hadamard", "truncated-hadamard"):
-        return hadamard_masks(data.image_shape, masks)
-    if name == "pca":
-        return principal_components(data.x_train, masks)
-    if name == "lda":
-        return discriminants(data.x_train, data.y_train, masks)
-    if name == "class-pairs":
-        return class_pairs(data.x_train, data.y_train, masks)
-    if name == "s-matrix":
-        return s_matrix(pixels)
-    if name == "random":
-        return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, pixels))
-    raise ValueError(f"{name} has no fixed sensing matrix")
+    make = DESIGNS[name].make
+    if make is None:
+        raise ValueError(f"{name} has no fixed sensing matrix")
+    return make(data, masks, seed)
 
 
 def padded_shape(image_shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -168,6 +168,12 @@ class Readouts(NamedTuple):
     # once
     time: Tensor
 
+    def lasting(self, share: Tensor, detection: Detection) -> "Readouts":
+        """Readouts of frames that last a share (B, ..., rails, m · D) of their usual time."""
+        apart = share.shape[-2] == 2 and detection.readout == "difference"
+        factor = share.movedim(-2, 0) if apart else detection.features(share).unsqueeze(0)
+        return Readouts(self.shown, self.time.unsqueeze(1) * factor)
+
     @property
     def lit(self) -> Tensor:
         """Number of rails that are read out for each feature, (..., k)."""

@@ -3,19 +3,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.laws import Scale
 from deepfsi.optics.detection import Detection, Readouts
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
 from deepfsi.optics.scanner import project, project_pair
-
-Scale = Literal["each", "common"]
-"""Whether each feature has a standard deviation of its own, or all a common one."""
 
 CHUNK = 4096
 """Scenes that are multiplied at once outside the steps."""
@@ -99,7 +96,8 @@ class FeatureNoise:
             return self.own(rates, generator)
         if read is None:
             return readout(rates, self.kind, generator=generator)
-        time = read.time[:, replica % read.time.shape[1], None]
+        time = read.time.unsqueeze(1) if read.time.ndim == 3 else read.time
+        time = time[:, :, replica % time.shape[2]]
         dark = self.dark[replica] * time.detach()
         return readout(rates, self.kind, self.sigma[replica], generator, dark)
 

@@ -115,15 +115,23 @@ class Scanner(nn.Module):
         """
         return self.read(self.rates(photons), generator)
 
-    def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
+    def read(
+        self,
+        rates: Tensor,
+        generator: torch.Generator | None = None,
+        share: Tensor | float = 1.0,
+    ) -> Tensor:
+        """Noisy counts of rails whose expected counts are known; shapes as `counts`.
+
+        The dwells of their frames are `share` of the masks' own, for dark counts.
+        """
         arranged = self.detection.arrange_both(*self.masks())
         every = Detection(count=self.detection.count).readouts(*arranged)
         shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
         if self._own is not None:
             counts = self._own(torch.where(shown, rates, 1.0), generator)
         else:
-            dark = self.dark * time.detach()
+            dark = self.dark * time.detach() * share
             counts = readout(rates, self.noise, self.sigma, generator, dark)
         return torch.where(shown, counts, 0.0)
 

@@ -69,4 +69,4 @@ def sensing_matrix(
         low, high = codes.count_allowed(name, shape, len(data.classes))
         count = min(max(masks, low), high)
         whole[:count, own] = codes.sensing_matrix(name, count, part, seed)
-    return np.where(whole > 0, 1 / masks, 0.0) if name == "raster" else whole
+    return np.where(whole > 0, 1 / masks, 0.0) if codes.DESIGNS[name].scaled else whole

@@ -1,1 +1,1 @@
-"""Comparisons and studies as HTML pages and figures. Reads files; needs no torch."""
+"""Comparisons as HTML pages and figures. Reads files; needs no torch."""

@@ -9,11 +9,13 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from deepfsi.report.style import COLOURS, DARK_COLOURS, noise_text, photons_text
 from deepfsi.report.terms import LAWS, WORDS, Terms
 
+HERE = Path(__file__).parent
 
-def render(template: str, **values: Any) -> str:
-    """Text of a page: a template of this folder, filled in; every value is escaped."""
+
+def render(template: str, folder: Path = HERE, /, **values: Any) -> str:
+    """Text of a page: a template of this folder or another, filled in; every value is escaped."""
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
+        loader=FileSystemLoader([folder, HERE]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

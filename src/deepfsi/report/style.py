@@ -1,19 +1,14 @@
-"""Colours, fonts and words of all figures, and their SVG for a page.
-
-Colours on top of a colour map are not the page's own, which change with light and dark.
-"""
+"""Colours, fonts and words of all figures, and their SVG for a page."""
 
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import wraps
 from html import escape
-from typing import Any, Literal, ParamSpec
+from typing import Any, ParamSpec
 
 import matplotlib
-import numpy as np
-from matplotlib import colormaps
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 
@@ -157,13 +152,7 @@ LEAST_TEXT = 12
 BUDGET_AXIS = "photon budget Φ (photons)"
 ACCURACY_AXIS = "accuracy (share correct)"
 
-ON_LIGHT, ON_DARK = "#101010", "#fefefe"  # ink on colour maps
-
-SEQUENTIAL = "cividis"
-
 GREYS = "gray"
-
-AXIS_NOISES: tuple[Literal["gaussian", "poisson"], ...] = ("gaussian", "poisson")
 
 
 def inches(words: str, size: float) -> float:
@@ -174,30 +163,6 @@ def inches(words: str, size: float) -> float:
 def columns(words: Iterable[str], width: float, size: float) -> int:
     """Number of columns of a key that fit a figure, all as wide as the widest entry."""
     return max(1, int(width / max(inches(each, size) for each in words)))
-
-
-def thinned(values: Sequence[float], most: int = 7) -> list[float]:
-    """Every value, or every second, third, …, so that there are at most `most`."""
-    return list(values[:: -(-len(values) // most)])
-
-
-def power_text(value: float) -> str:
-    """A number as a power of ten if it is one, which is shorter on an axis than 1000 or 0.001."""
-    exponent = round(math.log10(value))
-    if not math.isclose(value, 10.0**exponent, rel_tol=1e-6):
-        return photons_text(value)
-    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def signed_text(value: float) -> str:
-    """Difference with its sign, the minus as long as the plus."""
-    return "0" if abs(value) < 1e-9 else f"{value:+.3g}".replace("-", "−")
-
-
-def readable_ink(colours: str, place: float) -> str:
-    """Ink for text on a colour map, by the luminance beneath it."""
-    luminance = np.dot(colormaps[colours](place)[:3], (0.2126, 0.7152, 0.0722))
-    return ON_LIGHT if luminance > 0.45 else ON_DARK
 
 
 def plain_bar(bar: Colorbar) -> None:

@@ -1,4 +1,4 @@
-"""Trials of masks that see whole scenes: batched, trained and tested."""
+"""Trials of a sweep: batched, trained and tested."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import record_of
 from deepfsi.sweeps.trial import Trial
-from deepfsi.training.learning import Diverged, train
-from deepfsi.training.loop import check_fits, footprint, memory_for
+from deepfsi.training.footprint import check_fits, footprint, memory_for
+from deepfsi.training.learning import Diverged, companions, train
 from deepfsi.training.training_set import Matrices, TrainingSet
 
 MASKS_AT_ONCE = 2048
@@ -87,7 +87,7 @@ class SweepContext:
         groups: dict[Any, Batch] = defaultdict(list)
         for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
             seed = None if self.processor.type == "cuda" else trial.job.seed
-            groups[(trial.job.companions(self.processor), seed)].append(trial)
+            groups[(companions(trial.job, self.processor), seed)].append(trial)
         found: list[Batch] = []
         for group in groups.values():
             batch: Batch = []
@@ -109,13 +109,14 @@ class SweepContext:
     def prepare(self, trials: Sequence[Trial]) -> None:
         """Compute the matrices that trials start from."""
         for trial in trials:
-            self.training_set.prepare(trial.job.drawn_from)
+            self.training_set.seen(trial.job.exposure).prepare(trial.job.drawn_from)
 
     def effort(self, batch: Sequence[Trial]) -> float:
         """Relative cost of training a batch: a constant a step, products and noise."""
         job = batch[0].job
         cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
-        return job.training.epochs * job.training.looks * cost * (1 + (job.design == "control"))
+        twice = 2 if job.code.learned_under else 1
+        return job.training.epochs * job.exposure.parts * cost * twice
 
     def title(self, batch: Sequence[Trial]) -> str:
         """Design, masks and number of trials of a batch."""
@@ -134,7 +135,7 @@ class SweepContext:
         if len(parts) > 1:
             each = zip(parts, report.parts(len(parts)), strict=True)
             return [done for part, span in each for done in self.train(part, span)]
-        own = self.matrix if batch[0].job.design == "custom" else None
+        own = self.matrix if batch[0].job.code.own else None
         learning, testing = report.part(0.0, TRAINING_SHARE), report.part(TRAINING_SHARE, 1.0)
         try:
             designs = train(self.training_set, [trial.job for trial in batch], own, learning)
@@ -177,9 +178,7 @@ def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]
             design.quantised(levels) if levels else design,
             data,
             trial.test_photons,
-            noise=noise,
-            sigma=trial.job.sigma,
-            dark=trial.job.dark if noise == "camera" else 0.0,
+            camera=design.camera_with(noise=noise),
             draws=trial.draws,
             seed=trial.job.seed,
             report=SILENT,

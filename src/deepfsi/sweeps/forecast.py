@@ -19,9 +19,10 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
-from deepfsi.training.job import Job, dtypes
+from deepfsi.training.footprint import batch_of
+from deepfsi.training.job import Job
 from deepfsi.training.learning import train
-from deepfsi.training.loop import batch_of
+from deepfsi.training.precision import dtypes
 from deepfsi.training.training_set import TrainingSet
 
 TIMED_STEPS = 6
@@ -135,7 +136,7 @@ def _seconds(batches: Sequence[Batch], context: SweepContext) -> list[float]:
 
 def _kind(batch: Batch, context: SweepContext) -> Any:
     job = batch[0].job
-    apart = {"photons", "sigma", "seed", "masks"}
+    apart: Any = {"photons": True, "seed": True, "masks": True, "camera": {"sigma"}}
     tests = batch[0].model_dump_json(include={"test_noise", "test_levels", "draws"})
     kinds = dtypes(job, context.processor)
     return (job.model_dump_json(exclude=apart), kinds, len(batch), tests)
@@ -152,7 +153,7 @@ def _operations(job: Job, context: SweepContext) -> float:
     if not made.code.learned:
         return 2.0 * context.data.x_train.size * job.masks * 2
     pair = 2 if made.noise == "ml_gauss" else 1
-    scene = int(context.training_set.pixels(made.light).sum())
+    scene = int(context.training_set.pixels(made.optics.light).sum())
     count = len(context.training_set.labels)
     return 2.0 * made.training.epochs * count * scene * made.masks * pair * 2
 
@@ -166,9 +167,9 @@ def _probe(batch: Batch, context: SweepContext) -> tuple[float, float]:
     jobs = [trial.job.model_copy(update={"training": short}) for trial in batch]
     training_set = TrainingSet(few, context.device, dict(context.matrices))
     moments = Moments()
-    own = context.matrix if jobs[0].design == "custom" else None
+    own = context.matrix if jobs[0].code.own else None
     designs = train(training_set, jobs, own, moments.report)
-    epochs = moments.epochs(4 if jobs[0].design == "control" else 2)  # that is trained twice
+    epochs = moments.epochs(4 if jobs[0].code.learned_under else 2)  # that is trained twice
     step = sum(epochs[1::2]) / (len(few.y_train) // size)
     trial = batch[0]
     began = time.perf_counter()

@@ -208,7 +208,9 @@ def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
         )
     if len(set(recipe.photons)) < 3 or not recipe.held_out(data):
         raise InputError("a plan needs three budgets or more, and scenes held out to choose on")
-    axes = (recipe.noise, recipe.train_noise, recipe.test_levels, *recipe.training.values())
+    shown = {"light", "rails", "detectors", "readout"}
+    axes = (recipe.test_levels, *recipe.exposure.values(), *recipe.training.values())
+    axes += tuple(values for name, values in recipe.camera.items() if name not in shown)
     axes += tuple(values for own in recipe.tuned.values() for values in own.values())
     if any(len(values) > 1 for values in axes) or recipe.test_photons or recipe.test_noise:
         raise InputError(
@@ -237,10 +239,11 @@ def _more(recipe: Recipe, kind: tuple[str, ...], curve: Curve, target: float) ->
     light, rails, detectors, readout, design = kind
     one = {
         "designs": (design,),
-        "light": (light,),
-        "rails": (rails,),
-        "detectors": (detectors,),
-        "readout": (readout,) if readout else (),
+        "camera": {
+            **recipe.camera,
+            **{"light": (light,), "rails": (rails,), "detectors": (detectors,)},
+            **({"readout": (readout,)} if readout else {}),
+        },
         "photons": (budget,),
     }
     counts = {"masks": tuple(sorted(masks)), "ratios": (), "gaussian_photons": ()}

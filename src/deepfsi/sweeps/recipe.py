@@ -1,64 +1,36 @@
 """Recipes name axes; a trial is a point of them: one training and its tests.
 
-A recipe is a TOML file or `Recipe(...)`. Every list in it is an axis, in its training settings too,
-and `plan` gives the trials of their product.
+A recipe is a TOML file or `Recipe(...)`: axes over `training.job.Job`. Every list in it is an axis,
+also in its tables `camera`, `exposure` and `training`; `plan` gives the trials of their product.
 
 A file may hold several parts of a study, and a coarse version of each. Settings at its top hold for
 every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse version, and
 `[parts.NAME.quick]` in the coarse version of one part. Tables are merged.
 """
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import product
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import MOST_DRAWS
-from deepfsi.errors import InputError, as_input_error, check_known, closest
-from deepfsi.imports import PATTERN
+from deepfsi.design.exposure import Exposure, find_exposure
+from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import BUDGETS
-from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.detection import ONE, Detection, Readout
+from deepfsi.optics.camera import Camera, Levels
+from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.noise import check_noise
 from deepfsi.sweeps.workers import Resources
-from deepfsi.training.job import MLP, Levels, TrainingNoise, TrainingSettings, training_for
+from deepfsi.training.job import MLP, Training
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
 """1, 4, 9, … 100 %."""
 
 Settings = dict[str, Any]
 """Fields of a recipe, as TOML gives them."""
-
-TRAINING_NOISE = {
-    "poisson": "ml_gauss",
-    "gaussian": "gaussian",
-    "camera": "camera",
-    "none": "none",
-}
-"""For each noise of a camera, the one that is trained under."""
-
-
-def training_noise(noise: str) -> str:
-    """Noise to train under where tests are under another, or `InputError` if it is no camera's.
-
-    A user's own noise is trained under itself.
-    """
-    if not re.fullmatch(PATTERN, noise):
-        check_known("noise", noise, TRAINING_NOISE)
-    return TRAINING_NOISE.get(noise, noise)
-
-
-def _physical(noise: str) -> str:
-    training_noise(noise)
-    return noise
-
-
-Physical = Annotated[str, AfterValidator(_physical)]
-Noise = Annotated[str, AfterValidator(check_noise)]
 
 RATIOS_OR_MASKS = "give ratios or masks, not both"
 """Said where a recipe has both."""
@@ -80,22 +52,26 @@ def axis(value: Any) -> Any:
         return tuple(value)
 
 
-def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """Fields of `TrainingSettings`, each an axis, all of whose values are allowed."""
-    axes = {}
-    for name, value in given.items():
-        one = not isinstance(value, (list, tuple)) or (
-            name == "hidden" and not any(isinstance(part, (list, tuple)) for part in value)
-        )
-        axes[name] = (value,) if one else tuple(value)
-    faults = []
+def _is_one(name: str, value: Any) -> bool:
+    """True of a single value of a setting: widths of layers are a list themselves."""
+    if not isinstance(value, (list, tuple)):
+        return True
+    return name == "hidden" and not any(isinstance(part, (list, tuple)) for part in value)
+
+
+def _table_of_axes(given: Any, make: Callable[[Settings], Any]) -> dict[str, tuple[Any, ...]]:
+    """Settings of a model, each an axis, all of whose values are allowed."""
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{given!r} is no table of settings")
+    axes = {
+        name: (value,) if _is_one(name, value) else tuple(value) for name, value in given.items()
+    }
+    faults = [f"{name} is empty: give one value or more" for name in axes if not axes[name]]
     for name, values in axes.items():
-        if not values:
-            faults.append(f"{name} is empty: give one value or more")
         for value in values:
             try:
                 with as_input_error():
-                    TrainingSettings.model_validate({name: value})
+                    make({name: value})
             except InputError as error:
                 faults.append(str(error))
     if faults:
@@ -103,18 +79,44 @@ def _settings(given: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
     return axes
 
 
-def _tuned(given: dict[str, Any]) -> dict[str, dict[str, tuple[Any, ...]]]:
-    axes, faults = {}, []
-    for design, own in given.items():
+def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
+    if not isinstance(given, Mapping):
+        given = Camera.load(given).given
+    axes = _table_of_axes(given, lambda one: Camera.load(one))
+    _cameras(axes)
+    return axes
+
+
+class NamedCamera(NamedTuple):
+    """One camera of a recipe, and the name that it gives to its detectors."""
+
+    camera: Camera
+    detectors: str
+
+
+def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
+    """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
+    found, faults = list[NamedCamera](), list[str]()
+    for _, fields in _product(axes):
         try:
-            codes.check_design(design)
+            found.append(NamedCamera(Camera.load(fields), str(fields.get("detectors", "1x1"))))
         except InputError as error:
             faults.append(str(error))
+    if not found:
+        raise InputError(faults[0])
+    return found
+
+
+def _training(given: Any) -> dict[str, tuple[Any, ...]]:
+    return _table_of_axes(given, Training.model_validate)
+
+
+def _tuned(given: Any) -> dict[str, dict[str, tuple[Any, ...]]]:
+    axes, faults = {}, []
+    for design, own in given.items() if isinstance(given, Mapping) else ():
         try:
-            if not isinstance(own, dict):
-                raise ValueError(f"{own!r} is no table of training settings")
-            axes[design] = _settings(own)
-        except ValueError as error:
+            axes[codes.check_design(design)] = _training(own)
+        except (InputError, ValueError) as error:
             faults.append(f"{design}: {error}")
     if faults:
         raise ValueError("; ".join(faults))
@@ -125,7 +127,8 @@ Name = Annotated[str, AfterValidator(codes.check_design)]
 Budget = Annotated[float, Field(ge=BUDGETS[0], le=BUDGETS[1])]
 Ratio = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-Axes = Annotated[dict[str, Any], AfterValidator(_settings)]
+TestNoise = Annotated[str, AfterValidator(check_noise)]
+Axes = dict[str, Any]
 Value = TypeVar("Value")
 Axis = Annotated[tuple[Value, ...], BeforeValidator(axis)]
 Filled = Annotated[Axis[Value], Field(min_length=1)]
@@ -138,6 +141,7 @@ class Recipe(BaseModel):
 
     data: str = Field("digits", description="name, folder of images or .npz file")
     size: tuple[int, int] | None = Field(None, description="height, width of folder images")
+    images: int | None = Field(None, ge=1, description="training images that are taken; all")
     split: Literal["random", "blocks"] | None = Field(
         None, description="how a hyperspectral image is divided for testing; random unless given"
     )
@@ -163,35 +167,12 @@ class Recipe(BaseModel):
         (), description="readouts over pixels, m · D / N; the paper's unless given"
     )
     masks: Axis[Count] = Field((), description="mask counts, instead of ratios")
-    noise: Filled[Physical] = Field(
-        ("poisson",), description="noise of the camera: poisson, gaussian, camera, none or your own"
+    camera: Annotated[Axes, BeforeValidator(_camera)] = Field(
+        {}, description="fields of the camera, each an axis; or a preset's name, or a TOML file"
     )
-    train_noise: Axis[TrainingNoise] = Field(
-        (), description="noises of the training, if others: photon noise is trained by ml_gauss"
-    )
-    sigma: float = Field(
-        1.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="read noise of gaussian and camera noise, counts rms per readout",
-    )
-    dark: float = Field(
-        0.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="dark counts of a detector in an exposure, under camera noise",
-    )
-    light: Filled[Light] = Field(("column",), description="light laws")
-    rails: Filled[Rails] = Field(
-        ("dual",), description="dual: signed masks of two frames each; single: non-negative masks"
-    )
-    detectors: Filled[str] = Field(
-        ("1x1",),
-        description="detectors on parts of the device: ROWSxCOLUMNS, bands, or a .npy map",
-    )
-    readout: Axis[Readout] = Field(
-        (), description="what is read of two rails; both for two-arm, else difference unless given"
-    )
+    exposure: Annotated[
+        Axes, BeforeValidator(lambda given: _table_of_axes(given, find_exposure))
+    ] = Field({}, description="settings of the exposure, each an axis, such as looks = [1, 4]")
     trials: int = Field(1, ge=1, le=1000, description="seeds 0, 1, …")
     validation: int | None = Field(
         None, ge=0, description="training scenes held out to choose on; a sixth unless given"
@@ -200,15 +181,17 @@ class Recipe(BaseModel):
     test_photons: Axis[Budget] = Field(
         (), description="budgets of the tests; that of the training unless given"
     )
-    test_noise: Axis[Noise] = Field(
-        (), description="noises of the tests; that of the training unless given"
+    test_noise: Axis[TestNoise] = Field(
+        (), description="noises of the tests; that of the camera unless given"
     )
     test_levels: Filled[Levels] = Field(
         (0,),
-        description="grey levels, dark included, of the masks shown in the tests; 0: continuous",
+        description="grey levels, dark included, of the masks shown in the tests; 0: as trained",
     )
-    training: Axes = Field({}, description="fields of TrainingSettings, for every design")
-    tuned: Annotated[dict[str, Any], AfterValidator(_tuned)] = Field(
+    training: Annotated[Axes, BeforeValidator(_training)] = Field(
+        {}, description="settings of the training of every design, each an axis"
+    )
+    tuned: Annotated[dict[str, Any], BeforeValidator(_tuned)] = Field(
         {}, description="the same for single designs"
     )
     resources: Resources = Field(
@@ -219,14 +202,25 @@ class Recipe(BaseModel):
     def _one_or_the_other(self) -> "Recipe":
         if self.ratios and self.masks:
             raise ValueError(RATIOS_OR_MASKS)
-        if self.dark and "camera" not in (*self.noise, *self.train_noise, *self.test_noise):
-            raise ValueError("dark counts are of camera noise: give noise camera with them")
         return self
+
+    def cameras(self) -> list[NamedCamera]:
+        """Cameras of the product of its axes, but those that cannot be."""
+        return _cameras(self.camera)
+
+    def exposures(self) -> list[tuple[str, Exposure]]:
+        """Exposures of the product of its axes, with a name where there are several."""
+        return [(variant, find_exposure(chosen)) for variant, chosen in _product(self.exposure)]
+
+    @property
+    def noises(self) -> tuple[str, ...]:
+        """Noises of the cameras."""
+        return tuple(dict.fromkeys(named.camera.noise_name for named in self.cameras()))
 
     def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
         """Values of each setting of the training of a design."""
         axes = {**self.training, **self.tuned.get(design, {})}
-        if not codes.has_learned_masks(design):
+        if not codes.DESIGNS[design].learns_masks:
             axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         return axes
 
@@ -237,22 +231,17 @@ class Recipe(BaseModel):
             True in axes.get("balance", ()) for axes in (self.training, *self.tuned.values())
         )
 
-    def trainings(self, design: str) -> Iterator[tuple[str, TrainingSettings]]:
+    def trainings(self, design: str) -> Iterator[tuple[str, Settings]]:
         """Every setting of the training of a design, with a name where there are several."""
         axes = self.training_axes(design)
-        several = [name for name, values in axes.items() if len(values) > 1]
         both = len({value == MLP for value in axes.get("classifier", ())}) > 1
-        for values in product(*axes.values()):
-            chosen = dict(zip(axes, values, strict=True))
+        for variant, chosen in _product(axes):
             if both:  # settings of the other kind of classifier are left out
-                for name in MLP_SETTINGS if chosen["classifier"] != MLP else OWN_SETTINGS:
-                    chosen.pop(name, None)
-            variant = ", ".join(f"{name} {chosen[name]}" for name in several if name in chosen)
-            yield variant, training_for(design, **chosen)
-
-    def train_noises(self, noise: str) -> tuple[str, ...]:
-        """Noises to train under where tests are under `noise`."""
-        return self.train_noise or (training_noise(noise),)
+                others = MLP_SETTINGS if chosen["classifier"] != MLP else OWN_SETTINGS
+                chosen = {name: chosen[name] for name in chosen if name not in others}
+                several = [name for name in chosen if len(axes[name]) > 1]
+                variant = ", ".join(f"{name} {chosen[name]}" for name in several)
+            yield variant, chosen
 
     def budgets(self, noise: str) -> tuple[float, ...]:
         """Budgets to train at under a noise."""
@@ -281,6 +270,14 @@ class Recipe(BaseModel):
     def held_out(self, data: Dataset) -> int:
         """Number of training scenes that are kept for validation."""
         return len(data.x_train) // 6 if self.validation is None else self.validation
+
+
+def _product(axes: Mapping[str, tuple[Any, ...]]) -> Iterator[tuple[str, Settings]]:
+    """Points of axes, with the values of those of several as a name."""
+    several = [name for name, values in axes.items() if len(values) > 1]
+    for values in product(*axes.values()):
+        chosen = dict(zip(axes, values, strict=True))
+        yield ", ".join(f"{name} {chosen[name]}" for name in several), chosen
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:

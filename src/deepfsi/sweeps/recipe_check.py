@@ -15,7 +15,10 @@ from deepfsi.sweeps.trial import mask_faults, trial_faults
 SOURCE = {"data", "size", "split"}
 """Fields that say which data to load."""
 
-OPTICS = {"designs", "light", "rails", "detectors", "readout", "train_noise"}
+TABLES = ("camera", "exposure", "training")
+"""Fields that are tables of axes."""
+
+OPTICS = {"designs", "camera"}
 """Fields whose defaults would make mistakes of their own in place of those that are lost."""
 
 
@@ -80,8 +83,8 @@ def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
     sound = dict(settings)
     for name, places in wrong.items():
         value = sound.pop(str(name))
-        if name == "training" and isinstance(value, dict):
-            sound["training"] = {key: each for key, each in value.items() if _trains(key, each)}
+        if name in TABLES and isinstance(value, dict):
+            sound[name] = {key: each for key, each in value.items() if _reads(name, key, each)}
         elif all(place and isinstance(place[0], int) for place in places):
             bad = {place[0] for place in places}
             left = [each for number, each in enumerate(axis(value)) if number not in bad]
@@ -89,8 +92,8 @@ def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
     return sound
 
 
-def _trains(name: str, value: Any) -> bool:
+def _reads(table: str, name: str, value: Any) -> bool:
     try:
-        return bool(Recipe.model_validate({"training": {name: value}}))
+        return bool(Recipe.model_validate({table: {name: value}}))
     except ValidationError:
         return False

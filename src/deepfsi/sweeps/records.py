@@ -124,13 +124,16 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     table = []
     for record in records:
         trial = record["trial"]
-        settings = {**trial["job"], **trial["job"]["training"]}
-        settings["training_noise"] = settings.pop("noise")
-        settings["training_levels"] = settings.pop("levels")
+        job = trial["job"]
+        settings = {**job, **job["camera"], **job["exposure"], **job["training"]}
+        settings["training_noise"] = trial["trained_under"]
+        settings["device"] = (job["camera"]["device"] or {}).get("name")
+        settings["time"] = job["camera"]["exposure"]
         settings["hidden"] = "-".join(map(str, settings["hidden"]))
         settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
         settings["detectors"] = trial["detectors"]
-        del settings["training"]
+        for part in ("camera", "exposure", "training", "noise"):
+            del settings[part]
         for index, test in enumerate(record["test"]):
             validation = record["validation"][index] if record["validation"] else None
             table.append(

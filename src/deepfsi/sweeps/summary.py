@@ -18,7 +18,6 @@ from deepfsi.statistics.intervals import worst_of
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
-TRAINED = ("noise", "light", "rails", "design", "photons")
 AXES = (
     "trained_under",
     "light",
@@ -54,8 +53,12 @@ def summarise(
     for record in records:
         for index, test in enumerate(record["test"]):
             trial, job = record["trial"], record["trial"]["job"]
-            named = (trial["variant"], trial["detectors"], job["readout"] or "")
-            trained = (*(job[axis] for axis in TRAINED), *named)
+            camera, rails = job["camera"], job["camera"]["rails"]
+            readout = camera["readout"] if rails == "dual" else ""
+            trained = (
+                *(trial["trained_under"], camera["light"], rails, job["design"], job["photons"]),
+                *(trial["variant"], trial["detectors"], readout),
+            )
             key = (*trained, test["noise"], test["photons"], test["levels"], job["masks"])
             groups[key].append((record, index))
     measure = "balanced" if recipe.balances else "accuracy"
@@ -74,7 +77,7 @@ def summarise(
             points[place] = points[place].model_copy(update={"best": best})
     return Results(
         revision=SCHEMA,
-        title=f"{data.name} under {' and '.join(recipe.noise)} noise",
+        title=f"{data.name} under {' and '.join(recipe.noises)} noise",
         command=command,
         recipe=recipe.model_dump(mode="json"),
         data=facts_of(data, held_out),
@@ -87,7 +90,7 @@ def summarise(
 
 def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:
     """Pixels that each detector of a trial sees, in the mean."""
-    detectors = record["trial"]["job"]["detectors"]
+    detectors = record["trial"]["job"]["camera"]["detectors"]
     return data.pixels / Detection.of(detectors, data.image_shape).count
 
 

@@ -5,7 +5,6 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -14,20 +13,20 @@ from deepfsi.datasets import Dataset
 from deepfsi.errors import InputError
 from deepfsi.imports import UNNAMED, source_hash
 from deepfsi.optics import codes
-from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.detection import ONE, Detection, read_detectors
-from deepfsi.sweeps.recipe import Noise, Recipe
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import ONE
+from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
 from deepfsi.sweeps.records import content_hash
-from deepfsi.training.job import ONE_DEVICE, REVISION, Job, job_faults
+from deepfsi.training.job import REVISION, Job, classifier_name
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of what the keys of trials are hashes of."""
 
 
-NAMES = {"data", "variant", "detectors"}
+NAMES = {"data", "trained_under", "variant", "detectors"}
 """Fields of a trial that only name what other fields hold."""
 
 
@@ -37,7 +36,8 @@ class Trial(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     job: Job = Field(description="design that is trained, and its light and noise")
-    variant: str = Field("", description="which of several training settings, in words")
+    trained_under: str = Field("", description="noise of the training")
+    variant: str = Field("", description="which of several settings, in words")
     detectors: str = Field("1x1", description="name of its detectors: as given, or of their map")
     data: str = Field(description="name")
     data_hash: str = Field(description="of scenes and labels")
@@ -46,7 +46,7 @@ class Trial(BaseModel):
     validation: int = Field(description="training scenes held out")
     draws: int = Field(description="noise draws of each test scene")
     test_photons: tuple[float, ...] = Field(description="budgets of the tests")
-    test_noise: tuple[Noise, ...] = Field(description="noises of the tests")
+    test_noise: tuple[TestNoise, ...] = Field(description="noises of the tests")
     test_levels: tuple[int, ...] = Field(
         (0,), description="grey levels of the masks in the tests, dark included; 0: continuous"
     )
@@ -90,15 +90,16 @@ def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> lis
         raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
     hashed = functools.cache(source_hash)
-    for kind, variant, job in _jobs(recipe, data, matrix):
-        test_noise = recipe.test_noise or (kind.noise,)
+    for named, variant, job in _jobs(recipe, data, matrix):
+        test_noise = recipe.test_noise or (job.camera.noise_name,)
         trial = Trial(
             job=job,
+            trained_under=job.noise,
             variant=variant,
-            detectors="1x1" if job.design == "impulse" else kind.detectors,
+            detectors="1x1" if job.code.every_pixel else named.detectors,
             data=data.name,
             data_hash=data.hash,
-            matrix_hash=_matrix_hash(matrix if job.design == "custom" else None),
+            matrix_hash=_matrix_hash(matrix if job.code.own else None),
             source_hash=_source_hash(_own_names(job, test_noise), hashed),
             validation=recipe.held_out(data),
             draws=recipe.draws,
@@ -130,25 +131,22 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 
     Parameters as of `plan`.
     """
-    if faults := _detector_faults(recipe, data):
-        return faults
     count = count_trials(recipe, data, matrix)
     if count > MOST_TRIALS:
         return [f"{count} trials are not allowed: a recipe has at most {MOST_TRIALS}; take less"]
     if not count:
         return [
             f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
-            f"{', '.join(recipe.noise)} noise with {', '.join(recipe.light)} light and "
-            f"{', '.join(recipe.rails)} rails (control is for photon noise, two-arm for dual rails)"
+            f"{', '.join(recipe.noises)} noise with {_optics_text(recipe)} (control is for photon "
+            "noise, two-arm for dual rails)"
         ]
     found: dict[str, None] = {}
     names: dict[str, None] = {}
-    for kind, _, job in _jobs(recipe, data, matrix):
-        own = matrix if job.design == "custom" else None
-        found |= dict.fromkeys(job_faults(job, data, own))
-        test_noise = recipe.test_noise or (kind.noise,)
-        if job.training.looks > 1 and set(test_noise) - {"poisson", "ml_gauss", "none"}:
-            found["several looks are tested under photon noise: leave others out of noise"] = None
+    for _, _, job in _jobs(recipe, data, matrix):
+        own = matrix if job.code.own else None
+        found |= dict.fromkeys(job.faults(data, own))
+        test_noise = recipe.test_noise or (job.camera.noise_name,)
+        found |= dict.fromkeys(job.exposure.test_faults(test_noise))
         names |= dict.fromkeys(_own_names(job, test_noise))
     for name in names:
         try:
@@ -164,100 +162,79 @@ def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
     Parameters as of `plan`.
     """
     return sum(
-        len(_counts(recipe, kind, data, matrix))
-        * len(recipe.train_noises(kind.noise))
-        * math.prod(map(len, recipe.training_axes(kind.design).values()))
-        * len(recipe.readout or (None,))
+        len(_counts(recipe, design, named, data, matrix))
+        * math.prod(map(len, recipe.training_axes(design).values()))
+        * len(recipe.exposures())
         * recipe.trials
-        * len(recipe.budgets(kind.noise))
-        for kind in _kinds(recipe, data)
+        * len(recipe.budgets(named.camera.noise_name))
+        for design, named in _kinds(recipe, data)
     )
 
 
-class Kind(NamedTuple):
-    """Design, optics and noise of tests of some trials."""
-
-    design: str
-    noise: str
-    light: Light
-    rails: Rails
-    detectors: str  # name of them
-    labels: str | tuple[int, ...]  # the same as `Job.detectors`
-    detection: Detection
+def _kinds(recipe: Recipe, data: Dataset) -> Iterator[tuple[str, NamedCamera]]:
+    """Yield every design with every camera that it can have."""
+    for named, design in product(recipe.cameras(), recipe.designs):
+        count = named.camera.detection(data.image_shape).count
+        if _possible(codes.DESIGNS[design], named.camera, count):
+            yield design, named
 
 
-def _kinds(recipe: Recipe, data: Dataset) -> Iterator[Kind]:
-    """Yield all kinds of trials that can be."""
-    for name in recipe.detectors:
-        labels = read_detectors(name)
-        detection = Detection.of(labels, data.image_shape)
-        for optics in product(recipe.designs, recipe.noise, recipe.light, recipe.rails):
-            own = ONE if optics[0] == "impulse" else detection
-            kind = Kind(*optics, name, labels, own)
-            if _possible(kind):
-                yield kind
+def _possible(code: codes.Code, camera: Camera, detectors: int) -> bool:
+    one_rail = code.single_rail and not code.every_pixel
+    return not (
+        (code.learned_under is not None and camera.noise_name != "poisson")
+        or (camera.light == "two-arm" and one_rail)
+        or (code.signed and camera.rails == "single")
+        or (camera.light == "column" and detectors > 1)
+    )
 
 
-def _detector_faults(recipe: Recipe, data: Dataset) -> list[str]:
-    """Detectors of a recipe that cannot be had."""
-    faults, most = list[str](), 1
-    for name in recipe.detectors:
-        try:
-            most = max(most, Detection.of(read_detectors(name), data.image_shape).count)
-        except InputError as error:
-            faults.append(str(error))
-    return faults + [ONE_DEVICE] * (most > 1 and set(recipe.light) == {"column"})
-
-
-def _counts(recipe: Recipe, kind: Kind, data: Dataset, matrix: np.ndarray | None) -> Sequence[int]:
-    if kind.design == "custom" and matrix is not None:
+def _counts(
+    recipe: Recipe, design: str, named: NamedCamera, data: Dataset, matrix: np.ndarray | None
+) -> Sequence[int]:
+    code = codes.DESIGNS[design]
+    if code.own and matrix is not None:
         return [len(matrix)]
-    return recipe.mask_counts(kind.design, data, kind.detection)
+    detection = ONE if code.every_pixel else named.camera.detection(data.image_shape)
+    return recipe.mask_counts(design, data, detection)
 
 
 def _jobs(
     recipe: Recipe, data: Dataset, matrix: np.ndarray | None
-) -> Iterator[tuple[Kind, str, Job]]:
-    """Yield kind, variant of the training and job of every trial that can be."""
-    for kind in _kinds(recipe, data):
-        for masks, train_noise, (variant, training), readout, seed, photons in product(
-            _counts(recipe, kind, data, matrix),
-            recipe.train_noises(kind.noise),
-            recipe.trainings(kind.design),
-            recipe.readout or (None,),
+) -> Iterator[tuple[NamedCamera, str, Job]]:
+    """Yield camera, variant of exposure and training, and job of every trial that can be."""
+    for design, named in _kinds(recipe, data):
+        for masks, exposure, training, seed, photons in product(
+            _counts(recipe, design, named, data, matrix),
+            recipe.exposures(),
+            recipe.trainings(design),
             range(recipe.trials),
-            recipe.budgets(kind.noise),
+            recipe.budgets(named.camera.noise_name),
         ):
             job = Job(
-                design=kind.design,
+                design=design,
                 masks=masks,
                 photons=photons,
-                noise=train_noise,
-                sigma=recipe.sigma,
-                dark=recipe.dark,
-                light=kind.light,
-                rails=kind.rails,
-                detectors=kind.labels,
-                readout=readout,
+                camera=named.camera,
+                exposure=exposure[1],
+                training=training[1],
                 seed=seed,
-                training=training,
             )
-            yield kind, variant, job.in_force
+            variant = ", ".join(filter(None, (training[0], exposure[0])))
+            yield named, variant, job.in_force
 
 
-def _possible(kind: Kind) -> bool:
-    one_rail = codes.DESIGNS[kind.design].single_rail and kind.design != "impulse"
-    return not (
-        (kind.design == "control" and kind.noise != "poisson")
-        or (kind.light == "two-arm" and (one_rail or kind.rails == "single"))
-        or (kind.design == "hadamard" and kind.rails == "single")
-        or (kind.light == "column" and kind.detection.count > 1)
+def _optics_text(recipe: Recipe) -> str:
+    lights, rails = (
+        ", ".join(dict.fromkeys(getattr(named.camera, field) for named in recipe.cameras()))
+        for field in ("light", "rails")
     )
+    return f"{lights} light and {rails} rails"
 
 
 def _own_names(job: Job, test_noise: Sequence[str]) -> list[str]:
     """Import paths of a user's own parts that a trial needs."""
-    every = {job.noise, *test_noise, job.training.classifier}
+    every = {job.noise, *test_noise, classifier_name(job.training.classifier)}
     return sorted(name for name in every if ":" in name or name == UNNAMED)
 
 

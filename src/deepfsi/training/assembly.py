@@ -8,10 +8,11 @@ from torch import Tensor, nn
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.own import OwnClassifier, make
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.errors import InputError
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget, summed_reflectance
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.scanner import Scanner
@@ -75,7 +76,7 @@ def design_of(
         detection=scanner.detection,
         image_shape=scenes.image_shape,
         classes=scenes.classes,
-        info=_provenance(scanner, scenes, rails, {"photons": budget, "light": light}),
+        info=_provenance(scanner, scenes, rails, budget, light),
     )
     train = torch.from_numpy(scenes.x_train).to(rails), torch.from_numpy(scenes.y_train)
     return design.calibrated(*train)
@@ -88,19 +89,17 @@ def _counted(rails: Tensor, detection: Detection, photons: Tensor) -> Tensor:
 
 
 def _provenance(
-    scanner: Scanner, data: Dataset, rails: Tensor, told: dict[str, Any]
+    scanner: Scanner, data: Dataset, rails: Tensor, photons: float, light: Light
 ) -> dict[str, Any]:
     """Provenance without what is not known of a training elsewhere."""
-    detection, dual = scanner.detection, len(rails) == 2
-    told |= {"masks": rails.shape[1], "rails": "dual" if dual else "single"}
+    detection = scanner.detection
+    told: dict[str, Any] = {"light": light, "noise": scanner.noise, "sigma": scanner.sigma}
+    told |= {"rails": "dual" if len(rails) == 2 else "single", "readout": detection.readout}
+    told["dark"] = scanner.dark
     if detection.labels is not None:
-        told["detectors"] = tuple(detection.labels.tolist())
-    if dual:
-        told["readout"] = detection.readout
-    with as_input_error():
-        job = Job(
-            design="custom", noise=scanner.noise, sigma=scanner.sigma, dark=scanner.dark, **told
-        )
+        told["detectors"] = detection.labels
+    camera = Camera.load(**told)
+    job = Job(design="custom", masks=rails.shape[1], photons=photons, camera=camera)
     info = provenance(job, data, rails.device, 0.0)
     del info["job"]["training"], info["seconds"]
     return info

@@ -55,14 +55,12 @@ class SeedStream:
         shown = 1 + torch.multinomial(chances, self.batch, True, generator=self.generator)
         return span**uniform, shown.view(-1, 1, 1)
 
-    def noisy(self, mean: Tensor, total: Tensor, lit: Tensor) -> Tensor:
-        """Noisy features (B, R, m) of expected ones.
-
-        Shapes: mean, total (B, R, m); lit (R, m).
-        """
-        if self.noise.kind == "poisson":
-            return self.noise.counted(mean, total, None)
-        return mean + self.noise.deviation(total, lit) * self.normal(mean.shape[-1])
+    def noisy(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
+        """Noisy features (B, R, m) of expected ones, x D and x S."""
+        if self.noise.counting:
+            known = None if self.noise.kind == "poisson" else read
+            return self.noise.counted(mean, total, known)
+        return mean + self.noise.deviation(total, read.lit) * self.normal(mean.shape[-1])
 
     def repeated(self, shared: Tensor) -> Tensor:
         """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""

@@ -10,25 +10,26 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepfsi.design.adaptive import Dwells, expose
 from deepfsi.design.classifiers import Replicas
-from deepfsi.design.conditioning import Conditioning, first
+from deepfsi.design.exposure.conditioned import ConditionedExposure, first
+from deepfsi.design.exposure.looks import LooksExposure, expose
+from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
+from deepfsi.laws import Light, Scale
 from deepfsi.optics import constraints
-from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.features import (
     CHUNK,
     FeatureNoise,
-    Scale,
     deviation,
     feature_statistics,
     standardise,
 )
 from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import measure, project, project_pair
+from deepfsi.optics.scanner import Scanner, measure, project, project_pair
 from deepfsi.training.draws import SeedStream, side_by_side
-from deepfsi.training.job import Job, product_dtype
+from deepfsi.training.job import Job
+from deepfsi.training.precision import product_dtype
 from deepfsi.training.training_set import TrainingSet
 
 Streams = list[SeedStream]
@@ -185,13 +186,13 @@ class ReadNoiseFeatures(LearnedFeatures):
         """Centred features of a step."""
         masks = self.masks()
         with torch.no_grad():
-            shown = self.detection.readouts(*masks).lit
+            every = self.detection.readouts(*masks)
         difference, _ = self.detection.masks_read(*masks)
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.rows[step])
             mean = project(x, difference[stream.replicas], self.detection.count)
-            parts.append(stream.noisy(mean, mean, shown[stream.replicas]))
+            parts.append(stream.noisy(mean, mean, stream.readouts(every)))
         return parts
 
 
@@ -206,7 +207,7 @@ class ConditionedFeatures(Features):
     streams: Streams  # as for `LearnedFeatures`; masks may be fixed
     masks: FixedMasks | LearnedMasks
     x: Tensor
-    conditioning: Conditioning  # of the lowest budget
+    conditioning: ConditionedExposure  # of the lowest budget
     light: Light
     scale: Scale
     detection: Detection
@@ -246,23 +247,22 @@ class ConditionedFeatures(Features):
 
 
 @dataclass
-class AdaptiveFeatures(Features):
+class LooksFeatures(Features):
     """Inputs of classifiers after each of several looks, with masks of equal dwells."""
 
-    streams: Streams  # as for `LearnedFeatures`; masks may be fixed
+    streams: Streams
     masks: FixedMasks | LearnedMasks
     x: Tensor
     choose: Replicas  # networks that choose dwells
-    looks: int  # K
-    gain: Tensor  # (R, 1): Of all jobs, from `FeatureNoise`
+    exposure: LooksExposure
+    gain: Tensor  # (R, 1): of all jobs, from `FeatureNoise`
     scale: Scale
     detection: Detection
-    dwells: Dwells
-    shortest: float = 0.0  # as for `AdaptiveDwells`
 
     def at(self, step: int) -> Tensor:
         """Features and dwells (K · B, R, k + q) after each of K looks."""
-        rails, detection = constraints.separate(*self.masks()), self.detection
+        masks, detection, dwells = self.masks(), self.detection, self.exposure.dwells
+        rails, usual = constraints.separate(*masks), detection.readouts(*masks)
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
@@ -275,18 +275,47 @@ class AdaptiveFeatures(Features):
         std = deviation(power + detection.totals(middle) / self.gain, self.scale)
 
         def read(dwell: Tensor) -> tuple[Tensor, Tensor]:
-            rates = self.dwells.scaled(light, dwell)
+            rates = dwells.scaled(light, dwell)
             expected, sums = detection.features(rates), detection.totals(rates)
             drawn = []
             for stream in self.streams:
-                own = sums[:, stream.replicas]
-                drawn.append(stream.noisy(expected[:, stream.replicas], own, own))
+                own, read = stream.replicas, stream.readouts(usual)
+                if stream.noise.kind == "camera":
+                    share = dwells.scaled(torch.ones_like(light[:, own]), dwell[:, own])
+                    read = read.lasting(share, detection)
+                drawn.append(stream.noisy(expected[:, own], sums[:, own], read))
             return side_by_side(drawn), dwell
 
         start = mean.expand(len(light), *mean.shape)
-        device = (self.looks, self.dwells.count)
-        every = expose(self.choose, read, *device, start, std, self.shortest)
+        every = expose(
+            self.choose, read, self.exposure.looks, dwells.count, start, std, self.exposure.shortest
+        )
         return torch.cat([seen.inputs(mean, std) for seen in every])
+
+
+@dataclass
+class PatchFeatures(Features):
+    """Features of every patch of images; one job alone trains on them."""
+
+    streams: Streams
+    masks: FixedMasks | LearnedMasks
+    x: Tensor  # (n, P, N): patches of the training images
+    scale: Scale
+
+    def __post_init__(self) -> None:
+        [self.stream] = self.streams
+        self.scanner = Scanner(self.masks, self.stream.noise.kind)
+        self.mean = self.x.mean(dim=(0, 1))
+
+    def at(self, step: int) -> Tensor:
+        """Features (B, 1, P, m), standardised in their batch."""
+        photons = float(self.stream.noise.gain)
+        scenes = self.x[self.stream.rows[step]] * photons
+        counts = self.scanner(scenes, self.stream.generator) / photons
+        features = (counts - project(self.mean, self.masks()[0])).squeeze(2)
+        over = (0, 1) if self.scale == "each" else (0, 1, 2)
+        std = deviation(features.square().mean(dim=over), "each")
+        return (features / std).unsqueeze(1)
 
 
 def features_of(
@@ -295,29 +324,28 @@ def features_of(
     masks: FixedMasks | LearnedMasks,
     noise: FeatureNoise,
     streams: Streams,
+    exposure: TrainedExposure,
     choose: Replicas,
 ) -> Features:
-    """Features of the kind that jobs ask for.
-
-    Parameters as for `loop.optimise`, of which `job` is one; streams are from `draws.seed_streams`,
-    and the networks that choose dwells are for several looks.
-    """
-    looks, scale, shape = job.training.looks, job.training.scale, training_set.data.image_shape
-    detection, conditioning = job.detection(shape), job.conditioning(shape)
-    if isinstance(masks, FixedMasks) and looks == 1 and not conditioning:
+    """Features of the kind of exposure of jobs, of which `job` is one."""
+    scale, detection = job.training.scale, job.detection(training_set.data.image_shape)
+    if isinstance(exposure, PatchExposure):
+        patches = training_set.seen(job.exposure).full
+        return PatchFeatures(
+            streams, masks, patches.view(len(training_set.full), -1, patches.shape[1]), scale
+        )
+    if isinstance(masks, FixedMasks) and isinstance(exposure, FixedExposure):
         return FixedFeatures(streams, masks, training_set.full, noise, scale, detection)
     # fixed masks see every pixel
-    light: Light = job.optics[0] if isinstance(masks, LearnedMasks) else "two-arm"
+    light: Light = job.optics.light if isinstance(masks, LearnedMasks) else "two-arm"
     x = training_set.centred(light, product_dtype(job, training_set.device), detection)
     if isinstance(masks, FixedMasks):
         masks = FixedMasks(detection.arrange(constraints.separate(*masks())))
-    if looks > 1:
-        dwells, shortest = Dwells.of(job.masks, *job.optics), job.training.shortest_dwell
-        return AdaptiveFeatures(
-            streams, masks, x, choose, looks, noise.gain, scale, detection, dwells, shortest
-        )
-    if conditioning:
-        return ConditionedFeatures(streams, masks, x, conditioning, job.optics[0], scale, detection)
+    if isinstance(exposure, LooksExposure):
+        return LooksFeatures(streams, masks, x, choose, exposure, noise.gain, scale, detection)
+    if isinstance(exposure, ConditionedExposure):
+        law = job.optics.light
+        return ConditionedFeatures(streams, masks, x, exposure, law, scale, detection)
     assert isinstance(masks, LearnedMasks)
     if noise.counting:
         return CountedFeatures(streams, masks, x, scale, detection)

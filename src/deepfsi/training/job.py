@@ -1,25 +1,38 @@
-"""Jobs: one design with its light, noise and settings, checked before any work."""
+"""Jobs: one design to be trained, with its camera, its exposure and the settings of the training.
+
+Each setting is declared here, in `optics.camera` or in `design.exposure`, with the text that helps
+to choose it. Options of the command line, keywords of `learn`, axes of recipes, records and tables
+of the documents are made from these fields.
+"""
 
 import re
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-import torch
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from torch import Tensor
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    WithJsonSchema,
+    model_validator,
+)
 
-from deepfsi.datasets import Dataset
-from deepfsi.design.adaptive import LOOKING
-from deepfsi.design.conditioning import Conditioning
-from deepfsi.errors import InputError
+from deepfsi.design.exposure import KINDS, AnyExposure, Exposure, Fixed, find_exposure
+from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.optics import codes, constraints, tiles
-from deepfsi.optics.budget import BUDGETS
-from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.detection import ONE, Detection, Readout
-from deepfsi.optics.features import Scale
-from deepfsi.optics.noise import check_noise
+from deepfsi.laws import Scale
+from deepfsi.optics.budget import BUDGETS, check_one_budget
+from deepfsi.optics.camera import Camera, Noise, noise_name
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from deepfsi.datasets import Dataset
+    from deepfsi.optics.codes import Code
+    from deepfsi.optics.detection import Detection
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
@@ -27,135 +40,104 @@ Precision = Literal["auto", "float32", "bfloat16"]
 REVISION = 3
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
-BFLOAT16_COUNTS = 2.0**14
-"""Largest share of the budget a readout may have for bfloat16 products in training, Φ / readouts.
-
-Rounding to 8 bits is wrong by at most 2⁻⁹ of the count, √2¹⁴ · 2⁻⁹ = 1/4 of its photon noise.
-"""
-
-BFLOAT16_WIDTH = 512
-"""Units of the widest hidden layer from which a processor is faster with bfloat16 networks.
-
-In float32 an epoch with layers of 512 and 256 takes 1.5 times as long, with 256 and 128 as long,
-and with 40 and 128 eight tenths as long (`benchmarks/networks.py`).
-"""
-
-
 MOST_EPOCHS = 100_000
 """Epochs of one training: far more than any has needed, and fewer than never end."""
+
+MLP, VIT = "mlp", "vit"
+"""Names of the paper's classifier, and of the transformer of patches, in settings."""
 
 LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Above 0, finite."""
 
 
+def _design(name: str) -> str:
+    from deepfsi.optics.codes import check_design
+
+    return check_design(name)
+
+
 def _start(name: str) -> str:
-    if codes.DESIGNS[codes.check_design(name)].learned or name in ("control", "custom"):
+    from deepfsi.optics.codes import DESIGNS
+
+    if DESIGNS[_design(name)].make is None:
         raise InputError(f"masks cannot start from {name}: name a fixed design")
     return name
 
 
-Start = Annotated[str, AfterValidator(_start)]
-"""Name of a design with a matrix of its own."""
+def classifier_name(given: Any) -> str:
+    """Name or import path of a classifier that is given by name, as a module or as a factory."""
+    if isinstance(given, str):
+        return given
+    from deepfsi.design.own import describe
+
+    return describe(given, None)[0]
 
 
-def _levels(count: int) -> int:
-    if count == 1:
-        raise InputError("one grey level is dark alone: give 2 or more, or 0 for continuous masks")
-    return count
-
-
-Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
-"""Grey levels, dark included; 0 for continuous masks."""
-
-
-MLP = "mlp"
-"""Name of the paper's classifier in settings."""
-
-
-ONE_DEVICE = (
-    "several detectors are parts of one device, and column is other optics: give light "
-    "equal-dwell, free-dwell or two-arm"
-)
-"""Said where detectors are asked for under the light law `column`."""
-
-
-def _classifier(name: str) -> str:
-    if name not in (MLP, UNNAMED) and not re.fullmatch(PATTERN, name):
+def _classifier(given: Any) -> Any:
+    name = classifier_name(given)
+    if name not in (MLP, VIT, UNNAMED) and not re.fullmatch(PATTERN, name):
         raise ValueError(f"give {MLP}, or module:factory of your own")
-    return name
+    return given
 
 
-class TrainingSettings(BaseModel):
-    """Settings of a training; all designs that train together share them."""
+def _widths(given: Any) -> Any:
+    return [part for part in given.split(",") if part] if isinstance(given, str) else given
+
+
+class Training(BaseModel):
+    """Settings of a training: its steps, its network, its precision and its start."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
-    batch: int | None = Field(None, ge=2, description="a hundredth of the scenes, 32 to 500")
-    lr: LearningRate = Field(1e-2, description="peak of the one-cycle schedule")
+    batch: int | None = Field(
+        None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
+    )
+    lr: LearningRate = Field(
+        1e-2, description="peak of the one-cycle schedule; what was tuned for the design, or this"
+    )
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
-    hidden: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+    hidden: Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_widths)] = Field(
         (40, 128), description="widths of the hidden layers of mlp"
     )
     dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
-    classifier: Annotated[str, AfterValidator(_classifier)] = Field(
-        MLP,
-        description="mlp, or module:factory of your own; own: given as an object",
-    )
+    classifier: Annotated[
+        Any,
+        AfterValidator(_classifier),
+        PlainSerializer(classifier_name, return_type=str),
+        WithJsonSchema({"type": "string"}),
+    ] = Field(MLP, description="mlp, or module:factory of a torch module of your own")
     classifier_arguments: dict[str, Any] = Field(
         {}, description="keyword arguments of that factory, besides the numbers"
     )
-    scale: Scale = Field("common", description="standard deviation of features")
+    scale: Scale = Field("common", description="standard deviation of features: each, or common")
     decay: float = Field(
         0.0, ge=0, allow_inf_nan=False, description="decoupled weight decay of the classifier"
     )
     balance: bool = Field(
-        False, description="weigh scenes so that every class counts alike in the loss"
+        False, description="weigh training scenes so that all classes count alike in the loss"
     )
-    start: Start = Field("pca", description="design that learned masks start from")
+    start: Annotated[str, AfterValidator(_start)] = Field(
+        "pca",
+        description="design that learned masks start from; pca, or class-pairs for several looks, "
+        "unless given",
+    )
     precision: Precision = Field(
         "auto",
-        description="type of the products of learned masks, and on a processor of networks with a "
-        f"layer of {BFLOAT16_WIDTH} or more; auto: bfloat16 where its rounding is below the noise",
+        description="type of the products of learned masks and of wide networks: float32, "
+        "bfloat16, or auto: bfloat16 where its rounding is below the noise",
     )
-    levels: Levels = Field(
-        0, description="grey levels of the device, dark included, that masks are made of; 0: any"
-    )
-
-    span: float = Field(
-        1.0,
-        ge=1,
-        le=1e12,
-        description="budgets of the training range log-uniformly from `photons` to span times that",
-    )
-    nested: int = Field(
-        0, ge=0, description="fewest masks, first ones, that must do for a class; 0: all are needed"
-    )
-
-    looks: int = Field(
-        1,
-        ge=1,
-        le=64,
-        description="looks of an exposure; from 2 on, counts choose the dwells of the next. Train "
-        "with `noise` poisson: a look shows many masks too shortly for MLGauss",
-    )
-    shortest_dwell: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="shortest dwell of a frame that the device shows, a share of the exposure: "
-        "frames below it are not shown, and their time is shared out among the others",
+    noise: Noise | None = Field(
+        None,
+        description="noise of the training, if other than the camera's: ml_gauss, poisson, "
+        "gaussian, camera, none; ml_gauss for photon noise, exact counts for several looks, "
+        "unless given",
     )
 
     @property
     def own(self) -> bool:
         """True if the classifier is a user's own."""
-        return self.classifier != MLP
-
-    @property
-    def conditioned(self) -> bool:
-        """True if budget and number of masks shown are inputs of the classifier."""
-        return self.span > 1 or self.nested > 0
+        return classifier_name(self.classifier) not in (MLP, VIT)
 
 
 TUNED: dict[str, dict[str, Any]] = {
@@ -164,7 +146,7 @@ TUNED: dict[str, dict[str, Any]] = {
     "raster": {"lr": 5e-3, "scale": "each"},
     "hadamard": {"lr": 5e-3, "scale": "each"},
 }
-"""Where a design does better with other settings than the defaults of `TrainingSettings`.
+"""Where a design does better with other settings than the defaults of `Training`.
 
 Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, each design from
 the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
@@ -172,296 +154,210 @@ readouts at one setting at most). Designs not named here, but for learned ones a
 """
 
 
-def training_for(design: str, **settings: Any) -> TrainingSettings:
-    """Settings of a design: the defaults, those tuned for the design, then `settings`.
-
-    Masks of several looks start from `class-pairs` (0.866 on MNIST's validation images at 1e4
-    photons, 64 masks and 4 looks; 0.845 from principal components).
-    """
-    looking = {"start": "class-pairs"} if settings.get("looks", 1) != 1 else {}
-    return TrainingSettings(**{**TUNED.get(design, {}), **looking, **settings})
-
-
-def _noise(name: str) -> str:
-    return name if name == UNNAMED else check_noise(name)
-
-
-TrainingNoise = Annotated[str, AfterValidator(_noise)]
-"""Name or import path of a noise that masks and classifier are trained under."""
+def _camera(given: Any) -> Any:
+    return Camera.load(given)
 
 
 class Job(BaseModel):
-    """One design to be trained: what it is, and the light and noise it is trained under."""
+    """One design to be trained.
+
+    Settings of the training that are not given are those tuned for the design and its exposure.
+
+    Attributes
+    ----------
+    design : str
+    masks : int
+        m.
+    photons : float
+        Budget Φ; of a range the lowest.
+    camera : Camera
+        Or a preset's name, a TOML file, or its fields.
+    exposure : Exposure
+        Or its settings, such as ``{"looks": 4}``.
+    training : Training
+        Or its fields.
+    seed : int
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    design: str = Field("deepfsi", description="name of the design")
+    design: Annotated[str, AfterValidator(_design)] = Field("deepfsi", description="which design")
     masks: int = Field(ge=1, description="number of masks, m")
     photons: float = Field(
-        ge=BUDGETS[0], le=BUDGETS[1], description="budget Φ: expected photons on the coding device"
+        ge=BUDGETS[0], le=BUDGETS[1], description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
+        "budgets; flux times exposure of the camera unless given",
     )
-    noise: TrainingNoise = Field("ml_gauss", description="noise of the training")
-    sigma: float = Field(
-        1.0, gt=0, allow_inf_nan=False, description="read noise, counts rms per readout"
+    camera: Annotated[Camera, BeforeValidator(_camera)] = Field(
+        Camera(), description="the camera: dmd, two-arm, paper, a TOML file, or its fields"
     )
-    dark: float = Field(
-        0.0, ge=0, allow_inf_nan=False, description="dark counts of a detector in an exposure"
+    exposure: AnyExposure = Field(Fixed(), description="what is shown when")
+    training: Training = Field(Training(), description="settings of the training")
+    seed: int = Field(
+        0,
+        ge=0,
+        lt=2**32,
+        description="seed of the random numbers: the same one repeats the result exactly on one "
+        "device",
     )
-    light: Light = Field("column", description="light law")
-    rails: Rails = Field("dual", description="signed masks, or non-negative ones")
-    detectors: str | tuple[int, ...] = Field(
-        "1x1",
-        description="ROWSxCOLUMNS of parts of the device with a detector each; or each pixel's",
-    )
-    readout: Readout | None = Field(
-        None,
-        description="difference, or both: what the network reads of two rails; both for two-arm "
-        "unless given",
-    )
-    seed: int = Field(0, ge=0, lt=2**32, description="repeats the training exactly on one device")
-    training: TrainingSettings = Field(TrainingSettings(), description="settings of the training")
 
-    def conditioning(self, image_shape: tuple[int, ...]) -> Conditioning | None:
-        """Conditioning inputs of the classifier for scenes of a shape, if it has any."""
-        settings = self.training
-        if not settings.conditioned:
-            return None
-        width = self.detection(image_shape).width({"dual": 2, "single": 1}[self.optics[1]])
-        return Conditioning(self.photons, settings.span, self.masks, settings.nested, width)
+    @model_validator(mode="before")
+    @classmethod
+    def _tuned(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        told = given.get("training", {})
+        if isinstance(told, Training):
+            told = {name: getattr(told, name) for name in told.model_fields_set}
+        exposure = find_exposure(given.get("exposure", {}))
+        if not (isinstance(told, Mapping) and isinstance(exposure, Exposure)):
+            return given
+        usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {})}
+        return {**given, "exposure": exposure, "training": {**usual, **told}}
 
     @property
-    def code(self) -> codes.Code:
-        """Properties of the named design; `InputError` if it does not exist."""
-        return codes.DESIGNS[codes.check_design(self.design)]
+    def code(self) -> "Code":
+        """All that the design's name implies."""
+        from deepfsi.optics.codes import DESIGNS
+
+        return DESIGNS[self.design]
+
+    @property
+    def noise(self) -> str:
+        """Name of the noise that is trained under."""
+        own = self.training.noise
+        if own is not None:
+            return noise_name(own)
+        return self.exposure.training_noise(self.camera.noise_name)
+
+    @property
+    def optics(self) -> Camera:
+        """The camera as the design has it: one with a detector for each pixel needs no other.
+
+        Impulse imaging is `column` whatever else is compared, and a design of one rail has one.
+        """
+        told: dict[str, Any] = {}
+        if self.code.every_pixel:
+            told = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
+        if self.code.single_rail:
+            told |= {"rails": "single", "readout": "difference"}
+        elif self.camera.rails == "single":
+            told |= {"readout": "difference"}
+        return self.camera.model_copy(update=told)
+
+    @property
+    def in_force(self) -> "Job":
+        """The job with the camera as the design has it: what its record is a hash of."""
+        return self.model_copy(update={"camera": self.optics})
 
     @property
     def drawn_from(self) -> str:
         """The named design whose matrix the masks are or start from."""
         return self.training.start if self.masks_from().code.learned else self.design
 
-    @property
-    def optics(self) -> tuple[Light, Rails]:
-        """Constraint and rails in force: designs with one rail by definition keep it.
-
-        Impulse imaging has a detector for each pixel, which is `column` whatever else is compared.
-        """
-        light: Light = "column" if self.design == "impulse" else self.light
-        return light, "single" if self.code.single_rail else self.rails
-
-    def detection(self, image_shape: tuple[int, ...]) -> Detection:
-        """Detectors of scenes of a shape, and what is read of two rails.
-
-        Impulse imaging has a detector for each pixel of the scene, whatever else is compared.
-        """
-        if self.design == "impulse":
-            return ONE
-        return Detection.of(self.detectors, image_shape, self._read)
-
-    @property
-    def _read(self) -> Readout:
-        usual: Readout = "both" if self.optics[0] == "two-arm" else "difference"
-        return self.readout or usual
-
-    @property
-    def in_force(self) -> "Job":
-        """Job with the light, rails, detectors and readout that its design has.
-
-        Impulse imaging has a detector for each pixel, and a single rail is read as it is.
-        """
-        light, rails = self.optics
-        readout = self._read if rails == "dual" else None
-        told: dict[str, Any] = {"light": light, "rails": rails, "readout": readout}
-        if self.design == "impulse":
-            told["detectors"] = "1x1"
-        return self.model_copy(update=told)
-
-    def companions(self, device: torch.device) -> tuple[Any, ...]:
-        """Key that jobs trained together share: all but budget, sigma and seed."""
-        # a module of a user's own may draw from torch's global generator: one after another
-        apart = set() if self.training.own else {"photons", "sigma", "seed"}
-        return (self.model_dump_json(exclude=apart), dtypes(self, device))
+    def detection(self, image_shape: tuple[int, ...]) -> "Detection":
+        """Detectors of scenes of a shape, and what is read of two rails."""
+        return self.optics.detection(image_shape)
 
     def masks_from(self) -> "Job":
-        """The job that makes the masks: for the control group DeepFSI under gaussian noise."""
-        if self.design != "control":
+        """The job that makes the masks: of a design that learns them before, DeepFSI's."""
+        under = self.code.learned_under
+        if under is None:
             return self
-        return self.model_copy(update={"design": "deepfsi", "noise": "gaussian"})
+        training = self.training.model_copy(update={"noise": under})
+        return self.model_copy(update={"design": "deepfsi", "training": training})
+
+    def check(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> None:
+        """Raise `InputError` for whatever the job asks that cannot be had on this data."""
+        if faults := self.faults(data, matrix):
+            raise InputError("; ".join(faults))
+
+    def faults(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> list[str]:
+        """Everything that the job asks and that cannot be had on this data.
+
+        The matrix (m, N) is of a design whose masks are the user's own.
+        """
+        from deepfsi.training.masks import matrix_faults
+
+        faults = [*self._classifier_faults(), *self.exposure.faults(self)]
+        if self.code.signed and self.camera.rails == "single":
+            faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
+        if (matrix is not None) != self.code.own:
+            faults.append(
+                'a matrix goes with the custom design, and only with it: give `design="custom"` '
+                "and `matrix`, or neither"
+            )
+        return [*faults, *matrix_faults(self, data, matrix)]
+
+    def _classifier_faults(self) -> list[str]:
+        usual, mine, faults = Training(), self.training, []
+        if mine.own and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
+            faults.append(
+                "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
+                "your own as its arguments"
+            )
+        if mine.classifier_arguments and mine.classifier == MLP:
+            faults.append("arguments of a classifier go with one of your own: give `classifier`")
+        return faults
 
 
-def seeds_of_matrices(jobs: Sequence[Job]) -> list[int]:
-    """Seed of each matrix that jobs trained together are drawn from; one where all share it."""
-    seeds = [job.seed for job in jobs]
-    return seeds if jobs[0].drawn_from == "random" and len(set(seeds)) > 1 else seeds[:1]
+ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
+"""Table and field of single settings whose field's name is taken by another."""
 
 
-def product_dtype(job: Job, device: torch.device) -> torch.dtype:
-    """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
-    if job.training.precision == "auto" and job.training.looks > 1:
-        return torch.float32  # bfloat16 was not tried
-    return _rounded(job, device)
+def owner(setting: str) -> tuple[str, str]:
+    """Table of a job that holds a setting, "" for its own fields, and the setting's name there.
 
-
-def network_dtype(job: Job, device: torch.device) -> torch.dtype:
-    """Type of the products of the networks in training: bfloat16 for wide ones on a processor."""
-    wide = max(job.training.hidden, default=0) >= BFLOAT16_WIDTH
-    if device.type != "cpu" or job.training.own or not wide:
-        return torch.float32
-    return _rounded(job, device)
-
-
-def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
-    """Types of the products of a job's masks and of its networks."""
-    return product_dtype(job.masks_from(), device), network_dtype(job, device)
-
-
-def _rounded(job: Job, device: torch.device) -> torch.dtype:
-    """Type whose rounding stays under the readout noise, unless one was asked for.
-
-    See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise. The
-    light of all masks may come to the first of nested ones, and with looks to a single readout.
+    Three names have two owners. As single settings `dmd` is the camera's device, `train_noise` the
+    noise of the training, and `exposure` the camera's time.
     """
-    if job.training.precision != "auto":
-        return getattr(torch, job.training.precision)
-    fast = (
-        torch.cuda.is_bf16_supported(including_emulation=False)
-        if device.type == "cuda"
-        else torch.cpu.get_capabilities().get("avx512_bf16", False)
-    )
-    masks = 1 if job.training.looks > 1 else job.training.nested or job.masks
-    readouts = masks * (2 if job.optics[1] == "dual" else 1)
-    counts = job.photons * job.training.span / readouts
-    limit = {
-        "ml_gauss": BFLOAT16_COUNTS,
-        "poisson": BFLOAT16_COUNTS,
-        "camera": BFLOAT16_COUNTS,
-        "gaussian": job.sigma * BFLOAT16_COUNTS**0.5,
+    if setting in ALIASES:
+        return ALIASES[setting]
+    tables: dict[str, Collection[str]] = {
+        "camera": Camera.model_fields,
+        "exposure": KINDS,
+        "training": Training.model_fields,
     }
-    return torch.bfloat16 if fast and counts <= limit.get(job.noise, 0) else torch.float32
+    return next((table for table, fields in tables.items() if setting in fields), ""), setting
 
 
-def check_job(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> None:
-    """Raise `InputError` for whatever a job asks that cannot be had on this data.
+def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a job of single settings, each where it is declared."""
+    tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
+    for setting, value in flat.items():
+        table, name = owner(setting)
+        tables[table][name] = value
+    job = tables.pop("")
+    if fields := tables.pop("camera"):
+        job["camera"] = Camera.load(job.get("camera"), **fields)
+    return job | {name: table for name, table in tables.items() if table}
 
-    Shapes: matrix (m, N).
+
+def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
+    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts.
+
+    Of counts the budget of the job is these, until a training says what it is.
     """
-    if faults := job_faults(job, data, matrix):
-        raise InputError("; ".join(faults))
-
-
-def job_faults(job: Job, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
-    """Everything that a job asks and that cannot be had on this data.
-
-    Parameters as for `check_job`.
-    """
-    faults = _classifier_faults(job.training)
-    if job.training.looks > 1:
-        faults += _look_faults(job)
-    if job.training.shortest_dwell:
-        faults += _dwell_faults(job)
-    if job.training.conditioned and job.masks_from().noise != "ml_gauss":
-        control = "the control group, whose masks learn under gaussian noise"
-        faults.append(
-            "a range of budgets and nested masks are trained under ml_gauss: leave out "
-            + (control if job.design == "control" else "`noise` and `train_noise`")
+    for name in settings.keys() - Job.model_fields.keys():
+        table, field = owner(name)
+        where = f"give `{table}={{{field!r}: ...}}`" if table else closest(name, Job.model_fields)
+        raise InputError(f"a job has no setting {name!r}: {where}")
+    camera, photons = Camera.load(settings.get("camera")), settings.get("photons")
+    if photons is None and counts is None:
+        photons = camera.budget
+    told = check_one_budget(photons, counts)
+    with as_input_error():
+        job = Job.model_validate({**settings, "camera": camera, "photons": told})
+    if counts is not None and job.exposure.highest(1.0) != 1.0:
+        raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
+    if "start" in _told(settings) and not job.code.learns_masks:
+        raise InputError(
+            f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "
+            '`design="deepfsi"`'
         )
-    if job.training.nested > job.masks:
-        faults.append(
-            f"the first {job.training.nested} of {job.masks} masks cannot be nested: give at most "
-            f"{job.masks}"
-        )
-    if job.design == "hadamard" and job.rails == "single":
-        faults.append("hadamard is signed: use dual rails, or the s-matrix")
-    if (matrix is not None) != (job.design == "custom"):
-        faults.append(
-            'a matrix goes with the custom design, and only with it: give `design="custom"` and '
-            "`matrix`, or neither"
-        )
-    try:
-        constraints.check_light(*job.optics)
-        detection = job.detection(data.image_shape)
-        if detection.count > 1 and job.light == "column":
-            raise InputError(ONE_DEVICE)
-        if matrix is None:
-            tiles.check_count(job.design, job.masks, data, detection)
-        else:
-            codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
-            own_rails(matrix, *job.optics)
-    except InputError as error:
-        faults.append(str(error))
-    return faults
+    return job
 
 
-def own_rails(matrix: np.ndarray, light: Light, rails: Rails) -> Tensor:
-    """Rails (2 or 1, m, N) of a user's matrix (m, N), or `InputError` if it breaks its constraint.
-
-    Parameters as for `constraints.expand`.
-    """
-    signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
-    return constraints.check(constraints.expand(signed, light, rails), light)
-
-
-def check_jobs(
-    jobs: Sequence[Job], data: Dataset, device: torch.device, matrix: np.ndarray | None = None
-) -> Job:
-    """Return the first of jobs that are to be trained together, each checked.
-
-    Parameters as for `check_job`.
-    """
-    if len({job.companions(device) for job in jobs}) > 1:
-        raise ValueError("jobs that train together may differ in photons, sigma and seed only")
-    for job in jobs:
-        check_job(job, data, matrix)
-    return jobs[0]
-
-
-def _classifier_faults(settings: TrainingSettings) -> list[str]:
-    usual, faults = TrainingSettings(), []
-    if settings.own and (settings.hidden, settings.dropout) != (usual.hidden, usual.dropout):
-        faults.append(
-            "`hidden` and `dropout` are of the usual classifier: give them to a classifier of your "
-            "own as its arguments"
-        )
-    if settings.classifier_arguments and not settings.own:
-        faults.append("arguments of a classifier go with one of your own: give `classifier`")
-    return faults
-
-
-def _dwell_faults(job: Job) -> list[str]:
-    shortest, looks = job.training.shortest_dwell, job.training.looks
-    if looks == 1 and not (job.code.learned and job.optics[0] in LOOKING):
-        return [
-            "a shortest dwell goes with dwells that are learned or chosen: give deepfsi with "
-            '`light="free-dwell"` or "two-arm", or several looks'
-        ]
-    if shortest * looks > 1:
-        return [
-            f"a frame lasts {shortest:g} of the exposure at least, and a look {1 / looks:g}: give "
-            "fewer looks, or a longer exposure"
-        ]
-    return []
-
-
-def _look_faults(job: Job) -> list[str]:
-    faults = []
-    if job.design in ("impulse", "control", "custom"):
-        faults.append(
-            f"{job.design} has one look only: several looks are for deepfsi and for named designs "
-            "that one device shows"
-        )
-    light, rails = job.optics
-    if light not in LOOKING:
-        faults.append(
-            f"several looks choose how long one device shows each frame, not {light}: use "
-            '`light="free-dwell"` or "two-arm"'
-        )
-    elif (light, rails) == ("free-dwell", "dual") and job.readout != "both":
-        faults.append(
-            "several looks show each rail for a time of its own, whose counts are to be read by "
-            'themselves: use `readout="both"`, or `rails="single"`'
-        )
-    if job.training.conditioned or job.noise not in ("ml_gauss", "poisson"):
-        faults.append(
-            "several looks are for one budget under photon noise: leave a range of budgets, "
-            "`nested` and other noise out"
-        )
-    return faults
+def _told(settings: Mapping[str, Any]) -> set[str]:
+    """Names of the settings of the training that were given."""
+    told = settings.get("training", {})
+    return told.model_fields_set if isinstance(told, Training) else set(told)

@@ -1,7 +1,7 @@
 """Learn masks and classifier together, one design or several that share a shape."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
@@ -9,53 +9,28 @@ from typing import Any
 import numpy as np
 import torch
 from pydantic import BaseModel
-from torch import Tensor, nn
+from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design.adaptive import AdaptiveDwells
 from deepfsi.design.artifact import Design
-from deepfsi.design.exposure import FixedDwells
+from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.memory import Memory
-from deepfsi.design.own import Factory, Given, describe
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.optics import codes, constraints, tiles
-from deepfsi.optics.budget import brightness, check_budget, check_one_budget
-from deepfsi.optics.constraints import Light, Rails
-from deepfsi.optics.detection import Detectors, Readout
-from deepfsi.optics.features import (
-    CHUNK,
-    FeatureNoise,
-    Scale,
-    feature_statistics,
-    mean_over_exposures,
-)
-from deepfsi.optics.grey_levels import quantise
+from deepfsi.errors import InputError
+from deepfsi.optics import constraints
+from deepfsi.optics.budget import brightness, check_budget
+from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import OwnNoise, check_dark, resolve, try_own
+from deepfsi.optics.noise import resolve, try_own
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.counts import train_for_counts
-from deepfsi.training.job import (
-    MLP,
-    Job,
-    Precision,
-    TrainingSettings,
-    check_job,
-    check_jobs,
-    own_rails,
-    seeds_of_matrices,
-    training_for,
-)
-from deepfsi.training.loop import Classifier, check_fits, optimise
+from deepfsi.training.footprint import check_fits
+from deepfsi.training.job import Job, find_job
+from deepfsi.training.loop import Classifier, optimise
+from deepfsi.training.masks import final_masks, initial_masks
+from deepfsi.training.precision import dtypes
 from deepfsi.training.training_set import TrainingSet
 
-OWN_DEFAULT = ("lr", "scale", "start")
-"""Settings that are the design's own unless given, see `training_for`."""
-
-
-REMEDY = (
-    "lower lr and mask_lr, in a recipe or in Python (for `deepfsi design`: try another --seed or "
-    "more --photons)"
-)
+REMEDY = "lower lr and mask_lr, or try another seed or more photons"
 """What to do where a training diverged."""
 
 
@@ -66,39 +41,11 @@ class Diverged(InputError):
 def learn(
     data: Source,
     *,
-    masks: int,
-    photons: float | None = None,
     counts: float | None = None,
-    design: str = "deepfsi",
     matrix: np.ndarray | None = None,
-    noise: str | OwnNoise = "ml_gauss",
-    sigma: float = 1.0,
-    dark: float = 0.0,
-    light: Light = "column",
-    rails: Rails = "dual",
-    detectors: Detectors = "1x1",
-    readout: Readout | None = None,
-    seed: int = 0,
-    span: float = 1.0,
-    nested: int = 0,
-    looks: int = 1,
-    shortest_dwell: float = 0.0,
-    levels: int = 0,
-    epochs: int = 40,
-    batch: int | None = None,
-    lr: float | None = None,
-    mask_lr: float = 1e-1,
-    hidden: Sequence[int] = (40, 128),
-    dropout: float = 0.0,
-    scale: Scale | None = None,
-    decay: float = 0.0,
-    balance: bool = False,
-    start: str | None = None,
-    precision: Precision = "auto",
-    classifier: Given = MLP,
-    classifier_arguments: Mapping[str, Any] | None = None,
     device: str = "auto",
     report: Report | None = None,
+    **settings: Any,
 ) -> Design:
     """Train one design on all training scenes of a data set.
 
@@ -106,71 +53,19 @@ def learn(
     ----------
     data : Dataset, str, path or tuple of arrays
         Or whatever `load_dataset` makes one of: a name, a path, ``(x, y)``.
-    masks : int
-        m.
-    photons : float, optional
-        Budget Φ: expected photons on the coding device, in the mean over training scenes.
     counts : float, optional
-        Instead of it: photons that the detectors are to count, in the mean over training scenes.
-        Learned masks are trained again until that holds, see `training.counts`.
-    design : str
-        A key of `codes.DESIGNS`.
+        Instead of `photons`: photons that the detectors are to count, in the mean over training
+        scenes. Learned masks are trained again until that holds, see `training.counts`.
     matrix : array, shape (m, N), optional
         Your own sensing matrix, for ``design="custom"``.
-    noise : {"ml_gauss", "poisson", "gaussian", "camera", "none"} or callable
-        Of the training; or one of your own, as for `Scanner`.
-    sigma : float
-        Read noise in counts rms per readout, for gaussian and camera noise.
-    dark : float
-        Expected dark counts of one detector in a whole exposure, for camera noise.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    rails : {"dual", "single"}
-    detectors : str or array of int, shape (N,)
-        Parts of the device, each seen by a detector of its own: ``"2x2"`` for 2 rows and 2 columns,
-        or the detector of each pixel, from 0.
-    readout : {"difference", "both"}, optional
-        What the network reads of two rails: y⁺ − y⁻, or each rail's counts. Both for two-arm and
-        the difference else, unless given.
-    seed : int
-        Of the order of scenes, the initial weights and the noise.
-    span : float
-        Above 1 for a range of budgets, from `photons` to span times that.
-    nested : int
-        Fewest masks, first ones, that must do for a class; 0: all are needed.
-    looks : int
-        Looks of an exposure; from 2 on, counts choose the dwells of the next.
-    shortest_dwell : float
-        Shortest dwell of a frame that the device shows, a share of the exposure, where dwells are
-        learned or chosen.
-    levels : int
-        Grey levels of the device, dark included; 0 for continuous masks.
-    epochs, batch : int
-        Batches are a hundredth of the scenes, 32 to 500, unless given.
-    lr, mask_lr : float
-        Peaks of the one-cycle schedule of the classifier, 1e-2 or what was tuned for the design
-        unless given, and of the masks, relative to their rms.
-    hidden : sequence of int
-        Widths of the classifier's hidden layers.
-    dropout, decay : float
-        Of the classifier: probability, and decoupled weight decay.
-    balance : bool
-        Weigh training scenes so that every class counts alike, however few scenes it has.
-    scale : {"each", "common"}, optional
-        Whether each feature has a standard deviation of its own; common, or what was tuned for the
-        design unless given.
-    start : str, optional
-        Design that learned masks start from; pca, or class-pairs for several looks unless given.
-    precision : {"auto", "float32", "bfloat16"}
-        Of the products of training, of learned masks and of wide networks.
-    classifier : nn.Module, callable or str
-        "mlp", or one of your own: a module from (batch, inputs) standardised features to (batch,
-        C) logits, of which a copy is trained; a factory of it, ``factory(inputs, classes)`` or
-        ``factory(inputs)``; or the import path of a factory, ``"module:name"``.
-    classifier_arguments : mapping, optional
-        Further keyword arguments of the factory.
     device : {"auto", "cpu", "cuda"}
     report : Report, optional
         Where to say how far the training is; a bar where a terminal is attached unless given.
+    settings
+        Fields of `Job`: ``design``, ``masks``, ``photons`` (the camera's budget unless given),
+        ``camera`` (a `Camera`, a preset's name, a TOML file or fields), ``exposure`` (`Looks`,
+        `Nested`, `Range`, `Patches` or their fields), ``training`` (`Training` or its fields) and
+        ``seed``.
 
     Raises
     ------
@@ -180,44 +75,22 @@ def learn(
     Examples
     --------
     >>> import deepfsi
-    >>> digits = deepfsi.load_dataset("digits")
-    >>> deepfsi.learn(digits, photons=1e4, masks=10, epochs=1).matrix.shape
+    >>> digits, few = deepfsi.load_dataset("digits"), deepfsi.Training(epochs=1)
+    >>> deepfsi.learn(digits, camera="dmd", photons=1e4, masks=10, training=few).matrix.shape
     (10, 64)
     """
-    given = {
-        name: value
-        for name, value in locals().items()
-        if value is not None or name not in OWN_DEFAULT
-    }
-    given["photons"] = check_one_budget(photons, counts, span)
-    given["classifier"], given["classifier_arguments"] = describe(classifier, classifier_arguments)
-    given["noise"], own_noise = resolve(noise)
-    given["dark"] = check_dark(dark, given["noise"])
-    if not isinstance(detectors, str):
-        given["detectors"] = tuple(np.asarray(detectors).ravel().tolist())
-    own = None if isinstance(classifier, str) else classifier
-    with as_input_error():
-        training = training_for(
-            design, **{name: given[name] for name in TrainingSettings.model_fields if name in given}
-        )
-        named = {name: given[name] for name in Job.model_fields if name in given}
-        job = Job(**named, training=training)
-    if start and not codes.has_learned_masks(codes.check_design(design)):
-        raise InputError(
-            f"`start` is of learned masks, and {design} has its own: leave it out, or give "
-            '`design="deepfsi"`'
-        )
+    job = find_job(settings, counts)
     training_set = TrainingSet(as_dataset(data), device)
 
     def train_at(photons: float, bar: Report) -> Design:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
-        return train(training_set, [at_budget], matrix, bar, own, own_noise)[0]
+        return train(training_set, [at_budget], matrix, bar)[0]
 
-    with shown(report, f"{design}, {masks} masks") as bar:
-        if photons is not None:
-            return train_at(photons, bar)
+    with shown(report, f"{job.design}, {job.masks} masks") as bar:
+        if counts is None:
+            return train_at(job.photons, bar)
         share = _first_share(training_set, job, matrix)
-        return train_for_counts(given["photons"], share, train_at, bar)
+        return train_for_counts(counts, share, train_at, bar)
 
 
 def train(
@@ -225,152 +98,100 @@ def train(
     jobs: Sequence[Job],
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
-    classifier: nn.Module | Factory | None = None,
-    own_noise: OwnNoise | None = None,
 ) -> list[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
-    Shapes: matrix (m, N).
+    The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
+    "custom" designs.
     """
     began = time.perf_counter()
-    trained = _optimised(training_set, jobs, matrix, report, classifier, own_noise)
-    designs = _designs(training_set, jobs, *trained)
+    designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, seconds)
     return designs
 
 
-def _optimised(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    matrix: np.ndarray | None,
-    report: Report,
-    classifier: nn.Module | Factory | None,
-    own_noise: OwnNoise | None,
-) -> tuple[FixedMasks, FeatureNoise, list[Classifier], list[AdaptiveDwells]]:
-    """Masks after training, the noise that they were trained under, and the networks.
+def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
+    """Key that jobs trained together share: all but budget, sigma and seed."""
+    # a module of a user's own may draw from torch's global generator: one after another
+    alone = job.training.own or not job.exposure.side_by_side
+    apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
+    return (job.model_dump_json(exclude=apart), dtypes(job, device))
 
-    The jobs are checked first. Masks of the control group are learned before, under gaussian noise
-    and with a network of their own, as jobs that are checked like any other.
+
+Optimised = tuple[FixedMasks, FeatureNoise, list[Classifier], list[TrainedExposure]]
+"""Masks after training, the noise that they were trained under, networks and exposures."""
+
+
+def _optimised(
+    training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, report: Report
+) -> Optimised:
+    """Masks and networks after training; the jobs are checked first.
+
+    Masks of the control group are learned before, under gaussian noise and with a network of their
+    own, as jobs that are checked like any other.
     """
-    device = training_set.device
-    first = check_jobs(jobs, training_set.data, device, matrix)
+    device, job = training_set.device, jobs[0]
+    if len({companions(each, device) for each in jobs}) > 1:
+        raise ValueError("jobs that train together may differ in photons, sigma and seed only")
+    for each in jobs:
+        each.check(training_set.data, matrix)
     check_fits(training_set, jobs)
-    own_noise = own_noise or resolve(first.noise)[1]
-    if own_noise is not None:
-        try_own(own_noise, first.code.learned)
-    noise = FeatureNoise.of(
-        first.noise,
-        [job.photons / training_set.summed_reflectance for job in jobs],
-        [job.sigma for job in jobs],
-        [job.seed for job in jobs],
-        device,
-        [job.dark for job in jobs],
-        own_noise,
-    )
-    learned = None
-    if first.design == "control":
+    noise = _noise(jobs, training_set)
+    seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
+    shape = training_set.data.image_shape
+    exposures = [
+        each.exposure.begin(each, shape, seed) for each, seed in zip(jobs, seeds, strict=True)
+    ]
+    masks: FixedMasks | LearnedMasks
+    if job.code.learned_under:
         before, report = report.part(0.0, 0.5), report.part(0.5, 1.0)
-        sources = [job.masks_from() for job in jobs]
-        optimised, *_ = _optimised(training_set, sources, None, before, classifier, None)
-        learned = constraints.separate(*optimised())
-    masks = _initial_masks(training_set, jobs, matrix, learned).to(device)
-    classifiers, schedules = optimise(training_set, jobs, masks, noise, report, classifier)
+        sources = [each.masks_from() for each in jobs]
+        masks = _optimised(training_set, sources, None, before)[0]
+    else:
+        seen = training_set.seen(job.exposure)
+        masks = initial_masks(seen, jobs, exposures[0], matrix).to(device)
+    classifiers = optimise(training_set, jobs, masks, noise, exposures, report)
     if isinstance(masks, LearnedMasks):
-        masks = _final_masks(masks, training_set, first)
-    networks = [*classifiers, *(each.network for each in schedules)]
+        masks = final_masks(masks, training_set.seen(job.exposure), job, exposures[0])
+    networks = [*classifiers, *(each.network for each in exposures if each.network is not None)]
     numbers = [*masks(), *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
-        raise Diverged(f"training of {first.design} diverged: {REMEDY}")
-    return masks, noise, classifiers, schedules
+        raise Diverged(f"training of {job.design} diverged: {REMEDY}")
+    return masks, noise, classifiers, exposures
 
 
-def _initial_masks(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    matrix: np.ndarray | None = None,
-    learned: Tensor | None = None,
-) -> FixedMasks | LearnedMasks:
-    """Masks before training: of R replicas, or of one where all share them."""
-    if learned is not None:
-        return FixedMasks(learned)
+def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
+    """Noise of the training of jobs."""
     job = jobs[0]
-    light, rails = job.optics
-    detection = job.detection(training_set.data.image_shape)
-    levels, several = job.training.levels, job.training.looks > 1
-    if matrix is not None:
-        own = own_rails(matrix, light, rails).unsqueeze(0)
-        return FixedMasks(quantise(own, light, levels) if levels else own)
-    signed = torch.stack([_matrix(training_set, job, seed) for seed in seeds_of_matrices(jobs)])
-    if job.code.learned:
-        kept = training_set.pixels(light).cpu()
-        start = detection.of_pixels(kept).arrange(signed[..., kept])
-        start = start.expand(len(jobs), -1, -1).clone()
-        equal = several and light != "two-arm"
-        shortest = 0.0 if several else job.training.shortest_dwell
-        masks = LearnedMasks(start, "equal-dwell" if equal else light, rails, levels, shortest)
-        if several and light == "two-arm":
-            masks.dwell.requires_grad_(False)  # equal from the start
-        return masks
-    if job.design == "raster":  # its scale is what defines it
-        fitted = signed.unsqueeze(1)
-    else:
-        fitted = torch.stack([constraints.fit(each, light, rails) for each in signed])
-    fitted = constraints.equalise(fitted) if several and light != "two-arm" else fitted
-    return FixedMasks(quantise(fitted, light, levels) if levels else fitted)
+    told = job.training.noise if job.training.noise is not None else job.camera.noise
+    own = resolve(told)[1]
+    if own is not None:
+        try_own(own, job.code.learned)
+    dark = [each.camera.dark_counts if job.noise == "camera" else 0.0 for each in jobs]
+    return FeatureNoise.of(
+        job.noise,
+        [each.photons / training_set.summed_reflectance for each in jobs],
+        [each.camera.sigma for each in jobs],
+        [each.seed for each in jobs],
+        training_set.device,
+        dark,
+        own,
+    )
 
 
 def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
     """Share of the budget that the masks count before training; parameters as for `train`."""
-    check_job(job, training_set.data, matrix)
-    masks = _initial_masks(training_set, [job], matrix)
-    shown = _final_masks(masks, training_set, job) if isinstance(masks, LearnedMasks) else masks
-    _, total = shown.to(training_set.device)()
+    job.check(training_set.data, matrix)
+    seen, shape = training_set.seen(job.exposure), training_set.data.image_shape
+    exposure = job.exposure.begin(job, shape, torch.Generator().manual_seed(job.seed))
+    masks = initial_masks(seen, [job], exposure, matrix)
+    if isinstance(masks, LearnedMasks):
+        masks = final_masks(masks, seen, job, exposure)
+    _, total = masks.to(training_set.device)()
     counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
     return counts / training_set.summed_reflectance
-
-
-def _final_masks(masks: LearnedMasks, training_set: TrainingSet, job: Job) -> FixedMasks:
-    """Masks after training, of all pixels: dark where they were not learned.
-
-    Nested ones take the whole of their constraint, by one common factor: so they are trained,
-    however many of them are shown.
-    """
-    light, pixels = job.optics[0], training_set.pixels(job.optics[0])
-    with torch.no_grad():
-        learned = constraints.separate(*masks())
-    detection = job.detection(training_set.data.image_shape)
-    rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
-    rails[..., pixels] = detection.of_pixels(pixels).restore(learned)
-    if job.training.looks > 1 and light != "two-arm":
-        # at the end only: its gradient would take from lit mirrors what they share
-        rails = constraints.equalise(rails)
-    if job.training.nested:
-        rails = rails / constraints.used(rails, light)[..., -1:][..., None, None]
-    return FixedMasks(rails)
-
-
-def _matrix(training_set: TrainingSet, job: Job, seed: int) -> Tensor:
-    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design.
-
-    Learned masks of two arms that are both read start from these frames, too, and the other arm
-    from what they leave: so they begin where one arm does (0.848 on MNIST's validation images at
-    1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half light on each arm).
-    """
-    name, count = job.drawn_from, job.masks
-    detection = job.detection(training_set.data.image_shape)
-    both_arms = job.code.learned and job.optics[0] == "two-arm" and detection.readout == "both"
-    if job.code.single_rail or (job.optics[1] == "dual" and not both_arms):
-        return torch.from_numpy(training_set.matrix(name, count, seed, detection)).float()
-    least, most = tiles.count_allowed(name, training_set.data, detection)
-    for masks in range(min(max(-(-count // 2), least), most), most + 1):
-        signed = torch.from_numpy(training_set.matrix(name, masks, seed, detection)).float()
-        frames = constraints.frames(constraints.expand(signed, "column"))
-        if len(frames) >= count:
-            first = frames[:count]
-            return 2 * first / constraints.peak(first) - 1 if both_arms else first
-    raise InputError(f"{count} frames are not allowed for {name}: give at most {len(frames)}")
 
 
 def _designs(
@@ -379,42 +200,42 @@ def _designs(
     masks: FixedMasks,
     noise: FeatureNoise,
     classifiers: list[Classifier],
-    schedules: list[AdaptiveDwells],
+    exposures: list[TrainedExposure],
 ) -> list[Design]:
     """Designs of trained masks and networks, with the statistics of their features."""
-    light, s = jobs[0].optics[0], training_set.summed_reflectance
-    rails = constraints.separate(*masks())
-    shape, exposures = training_set.data.image_shape, None
-    detection, conditioning = jobs[0].detection(shape), jobs[0].conditioning(shape)
-    if conditioning:
-        used = constraints.used(rails, light)
-        every = mean_over_exposures(used, conditioning.span, conditioning.chances.to(used))
-        later, often = (each.repeat_interleave(conditioning.width, dim=-1) for each in every)
-        exposures = later, often
+    job, s = jobs[0], training_set.summed_reflectance
+    light, shape = job.optics.light, training_set.data.image_shape
+    rails, detection = constraints.separate(*masks()), job.detection(shape)
     with torch.no_grad():
         mean, std, counts = feature_statistics(
-            training_set.full, masks, noise, jobs[0].training.scale, detection, exposures
+            training_set.seen(job.exposure).full,
+            masks,
+            noise,
+            job.training.scale,
+            detection,
+            exposures[0].drawn(rails, light),
         )
     designs = [
         Design(
-            name=job.design,
+            name=each.design,
             rails=constraints.check(rails[r % len(rails)].clone(), light),
             classifier=classifiers[r],
             mean=mean[r] / s,
             std=std[r] / s,
-            shares=counts[r] / s,
+            shares=counts[r] / s * exposures[r].tokens(shape),
             summed_reflectance=s,
             light=light,
-            image_shape=training_set.data.image_shape,
+            image_shape=shape,
             classes=training_set.data.classes,
-            exposure=schedules[r] if schedules else job.conditioning(shape) or FixedDwells(),
+            exposure=exposures[r],
             detection=detection,
         )
-        for r, job in enumerate(jobs)
+        for r, each in enumerate(jobs)
     ]
-    if schedules:
-        for job, design in zip(jobs, designs, strict=True):
-            design.shares = _shares(design, training_set, job)
+    if exposures[0].chooses:
+        for each, design in zip(jobs, designs, strict=True):
+            design.shares = _shares(design, training_set, each)
+    if not exposures[0].comparable:
         return designs
     known = [
         each.calibrated(training_set.full, training_set.labels).distribution

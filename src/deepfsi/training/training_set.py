@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from deepfsi.datasets import Dataset
+from deepfsi.design.exposure import Exposure
 from deepfsi.errors import InputError
+from deepfsi.laws import Light
 from deepfsi.optics import codes, tiles
 from deepfsi.optics.budget import summed_reflectance
-from deepfsi.optics.constraints import Light
 from deepfsi.optics.detection import ONE, Detection
 
 Matrices = dict[tuple[str, int, int, bytes], np.ndarray]
@@ -24,7 +25,7 @@ class TrainingSet:
         self, data: Dataset, device: str = "auto", matrices: Matrices | None = None
     ) -> None:
         self.data = data
-        self.device = find_device(device)
+        self._name, self.device = device, find_device(device)
         self.summed_reflectance = summed_reflectance(data.x_train)
         labels = np.require(data.y_train, requirements="W")
         self.labels = torch.from_numpy(labels).to(self.device)
@@ -32,6 +33,14 @@ class TrainingSet:
         self.full = torch.from_numpy(x).to(self.device)
         self.matrices = {} if matrices is None else matrices
         self._centred: dict[tuple[torch.dtype, bool, bytes], Tensor] = {}
+        self._seen: dict[Exposure, TrainingSet] = {}
+
+    def seen(self, exposure: Exposure) -> "TrainingSet":
+        """The scenes as the masks of an exposure see them."""
+        if exposure not in self._seen:
+            scenes = exposure.seen(self.data)
+            self._seen[exposure] = self if scenes is self.data else TrainingSet(scenes, self._name)
+        return self._seen[exposure]
 
     @cached_property
     def varying(self) -> Tensor:
@@ -73,7 +82,7 @@ class TrainingSet:
 
     def prepare(self, name: str) -> None:
         """Compute what the trainings of a design share, so that processes need not each do it."""
-        if name == "pca" and self.data.pixels <= codes.FULL_BASIS_PIXELS:
+        if codes.DESIGNS[name].shared and self.data.pixels <= codes.FULL_BASIS_PIXELS:
             self.matrix(name, 1, 0)
 
     def matrix(self, name: str, masks: int, seed: int, detection: Detection = ONE) -> np.ndarray:
@@ -83,8 +92,9 @@ class TrainingSet:
         """
         tiles.check_count(name, masks, self.data, detection)
         _, most = tiles.count_allowed(name, self.data, detection)
-        whole = most if name == "pca" and most <= codes.FULL_BASIS_PIXELS else masks
-        key = (name, whole, seed if name == "random" else 0, detection.key)
+        code = codes.DESIGNS[name]
+        whole = most if code.shared and most <= codes.FULL_BASIS_PIXELS else masks
+        key = (name, whole, seed if code.seeded else 0, detection.key)
         if key not in self.matrices:
             self.matrices[key] = tiles.sensing_matrix(name, whole, self.data, seed, detection)
         return self.matrices[key][:masks]

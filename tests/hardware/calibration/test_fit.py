@@ -6,6 +6,7 @@ from calibration_samples import GRID, IDENTITY, VIEW, apply, calibration_of, pic
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
+from deepfsi.grid import find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import black_rates
 from deepfsi.hardware.calibration.view import (
@@ -15,7 +16,6 @@ from deepfsi.hardware.calibration.view import (
     view_matrix,
 )
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera

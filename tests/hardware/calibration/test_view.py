@@ -11,6 +11,7 @@ from scipy import ndimage
 from deepfsi.datasets import load_dataset
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError
+from deepfsi.grid import find_grid
 from deepfsi.hardware.calibration.view import (
     camera_view,
     load_calibration,
@@ -18,7 +19,6 @@ from deepfsi.hardware.calibration.view import (
     view_dataset,
     view_matrix,
 )
-from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.virtual import camera
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pattern_samples import SMALL
 
 from deepfsi.devices import Device
-from deepfsi.hardware.patterns.grid import find_grid
+from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns.mirrors import make_frames, order_mirrors, recount, unpack
 
 

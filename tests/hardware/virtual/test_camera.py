@@ -11,8 +11,8 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
+from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
 from deepfsi.hardware.ptu import reader as ptu

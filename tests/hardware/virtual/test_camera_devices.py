@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deepfsi.devices import DEVICES
+from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
-from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates, irradiance
 

@@ -14,10 +14,10 @@ from scipy import ndimage
 from skimage import measure, transform
 
 from deepfsi.errors import InputError
+from deepfsi.grid import Grid
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.refine import fit_view
 from deepfsi.hardware.calibration.view import Calibration, geometry_matrix
-from deepfsi.hardware.patterns.grid import Grid
 from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.hardware.recording.counts import Counts
 

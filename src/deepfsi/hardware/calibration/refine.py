@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, special
 
-from deepfsi.hardware.patterns.grid import Grid
+from deepfsi.grid import Grid
 
 POINTS = 4
 """Points of a displayed pixel in each direction that stand for its light."""

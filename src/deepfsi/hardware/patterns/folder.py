@@ -21,9 +21,9 @@ import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
 from deepfsi.files import new_folder
+from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
-from deepfsi.hardware.patterns.grid import find_grid
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.progress import SILENT, Report

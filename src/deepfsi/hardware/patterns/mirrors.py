@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.devices import Device
-from deepfsi.hardware.patterns.grid import Grid
+from deepfsi.grid import Grid
 from deepfsi.hardware.patterns.sequence import Light, Rail, Selection
 
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)

@@ -25,8 +25,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from deepfsi.devices import LONGEST_PICTURE_S, Device
 from deepfsi.errors import InputError, check_known
+from deepfsi.grid import Grid, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
-from deepfsi.hardware.patterns.grid import Grid, find_grid
 from deepfsi.hardware.patterns.looks import Looks
 
 MOST_FRAMES = 2**20

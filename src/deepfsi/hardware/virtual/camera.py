@@ -25,8 +25,8 @@ from pydantic import Field, FiniteFloat, field_validator
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
+from deepfsi.grid import Grid
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
-from deepfsi.hardware.patterns.grid import Grid
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import Gates

@@ -1,0 +1,358 @@
+"""Kinds of exposure: what is shown when, and what the network is told.
+
+    Fixed     every mask once, each for its own dwell; all are needed for an answer
+    Range     the same for a range of budgets, and the network is told the budget
+    Nested    the first masks alone give an answer, too, and the network is told how many
+    Looks     several looks; the counts so far choose the dwells of the next
+    Patches   an image seen patch by patch, with a detector for each patch and mask
+
+These are the settings. What a trained design does with them is in the modules beside.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
+
+from deepfsi.errors import InputError, as_input_error
+
+if TYPE_CHECKING:
+    from torch import Generator
+
+    from deepfsi.datasets import Dataset
+    from deepfsi.design.exposure.trained import TrainedExposure as Trained
+    from deepfsi.training.job import Job
+
+LOOKING = ("free-dwell", "two-arm")
+"""Light laws under which dwells can be chosen."""
+
+PHOTONIC = ("ml_gauss", "poisson", "camera", "none")
+"""Noises under which dwells can be chosen."""
+
+TRAINING_NOISE = {"poisson": "ml_gauss"}
+"""Noise that is trained under in place of a camera's own."""
+
+
+class Exposure(BaseModel):
+    """An exposure of which every mask is shown once, and all are needed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    training: ClassVar[dict[str, Any]] = {"start": "pca"}
+    """Settings of the training where none are given."""
+
+    @property
+    def parts(self) -> int:
+        """Parts of an exposure after which the network answers."""
+        return 1
+
+    side_by_side: ClassVar[bool] = True
+    """Whether jobs that differ in budget and seed train together."""
+
+    rounds_products: ClassVar[bool] = True
+    """Whether products of masks in bfloat16 were tried."""
+
+    def rounds_networks(self, device: str, wide: bool) -> bool:
+        """True if networks are faster in bfloat16: wide ones, on a processor."""
+        return device == "cpu" and wide
+
+    def highest(self, photons: float) -> float:
+        """Highest budget of a training whose lowest is `photons`."""
+        return photons
+
+    def training_noise(self, noise: str) -> str:
+        """Noise to train under where the camera has another."""
+        return TRAINING_NOISE.get(noise, noise)
+
+    def brightest(self, masks: int) -> int:
+        """Fewest masks, of m, that the whole light may come to."""
+        return masks
+
+    def seen(self, data: "Dataset") -> "Dataset":
+        """The data as the masks see it: whole scenes."""
+        return data
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """The exposure of a design that is to be trained on scenes of a shape.
+
+        Where it has a network of its own, that is untrained.
+        """
+        from deepfsi.design.exposure.trained import FixedExposure
+
+        return FixedExposure()
+
+    def faults(self, job: "Job") -> list[str]:
+        """Everything that a job asks of this exposure and that cannot be had."""
+        return []
+
+    def test_faults(self, noises: Sequence[str]) -> list[str]:
+        """Everything in noises of tests that cannot be had."""
+        return []
+
+
+class Fixed(Exposure):
+    """Every mask is shown once, for a dwell of its own, and all are needed for an answer."""
+
+
+class Conditioned(Exposure):
+    """Base of those whose network is told the budget, and how many masks were shown."""
+
+    span: float
+
+    def highest(self, photons: float) -> float:
+        """The other end of the range."""
+        return photons * self.span
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """One whose classifier has the budget and the number of masks as inputs."""
+        from deepfsi.design.exposure.conditioned import ConditionedExposure
+
+        width = job.detection(image_shape).width({"dual": 2, "single": 1}[job.optics.rails])
+        fewest = getattr(self, "nested", 0)
+        return ConditionedExposure(job.photons, self.span, job.masks, fewest, width)
+
+    def faults(self, job: "Job") -> list[str]:
+        """Another training noise than MLGauss, or masks that learn under one."""
+        if job.code.learned_under:
+            left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
+        elif job.noise != "ml_gauss":
+            left = f"{job.noise} noise, or train under ml_gauss"
+        else:
+            return []
+        return [f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"]
+
+
+class Range(Conditioned):
+    """One design for a range of budgets.
+
+    Attributes
+    ----------
+    span : float
+        Highest budget over the lowest, `photons`; those of the training are log-uniform between.
+    """
+
+    span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
+
+
+class Nested(Conditioned):
+    """One design of whose masks the first ones alone give an answer.
+
+    Attributes
+    ----------
+    nested : int
+        Smallest number of first masks from which the network must classify.
+    span : float
+        Highest budget over the lowest; 1 for one budget.
+    """
+
+    nested: int = Field(
+        ge=1,
+        description="nested masks: smallest number of first masks from which the network must "
+        "classify",
+    )
+    span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
+
+    def brightest(self, masks: int) -> int:
+        """Those that are shown at least."""
+        return self.nested
+
+    def faults(self, job: "Job") -> list[str]:
+        """Those of all conditioned ones, or more nested masks than there are."""
+        found = super().faults(job)
+        if self.nested > job.masks:
+            found.append(
+                f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
+                f"{job.masks}"
+            )
+        return found
+
+
+class Looks(Exposure):
+    """Several looks, of which the counts so far choose the dwells of the next.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the exposure.
+    """
+
+    training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
+    """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
+
+    rounds_products: ClassVar[bool] = False
+
+    looks: int = Field(
+        ge=2,
+        le=64,
+        description="parts (looks) of an exposure: the counts so far choose the dwells of the "
+        "next part",
+    )
+
+    @property
+    def parts(self) -> int:
+        """K."""
+        return self.looks
+
+    def training_noise(self, noise: str) -> str:
+        """The camera's own: a look shows many masks too shortly for MLGauss."""
+        return noise
+
+    def brightest(self, masks: int) -> int:
+        """One: a look may show nothing else."""
+        return 1
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """One with a network that chooses dwells, of the classifier's hidden layers."""
+        from deepfsi.design.classifiers import Mlp
+        from deepfsi.design.exposure.looks import Dwells, LooksExposure
+
+        camera, rails = job.optics, {"dual": 2, "single": 1}[job.optics.rails]
+        dwells = Dwells.of(job.masks, camera.light, camera.rails)
+        features = job.masks * job.detection(image_shape).width(rails)
+        inputs = features + dwells.count + 1
+        network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
+        return LooksExposure(dwells, network, self.looks, camera.shortest_share)
+
+    def faults(self, job: "Job") -> list[str]:
+        """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
+        found, camera = [], job.optics
+        if job.code.every_pixel or job.code.learned_under or job.code.own:
+            found.append(
+                f"{job.design} has one look only: several looks are for deepfsi and for named "
+                "designs that one device shows"
+            )
+        if camera.light not in LOOKING:
+            found.append(
+                f"several looks choose how long one device shows each frame, not {camera.light}: "
+                '`light="free-dwell"` or "two-arm" goes with them'
+            )
+        elif (camera.light, camera.rails, camera.readout) == ("free-dwell", "dual", "difference"):
+            found.append(
+                "several looks show each rail for a time of its own, whose counts are to be read "
+                'by themselves: use `readout="both"`, or `rails="single"`'
+            )
+        found += self.test_faults([job.noise])
+        if camera.shortest_share * self.looks > 1:
+            found.append(
+                f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
+                f"{1 / self.looks:g}: give fewer looks, or a longer exposure"
+            )
+        return found
+
+    def test_faults(self, noises: Sequence[str]) -> list[str]:
+        """Noise other than that of photons."""
+        strange = [noise for noise in noises if noise not in PHOTONIC]
+        return [f"several looks are for photon noise: leave {noise} noise out" for noise in strange]
+
+
+class Patches(Exposure):
+    """An image seen patch by patch: one set of masks for all patches, a transformer behind.
+
+    Attributes
+    ----------
+    patch : int
+        Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
+        image, which the patches share as they share its light.
+    """
+
+    training: ClassVar[dict[str, Any]] = {
+        "start": "pca",
+        "classifier": "vit",
+        "epochs": 15,
+        "batch": 100,
+        "lr": 2e-3,
+        "mask_lr": 2e-2,
+        "decay": 0.05,
+    }
+
+    side_by_side: ClassVar[bool] = False
+    rounds_products: ClassVar[bool] = False
+
+    patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
+
+    def seen(self, data: "Dataset") -> "Dataset":
+        """Every patch of the training images as a scene of its own; no test scenes."""
+        import numpy as np
+        import torch
+
+        from deepfsi.design.exposure.trained import cut
+
+        if len(data.image_shape) != 2:
+            raise InputError(f"{data.name} holds no images: patches need two sides")
+        patches = cut(torch.from_numpy(data.x_train), data.image_shape, self.patch).numpy()
+        return replace(
+            data,
+            x_train=patches.reshape(-1, self.patch**2),
+            y_train=np.repeat(data.y_train, patches.shape[1]),
+            x_test=np.zeros((0, self.patch**2), np.float32),
+            y_test=data.y_test[:0],
+            image_shape=(self.patch, self.patch),
+        )
+
+    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """One that cuts images in patches."""
+        from deepfsi.design.exposure.trained import PatchExposure
+
+        return PatchExposure(self.patch)
+
+    def rounds_networks(self, device: str, wide: bool) -> bool:
+        """True on a GPU: a processor is slower with it at a transformer's size."""
+        return device == "cuda"
+
+    def faults(self, job: "Job") -> list[str]:
+        """Optics that no patch has, and noise that was not tried."""
+        found, camera = [], job.optics
+        if camera.light != "column":
+            found.append("a patch has a detector for each readout: give the light law column")
+        if job.code.seeded or job.code.learned_under or job.code.own:
+            found.append(f"{job.design} is not for patches: give deepfsi or a named design")
+        if job.noise != "ml_gauss" or camera.mask_levels((self.patch, self.patch)):
+            found.append("patches are trained under photon noise, with continuous masks")
+        if job.training.classifier != "vit":
+            found.append("patches are classified by a transformer: give classifier vit")
+        return found
+
+
+KINDS: dict[str, type[Exposure]] = {
+    "looks": Looks,
+    "patch": Patches,
+    "nested": Nested,
+    "span": Range,
+}
+"""Kind of exposure by the setting that asks for it; the first that is given counts."""
+
+EXPOSURE_FIELDS = ("nested", "looks", "patch")
+"""Settings that ask for an exposure by an option of their own; a range is one of budgets."""
+
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0"}
+"""Values of these settings that ask for nothing."""
+
+
+def find_exposure(given: Any) -> Any:
+    """Exposure of its settings: none for `Fixed`, ``{"looks": 4}`` for `Looks`, and so on."""
+    if not isinstance(given, Mapping):
+        return given
+    asked = {
+        name: value
+        for name, value in given.items()
+        if str(value).removesuffix(".0") != NEUTRAL.get(name)
+    }
+    for name, kind in KINDS.items():
+        if name not in asked:
+            continue
+        if strange := asked.keys() - kind.model_fields.keys():
+            raise InputError(
+                f"{', '.join(sorted(strange))} and {name} are of different exposures: give one"
+            )
+        with as_input_error():
+            return kind(**asked)
+    if asked:
+        raise InputError(
+            f"an exposure has no setting {', '.join(asked)}: give one of {', '.join(KINDS)}"
+        )
+    return Fixed()
+
+
+AnyExposure = Annotated[SerializeAsAny[Exposure], BeforeValidator(find_exposure)]
+"""Field of a model: an exposure, or its settings."""

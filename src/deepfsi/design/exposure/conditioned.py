@@ -1,0 +1,163 @@
+"""Conditioning inputs of the classifier: photon budget and number of masks shown.
+
+The classifier of a design for a range of budgets, or with nested masks, must know the budget and
+the number of masks shown. So it has two inputs more: the logarithm of the budget, mapped from
+the range to -1 .. 1, and the share of masks shown. Features of masks not shown are 0.
+
+The first k masks, brought to what the whole sequence takes of the light law, see a scene as
+they do within the sequence at a budget that is larger by the inverse of their share of it,
+`used` (`constraints.used`). So one number stands for both, the conditioning budget Φ / used.
+"""
+
+import math
+from dataclasses import field, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass as validated
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.design.exposure.trained import STRICT, BudgetLevel, TrainedExposure
+from deepfsi.errors import InputError
+from deepfsi.laws import Light
+from deepfsi.optics import constraints
+from deepfsi.optics.features import mean_over_exposures
+
+ALL_MASKS_SHARE = 0.25
+"""Share of the exposures of nested masks in training that show all of them."""
+
+
+@validated(frozen=True, config=STRICT)
+class ConditionedExposure(TrainedExposure):
+    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
+
+    Attributes
+    ----------
+    photons : float
+        Lowest budget of the training.
+    span : float
+        Highest over lowest.
+    masks : int
+        m, of the whole sequence.
+    nested : int
+        Smallest number of first masks that can be classified alone; 0 if only all can.
+    width : int
+        Features of each mask.
+    used : float
+        Share of the light law that the masks take within the whole sequence.
+    """
+
+    photons: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
+    masks: Annotated[int, Field(ge=1)]
+    nested: Annotated[int, Field(ge=0)] = 0
+    width: Annotated[int, Field(ge=1)] = 1
+    used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+        if rails.shape[1] > self.masks:
+            raise ValueError("more masks than in the whole sequence")
+
+    def final(self, rails: Tensor, light: Light) -> Tensor:
+        """Nested masks take the whole of their light law, by one common factor.
+
+        So they are trained, however many of them are shown.
+        """
+        if not self.nested:
+            return rails
+        return rails / constraints.used(rails, light)[..., -1:][..., None, None]
+
+    def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor]:
+        """Noise of each feature in the mean over budgets and masks shown, and how often."""
+        used = constraints.used(rails, light)
+        each = mean_over_exposures(used, self.span, self.chances.to(used))
+        later, often = (part.repeat_interleave(self.width, dim=-1) for part in each)
+        return later, often
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs, whatever number of masks is shown."""
+        return self.masks * self.width + 2
+
+    @property
+    def level(self) -> BudgetLevel:
+        """Level of a budget, -1 to 1 over the range of the training."""
+        middle = math.log(self.span) / 2
+        return BudgetLevel(self.used * self.photons, middle, max(middle, 1.0))
+
+    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
+        ratio = torch.as_tensor(photons).to(inputs) / self.level.unit
+        return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1] // self.width))
+
+    def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
+        """First layer for features and a `BudgetLevel`, parameters as for `TrainedExposure.fold`.
+
+        Masks not shown read 0, and how many are is one number for a design: both fold away.
+        """
+        kept = np.hstack([weight[:, : masks * self.width], weight[:, -2:-1]])
+        return kept, bias + weight[:, -1] * np.float32(masks / self.masks), self.level
+
+    @property
+    def chances(self) -> Tensor:
+        """Chance of each number of masks 1 .. m to be shown in training, shape (m,).
+
+        Inverse to the number from the fewest on, so that few masks, which do worst, learn as much
+        as many, but for the share `ALL_MASKS_SHARE` of exposures that show all: else the last masks
+        would hardly learn.
+        """
+        count = torch.arange(1, self.masks + 1, dtype=torch.float32)
+        weight = torch.where(count >= self.fewest_masks(self.masks), 1 / count, 0.0)
+        chance = (1 - ALL_MASKS_SHARE) * weight / weight.sum()
+        chance[-1] += ALL_MASKS_SHARE
+        return chance
+
+    def fewest_masks(self, masks: int) -> int:
+        """Smallest number of first masks, of m, that can be classified alone."""
+        return self.nested or masks
+
+    def using(self, used: float) -> "ConditionedExposure":
+        """The kind for masks that take another share of the light law, see `used`."""
+        return replace(self, used=used)
+
+    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of masks after which an exposure may stop, and the share taken then."""
+        masks = rails.shape[1]
+        fewest = self.fewest_masks(masks)
+        if fewest == masks:
+            return super().stops(rails, light)
+        if light == "column":
+            raise InputError(
+                "under the column constraint all masks see light at once, so that stopping saves "
+                'nothing: use a design for one device, `light="free-dwell"` or equal-dwell'
+            )
+        used = constraints.used(rails, light)[fewest - 1 :]
+        return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
+
+    def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
+        """Inputs of the classifier, features and two more; 0 are features beyond those shown.
+
+        Parameters
+        ----------
+        scaled : tensor, shape (..., k)
+            Standardised features of the first masks.
+        ratio : tensor, broadcastable to (..., 1)
+            Conditioning budget over `photons`.
+        shown : tensor, broadcastable to (..., 1)
+            Masks shown, at most these.
+        """
+        seen = torch.where(first(scaled.shape[-1], shown * self.width), scaled, 0.0)
+        seen = functional.pad(seen, (0, self.masks * self.width - scaled.shape[-1]))
+        level = (torch.log(ratio) - self.level.middle) / self.level.half
+        column = seen[..., :1]
+        share = shown / self.masks
+        return torch.cat([seen, level.expand_as(column), share.expand_as(column)], dim=-1)
+
+
+def first(count: int, shown: Tensor) -> Tensor:
+    """Mask (..., count), true for the first `shown` (..., 1)."""
+    return torch.arange(count, device=shown.device) < shown

@@ -1,0 +1,241 @@
+"""Exposures of several looks: the counts so far choose how long each mask is shown next.
+
+One device shows the same masks in every look, each for its own share of the time (`free-dwell`).
+In the first look these *dwells* are the same for all scenes; a small network then chooses those of
+each further look from the counts so far. Masks whose result is already known get hardly
+any time. Counts n of a look are Poisson counts given those before it, and its dwells d depend on
+these alone, so that the likelihood of a mask's rate r is a constant times r^Σn · e^(−rΣd): the sums
+over the looks are sufficient statistics of the scene, and both networks read these sums.
+
+The classifier is trained to answer after every look, so that an exposure may end early.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass as validated
+from torch import Tensor
+
+from deepfsi.design.classifiers import Mlp, restored
+from deepfsi.design.exposure import LOOKING, Looks
+from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
+from deepfsi.errors import InputError
+from deepfsi.laws import Light
+from deepfsi.optics import constraints
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.dwells import share_out
+from deepfsi.optics.masks import LearnedMasks, through
+
+
+@dataclass(frozen=True)
+class Dwells:
+    """Dwells of a look: one for each frame of one device."""
+
+    masks: int  # m
+    # Whether the two rails of a mask are frames, one after the other, with dwells of their own: not
+    # so on two arms, which see both at once
+    each_rail: bool
+
+    @classmethod
+    def of(cls, masks: int, light: str, rails: str) -> "Dwells":
+        """Dwells of m masks; parameters as for `constraints.expand`, whose `rails` these are."""
+        return cls(masks, rails == "dual" and light != "two-arm")
+
+    @property
+    def count(self) -> int:
+        """q, number of dwells; those of a mask's two rails follow one another."""
+        return self.masks * (2 if self.each_rail else 1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m) of the dwells as a camera takes them."""
+        return (2, self.masks) if self.each_rail else (self.masks,)
+
+    def scaled(self, rates: Tensor, dwell: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) for dwells (..., q), of those for equal dwells."""
+        each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
+        return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
+
+    def by_rail(self, dwell: np.ndarray) -> np.ndarray:
+        """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
+        if not self.each_rail:
+            return dwell
+        return np.swapaxes(dwell.reshape(*dwell.shape[:-1], self.masks, 2), -2, -1)
+
+    def by_mask(self, dwell: np.ndarray) -> np.ndarray:
+        """Inverse of `by_rail`."""
+        if not self.each_rail:
+            return dwell
+        return np.swapaxes(dwell, -2, -1).reshape(*dwell.shape[:-2], -1)
+
+
+LARGEST_SCORE = 4.0
+"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
+
+A mask that is never shown is never learned, and the scores would not come back from there.
+"""
+
+
+def expose(
+    choose: Callable[[Tensor], Tensor],
+    show: Show,
+    looks: int,
+    dwells: int,
+    mean: Tensor,
+    std: Tensor,
+    shortest: float = 0.0,
+) -> Iterator[Observation]:
+    """Exposures after each look: one loop for training, tests and a camera, for one or many.
+
+    Shapes: mean, std (..., k).
+    """
+    features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
+    seen = Observation(features, total)
+    for look in range(looks):
+        left = torch.full_like(total[..., :1], 1 - look / looks)
+        scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
+        dwell = (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / looks
+        if shortest:
+            dwell = through(dwell, share_out(dwell.detach(), shortest))
+        counts, shown = show(dwell)
+        features, total = features + counts, total + shown
+        seen = Observation(features, total)
+        yield seen
+
+
+@dataclass(frozen=True)
+class LooksExposure(TrainedExposure):
+    """Exposure of several looks, whose dwells a network chooses from the counts so far.
+
+    The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
+    """
+
+    dwells: Dwells
+    network: Mlp  # from k + q + 1 inputs to q outputs
+    looks: int  # K
+    shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
+    kind = "adaptive"
+    chooses: ClassVar[bool] = True
+    comparable: ClassVar[bool] = False
+
+    def header(self) -> "LooksShape":
+        """Entry of the design file's header, of which `restored` makes the kind again."""
+        return LooksShape(self.looks, self.network.hidden, self.shortest)
+
+    def to(self, device: str | torch.device) -> "LooksExposure":
+        """The kind on a device."""
+        return replace(self, network=self.network.to(device))
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+        same: Light = "two-arm" if light == "two-arm" else "equal-dwell"
+        equal = constraints.excess(rails, same) < constraints.SLACK
+        if light == "two-arm":
+            equal &= float(rails.sum(dim=0).max()) * rails.shape[1] < 1 + constraints.SLACK
+        if not (equal and light in LOOKING):
+            raise ValueError("dwells are chosen for frames of one device that all have the same")
+
+    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
+        """Masks that learn as frames of equal dwells: theirs are chosen later."""
+        if camera.light != "two-arm":
+            return LearnedMasks(start, "equal-dwell", camera.rails, levels)
+        masks = LearnedMasks(start, camera.light, camera.rails, levels)
+        masks.dwell.requires_grad_(False)  # equal from the start
+        return masks
+
+    def final(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails of equal dwells, at the end only.
+
+        The gradient of that would take from lit mirrors what they share.
+        """
+        return self.fixed(rails, light)
+
+    def fixed(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails of which every frame has the same dwell and peak."""
+        return rails if light == "two-arm" else constraints.equalise(rails)
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs: features and dwells."""
+        return features + self.dwells.count
+
+    def expose(
+        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
+    ) -> Iterator[Observation]:
+        """Exposures after each look, parameters as for `TrainedExposure.expose`."""
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            share = self.dwells.scaled(torch.ones_like(rates), dwell)
+            return read(rates * share * photons, share) / photons, dwell
+
+        return self.expose_live(show, mean.expand(*rates.shape[:-2], -1), std)
+
+    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Expected counts of an exposure, parameters as for `TrainedExposure.shown`."""
+        assert seen.dwell is not None
+        return self.dwells.scaled(rates, seen.dwell)
+
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
+        """Exposures after each look at a camera, parameters as for `TrainedExposure.expose`."""
+        return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
+
+    def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+        """Share (m,) of the exposure that each mask is shown in the first look."""
+
+        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+            return torch.zeros_like(mean), dwell
+
+        first = next(self.expose_live(show, mean, std)).dwell
+        assert first is not None, "dwells are chosen"
+        return first.unflatten(-1, (rails.shape[-2], -1)).sum(dim=-1)
+
+    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of looks after which an exposure may stop, and the share taken then."""
+        after = range(1, self.looks + 1)
+        return tuple(after), np.array(after) / self.looks
+
+    def check_noise(self, noise: str) -> None:
+        """Raise `InputError` unless the noise is that of photons."""
+        if faults := Looks(looks=self.looks).test_faults([noise]):
+            raise InputError(faults[0])
+
+    def check_dwell(self, given: bool) -> None:
+        """Raise `InputError` if dwells are not given."""
+        if not given:
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: give dwell, or use "
+                "`classify_live`"
+            )
+
+
+@validated(frozen=True, config=STRICT)
+class LooksShape:
+    """Entry of a design file's header for `LooksExposure`.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the exposure.
+    hidden : tuple of int
+        Widths of the hidden layers of the network that chooses dwells.
+    shortest : float
+        Shortest dwell of a frame, a share of the exposure.
+    """
+
+    looks: Annotated[int, Field(ge=2, le=64)]
+    hidden: tuple[Annotated[int, Field(ge=1)], ...]
+    shortest: Annotated[float, Field(ge=0, lt=1)]
+    kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
+
+    def restored(
+        self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
+    ) -> LooksExposure:
+        """The exposure; parameters as for `TrainedExposure.restored`."""
+        dwells = Dwells.of(rails.shape[1], light, {1: "single", 2: "dual"}[len(rails)])
+        inputs = features + dwells.count + 1
+        sizes = {"inputs": inputs, "classes": dwells.count, "hidden": self.hidden}
+        network = restored(Mlp, weights, **sizes)
+        return LooksExposure(dwells, network, self.looks, self.shortest)

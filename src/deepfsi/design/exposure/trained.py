@@ -1,0 +1,273 @@
+"""What a trained design does with its exposure, and the counts and dwells so far.
+
+One class for each kind of `design.exposure`, and nobody but these asks which one a design has:
+`FixedExposure` and `PatchExposure` here, `conditioned.ConditionedExposure`, `looks.LooksExposure`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from math import prod
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as validated
+from torch import Tensor
+
+from deepfsi.design.classifiers import Mlp
+from deepfsi.errors import InputError
+from deepfsi.laws import Light
+from deepfsi.optics import constraints
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.masks import LearnedMasks
+
+STRICT = ConfigDict(extra="forbid", strict=True)
+"""Configuration of what a design file's header holds: no further fields, no conversions."""
+
+Read = Callable[[Tensor, Tensor | float], Tensor]
+"""From expected counts (..., rails, m · D), and dwells over the usual ones of the same shape, to
+features (..., k) in counts."""
+
+Show = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""From dwells (..., q) to features (..., k) over the budget, and the dwells really shown."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Counts and dwells of an exposure so far."""
+
+    # (..., k): What is read of the first masks over the budget (`detection`), of all looks together
+    features: Tensor
+    # (..., q): Share of the whole exposure that each frame had, where dwells are chosen; sums to 1
+    # after the last look
+    dwell: Tensor | None = None
+
+    def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
+        """Standardised features (..., k), and the dwells (..., k + q) where they are chosen.
+
+        Mean and std (..., k) are those of the features: where dwells are chosen, of features whose
+        frames all have the same dwell, 1 / q.
+        """
+        count = self.features.shape[-1]
+        if count < mean.shape[-1]:
+            mean, std = mean[..., :count], std[..., :count]
+        if self.dwell is None:
+            return (self.features - mean) / std
+        dwells = self.dwell.shape[-1]
+        relative = self.dwell * dwells
+        each = relative.repeat_interleave(count // dwells, dim=-1) if count > dwells else relative
+        return torch.cat([(self.features - each * mean) / std, relative / 3], dim=-1)
+
+
+class BudgetLevel(NamedTuple):
+    """Level of a budget Φ as a classifier reads it, (ln(Φ / unit) − middle) / half."""
+
+    unit: float
+    middle: float
+    half: float
+
+
+class TrainedExposure:
+    """Base of the kinds of exposure: every mask is shown once, for a dwell that is its own."""
+
+    kind: str  # name in the design file
+    chooses: ClassVar[bool] = False  # whether the counts so far choose dwells
+    comparable: ClassVar[bool] = True  # whether counts can be held against those of the training
+    width: int = 1  # features of each mask, for nested masks
+    looks: int = 1  # K, number of looks
+    used: float = 1.0  # share of the light law that the masks take within the whole sequence
+    network: Mlp | None = None  # A network besides the classifier
+
+    def header(self) -> Any:
+        """Entry of the design file's header, of which `restored` makes the kind again."""
+        return self
+
+    def restored(
+        self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
+    ) -> "TrainedExposure":
+        """The kind with its network's weights from a design file."""
+        return self
+
+    def to(self, device: str | torch.device) -> "TrainedExposure":
+        """The kind on a device."""
+        return self
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
+
+    def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
+        """Masks that learn from a matrix (R, m, N), under the camera's light law."""
+        return LearnedMasks(start, camera.light, camera.rails, levels, camera.shortest_share)
+
+    def final(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails (R, 2 or 1, m, N) at the end of the training, of learned ones."""
+        return rails
+
+    def fixed(self, rails: Tensor, light: Light) -> Tensor:
+        """Rails (R, 2 or 1, m, N) of a named design, as this exposure shows them."""
+        return rails
+
+    def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor] | None:
+        """Noise of each feature in the mean over exposures, and how often it is read.
+
+        As `features.feature_statistics` takes it; None where all exposures are alike.
+        """
+        return None
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs for k features."""
+        return features
+
+    def tokens(self, image_shape: tuple[int, ...]) -> int:
+        """Number of parts of an image that are exposed by themselves."""
+        return prod(image_shape) // prod(self.mask_shape(image_shape))
+
+    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Shape of a mask for images of a shape."""
+        return image_shape
+
+    def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
+        """Scenes (..., N) as the masks see them."""
+        return scenes
+
+    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
+        return inputs
+
+    def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
+        """First layer for features, and for a `BudgetLevel` if the classifier has it.
+
+        Parameters of the layer, for m masks; returns weight, bias, and the level or None.
+        """
+        return weight, bias, None
+
+    def expose(
+        self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
+    ) -> Iterator[Observation]:
+        """Exposures at each stop: after each number of masks that do, or after each look.
+
+        Shapes: rates (..., rails, m · D); mean, std (k,).
+        """
+        features = read(rates * photons, 1.0) / photons
+        masks = features.shape[-1] // self.width
+        for shown in range(self.fewest_masks(masks), masks + 1):
+            yield Observation(features[..., : shown * self.width])
+
+    def shown(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Expected counts (..., rails, m · D) of an exposure for a budget of one photon.
+
+        Shapes: rates (..., rails, m · D).
+        """
+        return rates
+
+    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
+        """Exposures after each look at a camera, or `InputError` if dwells are fixed.
+
+        Parameters as for `expose`.
+        """
+        raise InputError(
+            "the dwells of this design are fixed: show all masks and use `classify`, or learn "
+            "a design with `looks`"
+        )
+
+    def fewest_masks(self, masks: int) -> int:
+        """Smallest number of first masks, of m, that can be classified alone."""
+        return masks
+
+    def using(self, used: float) -> "TrainedExposure":
+        """The kind for masks that take another share of the light law, see `used`."""
+        return self
+
+    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+        """Numbers of masks or looks after which an exposure may stop, and the share taken then.
+
+        Raises `InputError` if it may stop nowhere before its end, or that saves nothing.
+        """
+        raise InputError(
+            "this design needs all its masks for an answer: learn nested ones with `nested`, or "
+            "several looks with `looks`"
+        )
+
+    def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells.
+
+        Of several looks those of the first, which are the same for every scene.
+        """
+        if light == "column":
+            return None
+        shares = constraints.used(rails, light)
+        return torch.diff(shares, prepend=shares.new_zeros(1))
+
+    def check_frames(self) -> None:
+        """Raise `InputError` unless frames of one device, or one graph, can expose so."""
+
+    def check_noise(self, noise: str) -> None:
+        """Raise `InputError` unless the exposure can be tested under a noise."""
+
+    def check_dwell(self, given: bool) -> None:
+        """Raise `InputError` if dwells are given and not needed, or needed and not given."""
+        if given:
+            raise InputError(
+                "dwells go with a design that chooses them, and only with it: leave dwell out"
+            )
+
+
+@validated(frozen=True, config=STRICT)
+class FixedExposure(TrainedExposure):
+    """Exposure of which all masks are needed, each with its own dwell."""
+
+    kind: Literal["fixed"] = field(default="fixed", kw_only=True)
+
+
+@validated(frozen=True, config=STRICT)
+class PatchExposure(TrainedExposure):
+    """Exposure of fixed dwells, with a detector for each patch of an image.
+
+    Features have the shape (..., P, m), and a budget is of the whole image.
+
+    Attributes
+    ----------
+    side : int
+        Of a patch, pixels.
+    """
+
+    side: Annotated[int, Field(ge=1)]
+    kind: Literal["patches"] = field(default="patches", kw_only=True)
+    comparable: ClassVar[bool] = False
+
+    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+        """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
+        height, width = image_shape
+        if rails.shape[-1] != self.side**2 or height % self.side or width % self.side:
+            raise ValueError("masks are not of a patch")
+
+    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Shape of a mask, that of a patch."""
+        return self.side, self.side
+
+    def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
+        """Patches (..., P, N) of images (..., H · W), as the masks see them."""
+        return cut(scenes, image_shape, self.side)
+
+    def check_frames(self) -> None:
+        """Raise `InputError`: frames are for whole images."""
+        raise InputError(
+            "this design is of image patches, each with a detector of its own, which frames of "
+            "one device or one graph cannot: use Design.classify"
+        )
+
+
+def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
+    """Patches (..., P, side²) of images (..., H · W), row by row; `InputError` if a rest stays.
+
+    Shapes: scenes (..., H · W).
+    """
+    height, width = image_shape
+    if height % side or width % side:
+        raise InputError(
+            f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
+            "side that divides both"
+        )
+    blocks = scenes.unflatten(-1, (height // side, side, width // side, side))
+    return blocks.transpose(-3, -2).reshape(*scenes.shape[:-1], -1, side * side)

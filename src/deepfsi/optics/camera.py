@@ -1,0 +1,435 @@
+"""A camera, described once: optics, detectors, noise and device, in a laboratory's units.
+
+    scene ──▶ light law, rails, detectors ──▶ counts
+              device, times and rates      ──▶ dwells, budget, dark counts
+
+Seconds and counts per second become shares of an exposure and counts here, and nowhere else. Where
+no exposure is given it lasts one second, so that a rate is the counts of an exposure.
+"""
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+)
+
+from deepfsi.devices import Device, find_device
+from deepfsi.errors import InputError, as_input_error, check_known, closest
+from deepfsi.grid import find_grid
+from deepfsi.laws import Light, RailsKind, Readout
+from deepfsi.units import Seconds
+
+if TYPE_CHECKING:
+    from deepfsi.optics.detection import Detection
+
+GUARD_S = 2e-6
+"""Time of a frame, besides settling, that is not counted, seconds."""
+
+LONGEST_DEAD_TIME_S = 1e-3
+"""Longest dead time of a counter, seconds."""
+
+ONE_DEVICE = (
+    "several detectors are parts of one device, and column is other optics: give light "
+    "equal-dwell, free-dwell or two-arm"
+)
+"""Said where detectors are asked for under the light law `column`."""
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "dmd": {"light": "free-dwell"},
+    "dmd-2x2": {"light": "free-dwell", "detectors": "2x2"},
+    "dmd-4x4": {"light": "free-dwell", "detectors": "4x4"},
+    "two-arm": {"light": "two-arm"},
+    "paper": {"light": "column"},
+}
+"""Cameras by name: one DMD with one, four or sixteen detectors or one on each arm; the paper's."""
+
+
+def _levels(count: int) -> int:
+    if count == 1:
+        raise ValueError("one grey level is dark alone: give 2 or more, or 0 for continuous masks")
+    return count
+
+
+Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
+"""Grey levels, dark included; 0 for continuous masks."""
+
+
+def noise_name(noise: Any) -> str:
+    """Name or import path of a noise that is given by name or as a function."""
+    if isinstance(noise, str):
+        return noise
+    from deepfsi.optics.noise import resolve
+
+    return resolve(noise)[0]
+
+
+def _known_noise(noise: Any) -> Any:
+    from deepfsi.optics.noise import check_noise
+
+    if not callable(noise) and noise_name(noise) != "own":
+        check_noise(noise)
+    return noise
+
+
+Noise = Annotated[
+    Any,
+    AfterValidator(_known_noise),
+    PlainSerializer(noise_name, return_type=str),
+    WithJsonSchema({"type": "string"}),
+]
+"""Name of a noise, import path of one's own, or its function."""
+
+
+def _detectors(given: Any) -> str | tuple[int, ...]:
+    from deepfsi.optics.detection import read_detectors
+
+    if isinstance(given, str):
+        return read_detectors(given)
+    if isinstance(given, int):
+        return str(given)
+    import numpy as np
+
+    return tuple(np.asarray(given).ravel().tolist())
+
+
+def _device(given: Any) -> Any:
+    if not isinstance(given, str):
+        return given
+    return _read_device(Path(given)) if given.endswith(".toml") else find_device(given)
+
+
+def _read_device(path: Path) -> Device:
+    with as_input_error(str(path)):
+        return Device.model_validate({"name": path.stem, **_read_toml(path)})
+
+
+class Camera(BaseModel):
+    """A single-pixel camera, in the units of a laboratory.
+
+    Fields that are left out follow from the others: rails and readout from the light law, the
+    shortest frame and the grey levels from the device, the noise from dark counts and read noise.
+
+    Raises
+    ------
+    InputError
+        From `load`, and from whatever takes a camera, in one line that names the field.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> camera = deepfsi.Camera(device="dlp7000", exposure="10ms", flux=1e6, dark=200)
+    >>> camera.budget, camera.dark_counts
+    (10000.0, 2.0)
+    >>> round(camera.shortest_share, 6)  # pictures of 44 µs, of which 32 are counted
+    0.0032
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    light: Light = Field(
+        "free-dwell",
+        description="light law of the optics: free-dwell, equal-dwell (one DMD, one detector), "
+        "two-arm (a detector on each arm) or column (optics that split each pixel's light)",
+    )
+    rails: RailsKind = Field(
+        default_factory=lambda known: (
+            "dual" if known.get("light") in ("column", "two-arm") else "single"
+        ),
+        description="dual: signed masks of two frames each; single: non-negative masks; dual for "
+        "column and two-arm, else single unless given",
+    )
+    detectors: Annotated[str | tuple[int, ...], BeforeValidator(_detectors)] = Field(
+        "1x1",
+        description="detectors, each on its part of the device: ROWSxCOLUMNS, a number of spectral "
+        "bands, or each pixel's detector, from 0 (a .npy file)",
+    )
+    readout: Readout = Field(
+        default_factory=lambda known: "both" if known.get("light") == "two-arm" else "difference",
+        description="what the network reads of two rails: both, or their difference; both for "
+        "two-arm, else difference unless given",
+    )
+    device: Annotated[Device | None, BeforeValidator(_device)] = Field(
+        None,
+        description="micromirror device: a name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a "
+        "TOML file; it gives the shortest frame and the grey levels",
+    )
+    shortest_dwell: Seconds = Field(
+        default_factory=lambda known: _shortest_frame(known.get("device")),
+        description="shortest time for which a frame is counted, such as 32us; the device's "
+        "shortest picture less settling and 2 us unless given",
+    )
+    exposure: Seconds = Field(1.0, gt=0, description="time of a whole exposure, such as 10ms")
+    levels: Levels | None = Field(
+        None,
+        description="grey levels of the masks, dark included: 2 for ON and OFF, 0 for continuous "
+        "values; the mirrors of a cell of the device, and dark, unless given",
+    )
+    flux: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="counts/s with all mirrors ON, for the mean scene",
+    )
+    dark: float = Field(
+        0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="dark counts/s of a detector; in an exposure, where no time is given",
+    )
+    dead_time: Seconds = Field(
+        0.0, le=LONGEST_DEAD_TIME_S, description="dead time of the counter, such as 20ns"
+    )
+    dead_time_model: Literal["non-paralysable", "paralysable"] = Field(
+        "non-paralysable",
+        description="non-paralysable (a SPAD, a counter's electronics), or paralysable (a "
+        "photomultiplier)",
+    )
+    noise: Noise = Field(
+        default_factory=lambda known: "camera" if known.get("dark") else "poisson",
+        description="noise of the counts: poisson, gaussian, camera (photons, dark counts and "
+        "read noise), none, or module:function of your own; poisson, or camera with dark counts",
+    )
+    sigma: float = Field(
+        default_factory=lambda known: float(known.get("noise") != "camera"),
+        ge=0,
+        allow_inf_nan=False,
+        description="read noise of gaussian and camera noise, counts rms per readout; 1 for "
+        "gaussian, 0 for camera unless given",
+    )
+
+    @field_validator("rails")
+    @classmethod
+    def _arms_are_rails(cls, rails: RailsKind, info: ValidationInfo) -> RailsKind:
+        if info.data.get("light") == "two-arm" and rails == "single":
+            raise ValueError(
+                "two-arm with a single rail is not allowed: each arm is a rail; use dual rails"
+            )
+        return rails
+
+    @field_validator("detectors")
+    @classmethod
+    def _on_one_device(cls, detectors: Any, info: ValidationInfo) -> Any:
+        if isinstance(detectors, str) and not re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", detectors):
+            raise ValueError("give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map")
+        if info.data.get("light") == "column" and detectors not in ("1x1", "1"):
+            raise ValueError(ONE_DEVICE)
+        return detectors
+
+    @field_validator("device")
+    @classmethod
+    def _shows_one_frame(cls, device: Device | None, info: ValidationInfo) -> Device | None:
+        if device is not None and info.data.get("light") == "column":
+            raise ValueError(
+                "column is optics that split each pixel's light among all readouts, which no "
+                "device does: give light free-dwell, equal-dwell or two-arm, or leave device out"
+            )
+        return device
+
+    @field_validator("exposure")
+    @classmethod
+    def _shows_frames(cls, exposure: float, info: ValidationInfo) -> float:
+        shortest = info.data.get("shortest_dwell", 0.0)
+        if shortest >= exposure:
+            raise ValueError(
+                f"a frame is counted for {shortest:g} s at least: give a longer exposure, which "
+                "has room for more than one frame, or another device or shortest_dwell"
+            )
+        return exposure
+
+    @field_validator("noise")
+    @classmethod
+    def _with_dark_counts(cls, noise: Any, info: ValidationInfo) -> Any:
+        if info.data.get("dark") and noise_name(noise) != "camera":
+            raise ValueError(
+                f"{noise_name(noise)} noise has no dark counts: give noise camera, or leave dark "
+                "or noise out"
+            )
+        return noise
+
+    @classmethod
+    def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
+        """Camera of a preset's name, a TOML file or a mapping, with single settings in their place.
+
+        Parameters
+        ----------
+        source : str, path, mapping or Camera, optional
+            One of `PRESETS`, a file ending in ``.toml``, fields, or a camera; `dmd` unless given.
+        settings
+            Fields of the camera that override those of the source.
+
+        Raises
+        ------
+        InputError
+            In one line that names the field which cannot be used.
+        """
+        name = str(source) if isinstance(source, str | os.PathLike) else ""
+        fields = {**_fields(source), **settings}
+        for field in fields:
+            if field not in cls.model_fields:
+                raise InputError(
+                    f"{name or 'a camera'} has an unknown key {field!r}: "
+                    f"{closest(field, cls.model_fields)}"
+                )
+        with as_input_error(name if name.endswith(".toml") else ""):
+            return cls.model_validate(fields)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Fields that were given, from which the others follow."""
+        return {name: getattr(self, name) for name in self.model_fields_set}
+
+    @property
+    def shortest_share(self) -> float:
+        """Shortest dwell of a frame that is shown, a share of the exposure."""
+        return self.shortest_dwell / self.exposure
+
+    @property
+    def dark_counts(self) -> float:
+        """Expected dark counts of a detector in an exposure."""
+        return self.dark * self.exposure
+
+    @property
+    def budget(self) -> float | None:
+        """Budget Φ of an exposure of the mean scene, counts; None where no flux is known."""
+        return None if self.flux is None else self.flux * self.exposure
+
+    @property
+    def noise_name(self) -> str:
+        """Name of the noise, or its import path."""
+        return noise_name(self.noise)
+
+    def mask_levels(self, mask_shape: tuple[int, ...]) -> int:
+        """Grey levels of masks of a shape, dark included; 0 for continuous ones."""
+        if self.levels is not None:
+            return self.levels
+        return 0 if self.device is None else find_grid(self.device, mask_shape).mirrors + 1
+
+    def detection(self, image_shape: tuple[int, ...]) -> "Detection":
+        """Detectors of scenes of a shape, and what is read of two rails."""
+        from deepfsi.optics.detection import Detection
+
+        return Detection.of(self.detectors, image_shape, self.readout)
+
+    @property
+    def words(self) -> str:
+        """The camera in a few lines: its optics, what it can show, its light."""
+        return "\n".join(_describe(self))
+
+
+CameraSource = str | os.PathLike[str] | Mapping[str, Any] | Camera | None
+"""A preset's name, a TOML file, fields, or a camera."""
+
+
+def _fields(source: CameraSource) -> dict[str, Any]:
+    if isinstance(source, Camera):
+        return source.given
+    if isinstance(source, Mapping):
+        return dict(source)
+    name = "dmd" if source is None else os.fspath(source)
+    if not name.endswith(".toml"):
+        check_known("camera", name, PRESETS)
+        return dict(PRESETS[name])
+    path = Path(name)
+    fields = _read_toml(path)
+    for field in ("detectors", "device"):  # files are named from where the camera's file is
+        value = fields.get(field)
+        if isinstance(value, str) and value.endswith((".npy", ".toml")):
+            fields[field] = str(path.parent / value)
+    return fields
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"no file {path}: give a TOML file that is there") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path} is no TOML file: {error}") from None
+
+
+def _shortest_frame(device: Device | None) -> float:
+    """Shortest time for which a device's frame is counted, seconds."""
+    if device is None:
+        return 0.0
+    return max(round(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - GUARD_S, 12), 0.0)
+
+
+OPTICS = {
+    "column": "optics that split each pixel's light among all readouts, with a detector for each",
+    "equal-dwell": "one DMD, every frame for the same time",
+    "free-dwell": "one DMD, every frame for a time of its own",
+    "two-arm": "one DMD with a detector on each arm",
+}
+"""What realises each light law."""
+
+
+def _describe(camera: Camera) -> list[str]:
+    masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[camera.rails]
+    lines = [f"{OPTICS[camera.light]} (light law {camera.light}); {masks}"]
+    if camera.light != "column":
+        where = " on each arm" if camera.light == "two-arm" else ""
+        many = camera.detectors if isinstance(camera.detectors, str) else "of a map"
+        lines.append("one detector" + where if many == "1x1" else f"{many} detectors{where}")
+    if camera.device is not None:
+        device = camera.device
+        lines.append(f"device {device.name}: {device.columns} x {device.rows} mirrors")
+    if camera.shortest_dwell:
+        most = int(1 / camera.shortest_share)
+        lines.append(
+            f"an exposure of {camera.exposure:g} s shows up to {most} frames, each counted for "
+            f"{camera.shortest_dwell * 1e6:.4g} µs or longer"
+        )
+    if camera.budget is not None:
+        lines.append(
+            f"budget {camera.budget:.4g} counts in {camera.exposure:g} s, at {camera.flux:.4g} "
+            "counts/s with all mirrors ON"
+        )
+    if camera.dark:
+        lines.append(f"{camera.dark_counts:.4g} dark counts of a detector in an exposure")
+    if camera.sigma and camera.noise_name in ("gaussian", "camera"):
+        lines.append(f"read noise of {camera.sigma:g} counts rms a readout")
+    if camera.dead_time:
+        lines.append(f"dead time {camera.dead_time * 1e9:.4g} ns, {camera.dead_time_model}")
+    return lines
+
+
+def template() -> str:
+    """A camera file with a comment on each field, as a laboratory may fill it in."""
+    lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
+    usual = {"light": '"free-dwell"'}
+    for name, field in Camera.model_fields.items():
+        lines.append(f"# {field.description}")
+        lines.append(f"{name} = {usual[name]}" if name in usual else f"# {name} = {EXAMPLES[name]}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+EXAMPLES = {
+    "rails": '"single"',
+    "detectors": '"1x1"',
+    "readout": '"difference"',
+    "device": '"dlp7000"',
+    "exposure": '"10ms"',
+    "shortest_dwell": '"32us"',
+    "levels": "2",
+    "flux": "1e6",
+    "dark": "200",
+    "dead_time": '"20ns"',
+    "dead_time_model": '"non-paralysable"',
+    "noise": '"camera"',
+    "sigma": "0.0",
+}
+"""Values of a camera file, as TOML writes them."""

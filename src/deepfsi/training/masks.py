@@ -1,0 +1,118 @@
+"""Masks of a training: the matrix that they are or start from, and what they are at its end."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepfsi.datasets import Dataset
+from deepfsi.design.exposure.trained import TrainedExposure
+from deepfsi.errors import InputError
+from deepfsi.optics import codes, constraints, tiles
+from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
+from deepfsi.optics.grey_levels import quantise
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
+from deepfsi.training.job import Job
+from deepfsi.training.training_set import TrainingSet
+
+
+def matrix_faults(job: Job, data: Dataset, matrix: np.ndarray | None) -> list[str]:
+    """Everything that a job asks of its matrix (m, N) and that cannot be had on this data."""
+    try:
+        constraints.check_light(job.optics.light, job.optics.rails)
+        if matrix is not None:
+            codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
+            own_rails(matrix, job.optics)
+            return []
+        one = replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1])
+        scene = job.exposure.seen(one)
+        tiles.check_count(job.design, job.masks, scene, job.detection(scene.image_shape))
+    except InputError as error:
+        return [str(error)]
+    return []
+
+
+def own_rails(matrix: np.ndarray, camera: Camera) -> Tensor:
+    """Rails (2 or 1, m, N) of a user's matrix (m, N); `InputError` if it breaks the light law."""
+    signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
+    return constraints.check(constraints.expand(signed, camera.light, camera.rails), camera.light)
+
+
+def initial_masks(
+    seen: TrainingSet,
+    jobs: Sequence[Job],
+    exposure: TrainedExposure,
+    matrix: np.ndarray | None = None,
+) -> FixedMasks | LearnedMasks:
+    """Masks before training: of R replicas, or of one where all share them.
+
+    The scenes are those that the masks see; the matrix (m, N) is a user's own.
+    """
+    job, camera, code = jobs[0], jobs[0].optics, jobs[0].code
+    detection, levels = (
+        job.detection(seen.data.image_shape),
+        camera.mask_levels(seen.data.image_shape),
+    )
+    if code.learned:
+        signed = torch.stack([_matrix(seen, job, seed, detection) for seed in matrix_seeds(jobs)])
+        kept = seen.pixels(camera.light).cpu()
+        start = detection.of_pixels(kept).arrange(signed[..., kept])
+        start = start.expand(len(jobs), -1, -1).clone()
+        return exposure.learned_masks(start, camera, levels)
+    if matrix is not None:
+        rails = own_rails(matrix, camera).unsqueeze(0)
+    else:
+        signed = torch.stack([_matrix(seen, job, seed, detection) for seed in matrix_seeds(jobs)])
+        rails = exposure.fixed(_fitted(signed, code, camera), camera.light)
+    return FixedMasks(quantise(rails, camera.light, levels) if levels else rails)
+
+
+def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
+    """Seed of each matrix that jobs trained together are drawn from; one where all share it."""
+    seeds = [job.seed for job in jobs]
+    drawn = codes.DESIGNS[jobs[0].drawn_from].seeded
+    return seeds if drawn and len(set(seeds)) > 1 else seeds[:1]
+
+
+def _fitted(signed: Tensor, code: codes.Code, camera: Camera) -> Tensor:
+    """Rails (R, 2 or 1, m, N) of matrices (R, m, N), with all the light that the law allows."""
+    if code.scaled:
+        return signed.unsqueeze(1)
+    return torch.stack([constraints.fit(each, camera.light, camera.rails) for each in signed])
+
+
+def final_masks(
+    masks: LearnedMasks, seen: TrainingSet, job: Job, exposure: TrainedExposure
+) -> FixedMasks:
+    """Masks after training, of all pixels: dark where they were not learned."""
+    light, pixels = job.optics.light, seen.pixels(job.optics.light)
+    with torch.no_grad():
+        learned = constraints.separate(*masks())
+    rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
+    detection = job.detection(seen.data.image_shape)
+    rails[..., pixels] = detection.of_pixels(pixels).restore(learned)
+    return FixedMasks(exposure.final(rails, light))
+
+
+def _matrix(seen: TrainingSet, job: Job, seed: int, detection: Detection) -> Tensor:
+    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design.
+
+    Learned masks of two arms that are both read start from these frames, too, and the other arm
+    from what they leave: so they begin where one arm does (0.848 on MNIST's validation images at
+    1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half light on each arm).
+    """
+    name, count, camera = job.drawn_from, job.masks, job.optics
+    both_arms = job.code.learned and camera.light == "two-arm" and camera.readout == "both"
+    if job.code.single_rail or (camera.rails == "dual" and not both_arms):
+        return torch.from_numpy(seen.matrix(name, count, seed, detection)).float()
+    least, most = tiles.count_allowed(name, seen.data, detection)
+    for masks in range(min(max(-(-count // 2), least), most), most + 1):
+        signed = torch.from_numpy(seen.matrix(name, masks, seed, detection)).float()
+        frames = constraints.frames(constraints.expand(signed, "column"))
+        if len(frames) >= count:
+            first = frames[:count]
+            return 2 * first / constraints.peak(first) - 1 if both_arms else first
+    raise InputError(f"{count} frames are not allowed for {name}: give at most {len(frames)}")

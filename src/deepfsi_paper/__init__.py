@@ -1,0 +1,1 @@
+"""The experiments of Lu and Velten, *Deep Feature-specific Imaging*, and ours beside them."""

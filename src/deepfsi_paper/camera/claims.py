@@ -1,0 +1,379 @@
+"""Claims, figures and tables of the camera, beside the numbers that the paper published."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from deepfsi.grid import Grid, find_grid
+from deepfsi.hardware.patterns.mirrors import recount, unpack
+from deepfsi.optics.codes import DESIGNS
+from deepfsi.report.style import photons_text
+from deepfsi.statistics.bootstrap import (
+    cluster_bootstrap,
+    studentised_bootstrap,
+    wilcoxon_signed_rank,
+)
+from deepfsi.statistics.differences import Difference, above, of_trials
+from deepfsi.sweeps.results import Results
+from deepfsi_paper.camera.figures import (
+    Accuracy,
+    digits_figure,
+    effects_figure,
+    exposure_figure,
+)
+from deepfsi_paper.camera.laboratory import (
+    ASSUMED,
+    DEVICE,
+    EXPOSURES,
+    FLUX,
+    FREE,
+    LABELS,
+    OURS,
+    REPEATS,
+    SWEPT,
+    DigitTest,
+    Measures,
+    RunTime,
+    measure,
+    prepare,
+)
+from deepfsi_paper.camera.published import (
+    PAPER,
+    PAPER_RUN_S,
+    PUBLISHED,
+    STUDENTISED,
+    WILCOXON,
+)
+from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
+from deepfsi_paper.experiment import Experiment, Finding
+from deepfsi_paper.report.section import Claim, Picture, Table
+
+BRIGHT = tuple(exposure for exposure in EXPOSURES if exposure >= 1e-3)
+"""Exposures at which DeepFSI is to be first, seconds."""
+
+AXES = {
+    "ambient": "ambient light on the whole device (photons/s)",
+    "dark": "dark counts (1/s)",
+    "dead_time_s": "dead time of the counter (s)",
+    "assumed": "budget assumed in training (photons)",
+}
+"""Labels of what is varied, with units."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Tests in the laboratory as it is, of designs trained for `ASSUMED`.
+
+    Attributes
+    ----------
+    at : dict
+        (design, exposure in s) → test.
+    labels : dict of str to str
+        Of the designs.
+    """
+
+    at: dict[tuple[str, float], DigitTest]
+    labels: dict[str, str]
+
+    @property
+    def rivals(self) -> list[str]:
+        """Designs with equal dwells other than DeepFSI."""
+        return [name for name in self.labels if name not in (OURS, FREE)]
+
+    def lead(self, exposure: float) -> dict[str, Difference]:
+        """Accuracy of DeepFSI less that of each rival."""
+        return {
+            rival: self.at[(OURS, exposure)].less(self.at[(rival, exposure)])
+            for rival in self.rivals
+        }
+
+
+def show(results: Results) -> Finding:
+    """Figures, claims and tables of the laboratory."""
+    measures = TypeAdapter(Measures).validate_python(results.extra)
+    tests = [test for test in measures.tests if test.effect == "none" and test.assumed == ASSUMED]
+    compared = Comparison(
+        {(test.design, test.exposure_s): test for test in tests},
+        {test.design: test.label for test in tests},
+    )
+    return Finding(
+        _found(compared),
+        (
+            _exposure_picture(compared),
+            _digits_picture(compared, measures.views.names),
+            _effects_picture(measures),
+            *_optics_pictures(measures),
+        ),
+        (_first(compared), _every_digit(compared), _even(compared)),
+        (_intervals(compared), _tests(compared), _times(measures.times)),
+    )
+
+
+def _found(compared: Comparison) -> str:
+    tests = [test for (_, exposure), test in compared.at.items() if exposure == 1e-2]
+    order = sorted(tests, key=lambda test: -test.accuracy.mean)
+    free = [
+        compared.at[(FREE, exposure)].less(compared.at[(OURS, exposure)]) for exposure in EXPOSURES
+    ]
+    return (
+        f"Trained for {photons_text(ASSUMED)} photons and tested over 0.01 s "
+        f"({photons_text(FLUX * 1e-2)} photons): "
+        + "; ".join(f"{test.label} {test.accuracy.mean:.3f}" for test in order)
+        + f". Means over {trainings_text(order[0])} and {len(order[0].by_draw)} draws of ten "
+        f"digits, {REPEATS} exposures each; intervals are Student's over draws, and do not cover "
+        f"other trainings. {LABELS[FREE]} (non-negative masks, each with a time of its own) "
+        f"differs from {LABELS[OURS]} (signed masks) by {free[0]} at 0.1 s and "
+        f"{free[-1]} at 0.0001 s." + "".join(_falling(compared))
+    )
+
+
+def _falling(compared: Comparison) -> list[str]:
+    """Sentences on designs that read less with more light as they answer one class: why."""
+    said = []
+    for name, label in compared.labels.items():
+        tests = [compared.at[(name, exposure)] for exposure in sorted(EXPOSURES)]
+        most = max(tests, key=lambda test: test.accuracy.mean)
+        last = tests[-1]
+        if most.less(last).low > 0 and last.commonest > most.commonest:
+            said.append(
+                f" {label} falls from {most.accuracy.mean:.3f} at {most.exposure_s:g} s to "
+                f"{last.accuracy.mean:.3f} at {last.exposure_s:g} s, for its network was trained "
+                f"on the noise of {photons_text(ASSUMED)} photons, which was most of each of its "
+                "features: without that noise the features of all scenes lie close together, and "
+                f"{last.commonest:.0%} of its answers are one class ({most.commonest:.0%} before)."
+            )
+    return said
+
+
+def trainings_text(test: DigitTest) -> str:
+    """Number of trained designs behind a test."""
+    number = len(test.rates)
+    return "one trained design each" if number == 1 else f"{number} trained designs each"
+
+
+def _first(compared: Comparison) -> Claim:
+    leads = [compared.lead(exposure) for exposure in BRIGHT]
+    worst = {
+        rival: min((each[rival] for each in leads), key=lambda lead: lead.low)
+        for rival in compared.rivals
+    }
+    nearest = min(worst, key=lambda rival: worst[rival].low)
+    return Claim(
+        f"{LABELS[OURS]}: first of the equal-dwell designs at every exposure from 0.001 s up",
+        above(lead for each in leads for lead in each.values()),
+        f"nearest: {compared.labels[nearest]}, {worst[nearest]}",
+    )
+
+
+def _every_digit(compared: Comparison) -> Claim:
+    exposure = max(EXPOSURES)
+    ours = compared.at[(OURS, exposure)].by_digit
+    behind = []
+    differences = []
+    for rival in compared.rivals:
+        theirs = compared.at[(rival, exposure)].by_digit
+        for digit, column in enumerate((ours - theirs).T):
+            each = of_trials(column.tolist())
+            differences.append(each)
+            if each.mean <= 0:
+                behind.append(f"{digit} ({compared.labels[rival]})")
+    least = min(differences, key=lambda each: each.mean)
+    said = f"lowest {least}" + (f"; not above in {', '.join(behind)}" if behind else "")
+    return Claim(
+        f"{LABELS[OURS]}: above every other equal-dwell design in every digit at {exposure:g} s",
+        above(differences),
+        said,
+    )
+
+
+def _even(compared: Comparison) -> Claim:
+    exposure = max(EXPOSURES)
+    std = {
+        name: np.std(compared.at[(name, exposure)].rates, axis=2, ddof=1).mean(axis=0)
+        for name in (OURS, *compared.rivals)
+    }
+    less = {rival: of_trials((std[rival] - std[OURS]).tolist()) for rival in compared.rivals}
+    nearest = min(less, key=lambda rival: less[rival].low)
+    return Claim(
+        f"{LABELS[OURS]}: varies least between digits at {exposure:g} s",
+        above(less.values()),
+        f"standard deviation over digits lower by {less[nearest]} than "
+        f"{compared.labels[nearest]}'s",
+    )
+
+
+def _point(test: DigitTest) -> Accuracy:
+    mean = test.accuracy
+    return Accuracy(
+        test.design,
+        test.label,
+        LABELS.get(test.design) or DESIGNS[test.design].title,
+        test.specific,
+        test.exposure_s,
+        mean.mean,
+        max(mean.low, 0.0),
+        min(mean.high, 1.0),
+        *(("assumed", test.assumed) if test.effect == "none" else (test.effect, test.value)),
+    )
+
+
+def _exposure_picture(compared: Comparison) -> Picture:
+    points = [_point(test) for test in compared.at.values()]
+    published = [
+        replace(point, accuracy=mean, low=low, high=high)
+        for point in sorted(points, key=lambda point: point.design != OURS)
+        if point.design in PUBLISHED
+        for mean, low, high in [PUBLISHED[point.design][point.exposure_s]]
+    ]
+    return Picture(
+        exposure_figure(points, published, flux=FLUX),
+        "Accuracy of ten digits against exposure; all designs are trained for "
+        f"{photons_text(ASSUMED)} photons. Filled: here, mean over trainings and draws with its "
+        "95 % interval over draws. Open: published, of one draw, with its interval over the ten "
+        "digits, a little to the right of its exposure. Dotted line: chance. Above: photons of a "
+        "mean scene on the device in that exposure.",
+        "Accuracy against exposure for each design, beside the published values; see tables.",
+    )
+
+
+def _digits_picture(compared: Comparison, digits: Sequence[str]) -> Picture:
+    panels = {
+        f"{exposure:g} s": np.array(
+            [compared.at[(name, exposure)].by_digit.mean(axis=0) for name in compared.labels]
+        )
+        for exposure in EXPOSURES
+    }
+    return Picture(
+        digits_figure(panels, list(compared.labels.values()), digits),
+        "Success rate of each digit, mean over trainings and draws.",
+        "Success rate of each digit and design for four exposures.",
+    )
+
+
+def _effects_picture(measures: Measures) -> Picture:
+    points = [_point(test) for test in measures.tests if test.exposure_s in SWEPT]
+    return Picture(
+        effects_figure(points, AXES, flux=FLUX),
+        "What the laboratory could not vary, one effect at a time; no one corrects for ambient "
+        "light or dead time. Axes are logarithmic; where a value of 0 is shown, it stands apart at "
+        "the left end. Dotted lines: ambient light as bright as a mean scene "
+        f"({photons_text(FLUX)} photons/s), and the budget that the exposure gives, so that "
+        "training assumed the truth.",
+        "Accuracy against ambient light, dark counts, dead time and assumed budget.",
+    )
+
+
+def _optics_pictures(measures: Measures) -> tuple[Picture, Picture]:
+    """The camera's view of the digits, and a frame of its mirrors."""
+    views, fit = measures.views, measures.calibration
+    raw, seen = np.array(views.raw), np.array(views.seen)
+    grid = find_grid(DEVICE, seen.shape[1:])
+    frame = np.frombuffer(base64.b64decode(measures.frame), np.uint8).reshape(DEVICE.rows, -1)
+    mirrors = unpack(frame, DEVICE)
+    return (
+        Picture(
+            views_figure(raw, seen, views.names, cell=(grid.height, grid.width)),
+            "Digits as displayed and as the camera's cells see them. The view was fitted to "
+            f"{fit['spots']} of {fit['shown']} spots, which lie {fit['residual']:.2f} cells from "
+            "it (rms).",
+            "Ten digits above, and below them tilted, blurred and darker at the edges.",
+        ),
+        Picture(
+            mirrors_figure(mirrors, grid, _greyest(mirrors, grid)),
+            f"First frame of {LABELS[OURS]}, and its nine cells with most grey mirror by mirror.",
+            "A grey mask made of mirrors that are ON or OFF.",
+        ),
+    )
+
+
+def _greyest(mirrors: np.ndarray, grid: Grid, side: int = 3) -> tuple[int, int]:
+    """First cell of the window of side x side cells that are farthest from dark and full."""
+    share = recount(mirrors, grid).reshape(grid.down, grid.across) / grid.mirrors
+    grey = np.minimum(share, 1 - share)
+    windows = np.lib.stride_tricks.sliding_window_view(grey, (side, side)).sum(axis=(2, 3))
+    down, across = np.unravel_index(windows.argmax(), windows.shape)
+    return int(down), int(across)
+
+
+def _intervals(compared: Comparison) -> Table:
+    rows = []
+    for exposure in EXPOSURES:
+        for name, label in compared.labels.items():
+            test = compared.at[(name, exposure)]
+            mean = test.accuracy
+            cluster = np.mean([cluster_bootstrap(rates, seed=0) for rates in test.single], axis=0)
+            student = np.mean(
+                [studentised_bootstrap(rates, seed=0) for rates in test.single], axis=0
+            )
+            published = PUBLISHED.get(name, {}).get(exposure)
+            rows.append(
+                (
+                    exposure,
+                    label,
+                    mean.mean,
+                    f"{mean.low:.3f} to {mean.high:.3f}",
+                    f"{test.by_training.min():.3f} to {test.by_training.max():.3f}",
+                    test.commonest,
+                    f"{cluster[0]:.3f} to {cluster[1]:.3f}",
+                    f"{student[0]:.3f} to {student[1]:.3f}",
+                    published[0] if published else None,
+                    f"{published[1]:.3f} to {published[2]:.3f}" if published else "",
+                    "{:.3f} to {:.3f}".format(*STUDENTISED[name][exposure]) if published else "",
+                )
+            )
+    return Table(
+        "Accuracy, mean over trainings and draws, with 95 % intervals: over draws of the digits, "
+        "and, for one training and draw, over its ten digits by cluster and by studentised "
+        "bootstrap (mean ends), beside the paper's; and the share of answers that are one class",
+        ("exposure (s)", "design", "accuracy", "over draws", "trainings, least to most",
+         "one class", "cluster",
+         "studentised", "paper", "paper, cluster", "paper, studentised"),
+        tuple(rows),
+    )  # fmt: skip
+
+
+def _tests(compared: Comparison) -> Table:
+    rows = []
+    for exposure in EXPOSURES:
+        ours = compared.at[(OURS, exposure)].single
+        for rival in compared.rivals:
+            tests = [
+                wilcoxon_signed_rank(one, other)
+                for one, other in zip(ours, compared.at[(rival, exposure)].single, strict=True)
+            ]
+            statistic, p, effect = np.median(tests, axis=0)
+            clear = float(np.mean([test.pvalue < 0.05 for test in tests]))
+            published = WILCOXON[rival][exposure]
+            label = compared.labels[rival]
+            rows.append((exposure, label, statistic, p, effect, clear, *published))
+    return Table(
+        f"Two-sided Wilcoxon signed-rank test against {LABELS[OURS]} over the ten digits: medians "
+        "over trainings and draws, the share of them with p below 0.05, and the paper's",
+        ("exposure (s)", "design", "statistic", "p", "rank-biserial", "share below 0.05",
+         "paper: statistic", "paper: p", "paper: rank-biserial"),
+        tuple(rows),
+    )  # fmt: skip
+
+
+def _times(times: Sequence[RunTime]) -> Table:
+    return Table(
+        f"From photon file to class, one exposure of {max(EXPOSURES):g} s",
+        ("design", "photons counted", "file (MB)", "seconds", "paper (s)"),
+        tuple(
+            (each.label, each.photons, each.bytes / 1e6, each.seconds, PAPER_RUN_S.get(each.design))
+            for each in times
+        ),
+    )
+
+
+EXPERIMENT = Experiment(
+    name="hardware",
+    title="The camera: designs on a micromirror device, read by one photon counter",
+    paper=PAPER,
+    show=show,
+    measure=measure,
+    prepare=prepare,
+)

@@ -1,0 +1,490 @@
+"""The paper's camera in a virtual laboratory, and what the paper could not vary there.
+
+A display, perspective, blur and vignetting, a micromirror device, one photon counter. As a lab
+would, we calibrate with spots, train on the camera's view of MNIST at one assumed budget, export
+the patterns, and test with gates of four exposures in the same frames. The protocol is the paper's
+(ten test digits, one of each, ten exposures each), repeated for many draws of the ten digits.
+"""
+
+import base64
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.design.artifact import Design
+from deepfsi.devices import find_device
+from deepfsi.grid import find_grid
+from deepfsi.hardware.calibration import fit
+from deepfsi.hardware.calibration.background import (
+    black_rates,
+    expected_background,
+    subtract_background,
+)
+from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.calibration.view import Calibration, view_dataset
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.mirrors import make_frames
+from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
+from deepfsi.hardware.patterns.timing import find_gates
+from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.virtual import detector
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    Camera,
+    RecordingSettings,
+    arrival_rates,
+    draw_counts,
+    record,
+)
+from deepfsi.progress import Report
+from deepfsi.statistics.differences import Difference, of_trials
+from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.workers import cores, processes
+
+FLUX = 1e7
+"""Photons/s on the device from a mean scene."""
+
+EXPOSURES = (1e-1, 1e-2, 1e-3, 1e-4)
+"""Total exposure of one test, seconds."""
+
+ASSUMED = 1e4
+"""Budget for which all designs are trained, photons."""
+
+SWEPT = (1e-2, 1e-3)
+"""Exposures at which effects are varied, seconds."""
+
+DRAWS = 20
+"""Draws of ten digits."""
+
+REPEATS = 10
+"""Exposures of each digit."""
+
+DEVICE = find_device("dlp7000")
+"""The micromirror device of the paper."""
+
+OURS = "deepfsi"
+"""Name of DeepFSI with equal dwells among the tests."""
+
+FREE = "deepfsi-free-dwell"
+"""Name of DeepFSI with dwells of its own among the tests."""
+
+LABELS = {OURS: "DeepFSI, equal dwell", FREE: "DeepFSI, free dwell"}
+"""Names of the two in figures, tables and claims; all others have their own."""
+
+LAB = CAMERAS["pmt"].model_copy(
+    update={
+        "efficiency": 1.0,
+        "view": ((0.95, 0.03, 0.01), (-0.02, 0.94, 0.035), (0.015, -0.02, 1.0)),
+        "blur": 8.0,
+        "vignetting": 0.2,
+    }
+)
+"""The laboratory: a photomultiplier behind a tilted, slightly blurred view of the display.
+
+Its efficiency is 1, so that fluxes and budgets are of photons that can be counted.
+"""
+
+EFFECTS: dict[str, tuple[float, ...]] = {
+    "ambient": (0.0, 1e5, 3e5, 1e6, 3e6, 1e7),
+    "dark": (0.0, 1e4, 1e5, 3e5, 1e6),
+    "dead_time_s": (0.0, 20e-9, 50e-9, 100e-9, 200e-9),
+}
+"""Effects varied one at a time: photons/s on the device, counts/s, seconds."""
+
+
+@dataclass(frozen=True)
+class DigitTest:
+    """Success rates of one design, trained several times, with the ten digits of every draw.
+
+    Attributes
+    ----------
+    design, label : str
+    specific : bool
+        Whether the design is feature-specific.
+    masks : int
+    assumed : float
+        Photon budget assumed in training.
+    effect : str
+        What the laboratory varies, or "none".
+    value : float
+        Of the effect, in its unit.
+    exposure_s : float
+    rates : sequence, shape (trainings, draws, digits)
+        Share of the exposures that are classified rightly.
+    commonest : float
+        Share of the answers that are the class that a training answers most, mean over trainings.
+    """
+
+    design: str
+    label: str
+    specific: bool
+    masks: int
+    assumed: float
+    effect: str
+    value: float
+    exposure_s: float
+    rates: Sequence[Sequence[Sequence[float]]]
+    commonest: float
+
+    @property
+    def by_draw(self) -> np.ndarray:
+        """Accuracy of each draw of the digits, mean over trainings."""
+        return np.mean(self.rates, axis=(0, 2))
+
+    @property
+    def by_training(self) -> np.ndarray:
+        """Accuracy of each training, mean over draws."""
+        return np.mean(self.rates, axis=(1, 2))
+
+    @property
+    def by_digit(self) -> np.ndarray:
+        """Success rates (draws, digits), mean over trainings."""
+        return np.mean(self.rates, axis=0)
+
+    @property
+    def single(self) -> np.ndarray:
+        """Success rates (trainings x draws, digits): each row one experiment as the paper's."""
+        rates = np.asarray(self.rates)
+        return rates.reshape(-1, rates.shape[-1])
+
+    @property
+    def accuracy(self) -> Difference:
+        """Mean over draws, with its error; the error covers draws of digits, not trainings."""
+        return of_trials(self.by_draw.tolist())
+
+    def less(self, other: "DigitTest") -> Difference:
+        """Accuracy less another design's on the same digits, with its error over draws."""
+        return of_trials((self.by_draw - other.by_draw).tolist())
+
+
+@dataclass(frozen=True)
+class RunTime:
+    """Time from a photon file to its classes for one exposure, its counts, and the file's size."""
+
+    design: str
+    label: str
+    seconds: float
+    photons: int
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Views:
+    """Scenes as displayed, (n, h, w), and as the camera's cells see them, (n, down, across)."""
+
+    raw: Sequence[Sequence[Sequence[float]]]
+    seen: Sequence[Sequence[Sequence[float]]]
+    names: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Everything that is measured in the laboratory, as `hardware.json` holds it.
+
+    Calibration and camera are as their models write themselves; `frame` is DeepFSI's first in
+    base64, a bit for each mirror.
+    """
+
+    calibration: dict[str, Any]
+    camera: dict[str, Any]
+    views: Views
+    frame: str
+    tests: Sequence[DigitTest]
+    times: Sequence[RunTime]
+
+
+@lru_cache(maxsize=1)
+def calibrate() -> Calibration:
+    """Calibration of the laboratory by spots, a white and a black display, as in a real one."""
+    grid = find_grid(DEVICE, (32, 32))
+    spots = fit.spot_scenes((32, 32))
+    scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
+    exposure = 10.0
+    raster = scan_rails("raster", (32, 32))
+    with tempfile.TemporaryDirectory() as folder:
+        patterns = export_patterns(
+            raster,
+            FrameSettings(DEVICE, 1.1 * exposure / raster.rails.shape[1]),
+            Path(folder) / "raster",
+        )
+        arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)
+    rng = np.random.default_rng(1)
+    gates = find_gates(patterns.manifest, exposure, repeats=1)
+    counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
+    pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
+    black = arrivals[-1, :2, 0]
+    dark, ambient = black_rates(black[:1], black[1:])
+    return fit.calibrate(
+        spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1],
+        dark=dark, ambient=ambient,
+    )  # fmt: skip
+
+
+def prepare(data: Dataset) -> Dataset:
+    """The camera's view of a data set."""
+    return view_dataset(data, calibrate())
+
+
+@dataclass(frozen=True)
+class MountedDesign:
+    """A design on the device, and the light of some scenes on the detector.
+
+    Attributes
+    ----------
+    design : Design
+        As the patterns realise it.
+    patterns : Patterns
+    scene_rates : array, shape (S, F, 1)
+        Photons/s that each scene sends to the detector in each frame.
+    ambient_rates : array, shape (1, F, 1)
+        The same for one photon/s of ambient light.
+    """
+
+    design: Design
+    patterns: Patterns
+    scene_rates: np.ndarray
+    ambient_rates: np.ndarray
+
+    def arrivals(self, camera: Camera) -> np.ndarray:
+        """Arrivals/s (S, F, 1) at a camera's detector."""
+        photons = self.scene_rates + camera.ambient * self.ambient_rates
+        return camera.efficiency * photons + camera.dark
+
+
+def draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
+    """Places (draws, classes) of one scene of each class, no scene twice.
+
+    Parameters
+    ----------
+    labels : array of int
+        Classes of all scenes.
+    draws : int
+    seed : int
+    """
+    rng = np.random.default_rng(seed)
+    classes = np.unique(labels)
+    columns = [rng.choice(np.flatnonzero(labels == k), draws, replace=False) for k in classes]
+    return np.stack(columns, axis=1)
+
+
+def mount(design: Design, scenes: np.ndarray) -> MountedDesign:
+    """A design exported to the device, and scenes (S, h, w) seen through it by the laboratory."""
+    optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
+    with tempfile.TemporaryDirectory() as folder:
+        there = Path(folder) / "patterns"
+        patterns = export(design, REPEATS, there)
+        scene_rates = arrival_rates(there, scenes, optics, FLUX)
+        one = optics.model_copy(update={"ambient": 1.0})
+        ambient_rates = arrival_rates(there, np.zeros_like(scenes[:1]), one, 0.0)
+    return MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
+
+
+def export(design: Design, repeats: int, folder: Path) -> Patterns:
+    """Patterns whose frames last for so many of the longest exposures, and a little more.
+
+    Parameters
+    ----------
+    design : Design
+    repeats : int
+        Exposures in one frame.
+    folder : Path
+        Of the patterns.
+    """
+    rails = design.rails.numpy()
+    frames = int((rails.max(axis=-1) > 0).sum())
+    share = float(rails.max()) if design.light == "equal-dwell" else 1 / frames
+    dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
+    return export_patterns(
+        DesignRails(rails, design.light, design.image_shape, design.summed_reflectance),
+        FrameSettings(DEVICE, dwell),
+        folder,
+    )
+
+
+def classify(
+    mounted: MountedDesign, camera: Camera, exposure_s: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Classes (S, R) that a design gives to exposures of a camera.
+
+    The budget is estimated from the all-ON frames and the dark rate from the all-OFF ones, as for
+    a real run; no one knows of ambient light.
+
+    Parameters
+    ----------
+    mounted : MountedDesign
+    camera : Camera
+    exposure_s : float
+    rng : Generator
+    """
+    manifest = mounted.patterns.manifest
+    gates = find_gates(manifest, exposure_s, repeats=REPEATS)
+    arrivals = mounted.arrivals(camera)
+    counts = draw_counts(arrivals, manifest, gates, camera, rng)
+    window = manifest.picture_s[:2] - gates.settle_s
+    on, off = (detector.draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
+    signal = subtract_background(counts, expected_background(mounted.patterns, exposure_s, off))
+    chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
+    return chances.argmax(axis=-1)
+
+
+Group = tuple[str, list[Point]]
+"""A design's name and its points, one for each budget that it was trained for."""
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """Files and digits with which every design is tested.
+
+    Attributes
+    ----------
+    designs : Path
+        Folder of their files.
+    images : array, shape (S, h, w)
+        Reflectance on the display.
+    truth : array, shape (draws, classes)
+        Labels; S is their number.
+    """
+
+    designs: Path
+    images: np.ndarray
+    truth: np.ndarray
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """Tests of one design, the time of a run, and the first frame (in base64)."""
+
+    tests: list[DigitTest]
+    time: RunTime
+    frame: str
+
+
+def measure(
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+) -> dict[str, Any]:
+    """Tests of every design in the laboratory, several at a time.
+
+    Parameters as of `Experiment.measure`.
+    """
+    raw = load_dataset(results.recipe["data"])
+    places = draw_digits(raw.y_test, DRAWS, seed=0)
+    laboratory = Laboratory(
+        designs, raw.x_test[places.ravel()].reshape(-1, *raw.image_shape), raw.y_test[places]
+    )
+    groups: dict[str, list[Point]] = {}
+    for point in results.points:
+        if point.best:
+            name = point.design if point.light == "equal-dwell" else FREE
+            groups.setdefault(name, []).append(point)
+    costly_first = sorted(groups.items(), key=lambda group: -group[1][0].masks)
+    report(0.0, "laboratory")
+    done = {}
+    at_once = min(workers or cores(), len(groups))
+    for result in processes(in_laboratory, laboratory, costly_first, at_once):
+        done[result.time.design] = result
+        report(len(done) / len(groups), "laboratory")
+    seen = data.x_test[places[0]].reshape(-1, *data.image_shape)
+    return asdict(
+        Measures(
+            calibration=calibrate().model_dump(mode="json", exclude={"flat"}),
+            camera=LAB.model_dump(mode="json"),
+            views=Views(
+                laboratory.images[: len(seen)].round(3).tolist(),
+                seen.round(3).tolist(),
+                list(data.classes),
+            ),
+            frame=done[OURS].frame,
+            tests=[test for name in groups for test in done[name].tests],
+            times=[done[name].time for name in groups],
+        )
+    )
+
+
+def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
+    """Tests of one design, trained for several budgets and several times for each."""
+    name, points = group
+    tests: list[DigitTest] = []
+    mounted_by_masks: dict[bytes, MountedDesign] = {}  # fixed masks are the same in every training
+    for point in points:
+        mounted = [
+            _mounted(
+                Design.load(laboratory.designs / f"{key}.safetensors"), laboratory, mounted_by_masks
+            )
+            for key in point.keys
+        ]
+        for effect, value, camera, exposure in _conditions(point.photons):
+            rates, commonest = [], []
+            for training, each in enumerate(mounted):
+                rng = np.random.default_rng([training, len(tests)])
+                classes = classify(each, camera, exposure, rng)
+                classes = classes.reshape(*laboratory.truth.shape, REPEATS)
+                commonest.append(np.bincount(classes.ravel()).max() / classes.size)
+                rates.append((classes == laboratory.truth[..., None]).mean(axis=-1).tolist())
+            tests.append(
+                DigitTest(
+                    design=name,
+                    label=LABELS.get(name, point.label),
+                    specific=point.specific,
+                    masks=point.masks,
+                    assumed=point.photons,
+                    effect=effect,
+                    value=value,
+                    exposure_s=exposure,
+                    rates=rates,
+                    commonest=float(np.mean(commonest)),
+                )
+            )
+        if point.photons == ASSUMED:
+            made = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
+            label = LABELS.get(name, point.label)
+            time = RunTime(name, label, *run_time(made, laboratory.images[:1]))
+            frame = base64.b64encode(_first_frame(mounted[0].patterns).tobytes()).decode()
+    return DesignResult(tests, time, frame)
+
+
+def _mounted(
+    design: Design, laboratory: Laboratory, known: dict[bytes, MountedDesign]
+) -> MountedDesign:
+    """A design on the device; what one with the same masks was mounted for before serves again."""
+    masks = design.rails.numpy().tobytes()
+    if masks not in known:
+        known[masks] = mount(design, laboratory.images)
+    return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))
+
+
+def _conditions(assumed: float) -> Iterator[tuple[str, float, Camera, float]]:
+    """Effect, its value, camera and exposure; effects only at the laboratory's own budget."""
+    yield from (("none", 0.0, LAB, exposure) for exposure in EXPOSURES)
+    if assumed == ASSUMED:
+        for effect, values in EFFECTS.items():
+            for value, exposure in product(values, SWEPT):
+                yield effect, value, LAB.model_copy(update={effect: value}), exposure
+
+
+def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
+    """Seconds from a photon file to its classes, photons and bytes of one longest exposure."""
+    with tempfile.TemporaryDirectory() as folder:
+        patterns, run = Path(folder) / "patterns", Path(folder) / "run"
+        export(design, 1, patterns)
+        settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
+        record(patterns, scene, ["scene"], None, run, settings)
+        began = time.perf_counter()
+        counts = count(run)
+        shown = design.as_shown(*read_acquisition(run)[1].realised)
+        shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
+        seconds = time.perf_counter() - began
+        return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size
+
+
+def _first_frame(patterns: Patterns) -> np.ndarray:
+    manifest = patterns.manifest
+    return next(iter(make_frames(patterns.on[:1], manifest.device, manifest.grid)))

@@ -1,0 +1,323 @@
+"""Number of detectors that one device needs: accuracy against photons and against detectors.
+
+Each detector sees its own part of the device, and all see the same frames; impulse imaging has one
+for each pixel. The targets are our own.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
+from math import prod
+
+from deepfsi.datasets.cifar import where
+from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
+from deepfsi.statistics.differences import Difference, above, difference
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.results import Point, Results
+from deepfsi_paper.experiment import Experiment, Finding, budgets
+from deepfsi_paper.report.lines import Line, lines_figure
+from deepfsi_paper.report.section import Claim, Picture, Table
+
+NEAR = 0.02
+"""Loss of accuracy against impulse imaging that still counts as near it."""
+
+SCARCE = 1e5
+"""Photons below which more detectors are expected to read more."""
+
+LOOKED = (1e3, 1e4)
+"""Budgets at which looks are expected to gain."""
+
+Targets = Mapping[tuple[str, float], float]
+"""Accuracy to be reached, by detectors and budget."""
+
+TARGETS: Targets = {
+    ("2x2", 1e3): 0.66,
+    ("2x2", 1e4): 0.94,
+    ("4x4", 1e3): 0.78,
+    ("4x4", 1e4): 0.96,
+}
+"""On MNIST, of one device with fixed dwells."""
+
+PALETTE = ("raster", "hadamard", "truncated-hadamard", "pca", "deepfsi")
+"""Designs whose colours lines take, one after another."""
+
+Look = Mapping[str, object]
+"""Keywords of matplotlib."""
+
+REFERENCE: Look = {"color": COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))}
+"""Line of impulse imaging."""
+
+MASKS: Look = {"marker": "o"}
+LOOKS: Look = {"marker": "o", "linestyle": "--", "markerfacecolor": PAPER}
+ON: Look = {"marker": ".", "linestyle": ":"}
+"""Of lines of masks with fixed dwells, of those with looks, and of one frame that is all ON."""
+
+OWN_PAPER = (
+    "Not in the paper, whose light law lets every mask see each pixel for the whole "
+    "exposure, as a detector for each pixel would. One device with one detector shares the "
+    "exposure among its frames."
+)
+
+Chosen = Mapping[tuple[int, float], Point]
+"""Points at their chosen number of frames and start, by detectors and budget."""
+
+
+def adapt(recipe: Recipe) -> Recipe:
+    """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
+    if where("cifar10") or not where("cifar10-jpeg"):
+        return recipe
+    return recipe.model_copy(update={"data": "cifar10-jpeg"})
+
+
+def detectors_of(point: Point) -> int:
+    """Number of detectors: of impulse imaging one for each pixel."""
+    if point.design == "impulse":
+        return round(point.masks / point.ratio)
+    return prod(map(int, point.detectors.split("x")))
+
+
+def show(results: Results, targets: Targets) -> Finding:
+    """Lines against photons and detectors, their table, and claims.
+
+    Parts `looks-…` have several looks, part `on` one frame that is all ON; the others have masks
+    with fixed dwells.
+
+    Parameters
+    ----------
+    results : Results
+    targets : mapping
+        Accuracies that are claimed to be reached.
+    """
+    fixed, on, looks = (_chosen(results, kind) for kind in ("fixed", "on", "looks"))
+    return Finding(
+        _found(results, fixed),
+        (_picture(fixed, on, looks),),
+        (
+            *_target_claims(fixed, targets),
+            _more_claim(fixed),
+            *_mask_claims(fixed, on),
+            *_look_claims(fixed, looks),
+        ),
+        (_table(fixed, on, looks),),
+    )
+
+
+def _kind(part: str) -> str:
+    return "on" if part == "on" else "looks" if part.startswith("looks-") else "fixed"
+
+
+def _chosen(results: Results, kind: str) -> Chosen:
+    """Of each number of detectors and budget, the start that is best on validation images."""
+    best = (p for p in results.points if p.best and _kind(p.recipe) == kind)
+    rising = sorted(best, key=lambda p: p.validation or 0.0)
+    return {(detectors_of(point), point.photons): point for point in rising}
+
+
+def _numbers(chosen: Chosen) -> list[int]:
+    """Numbers of detectors, rising; that of impulse imaging is the last."""
+    return sorted({detectors for detectors, _ in chosen})
+
+
+def _found(results: Results, fixed: Chosen) -> str:
+    lights = budgets(fixed.values())
+    near = []
+    for photons in lights:
+        every = [fixed[each, photons] for each in _numbers(fixed) if (each, photons) in fixed]
+        enough = next(p for p in every if p.accuracy >= every[-1].accuracy - NEAR)
+        near.append(f"{detectors_of(enough)} at {photons_text(photons)} photons")
+    return (
+        f"{results.data.name}, non-negative frames on one device, tested under exact photon noise. "
+        f"So many detectors come within {NEAR} of impulse imaging, which has one for each pixel: "
+        f"{', '.join(near)}."
+    )
+
+
+def _target_claims(fixed: Chosen, targets: Targets) -> list[Claim]:
+    points = {(point.detectors, point.photons): point for point in fixed.values()}
+    claims = []
+    for (detectors, photons), target in targets.items():
+        point = points.get((detectors, photons))
+        if point is None or point.design == "impulse":
+            continue
+        holds = True if point.low >= target else False if point.high < target else None
+        claims.append(
+            Claim(
+                f"{detectors} detectors with fixed dwells read at least {target} at "
+                f"{photons_text(photons)} photons",
+                holds,
+                f"{point.accuracy:.3f} [{point.low:.3f}, {point.high:.3f}] with {_frames(point)}",
+            )
+        )
+    return claims
+
+
+def _more_claim(fixed: Chosen) -> Claim:
+    numbers = _numbers(fixed)
+    gains = {
+        (few, many, photons): difference(fixed[many, photons], fixed[few, photons])
+        for few, many in pairwise(numbers)
+        for photons in budgets(fixed.values())
+        if photons < SCARCE
+    }
+    (few, many, photons), least = min(gains.items(), key=lambda item: item[1].low)
+    return Claim(
+        f"Below {photons_text(SCARCE)} photons more detectors read more, each step",
+        above(gains.values()),
+        f"least from {few} to {many} detectors at {photons_text(photons)} photons: {least}",
+    )
+
+
+def _mask_claims(fixed: Chosen, on: Chosen) -> list[Claim]:
+    claims = []
+    for detectors, gains in _gains(fixed, on).items():
+        photons, least = min(gains.items(), key=lambda item: item[1].low)
+        claims.append(
+            Claim(
+                f"With {_counted(detectors)} masks read more than one frame that is all ON, at "
+                "every budget",
+                above(gains.values()),
+                f"least at {photons_text(photons)} photons: {least}",
+            )
+        )
+    return claims
+
+
+def _look_claims(fixed: Chosen, looks: Chosen) -> list[Claim]:
+    expected = {place: point for place, point in looks.items() if point.photons in LOOKED}
+    claims = []
+    for detectors, gains in _gains(expected, fixed).items():
+        said = (f"{each} at {photons_text(photons)}" for photons, each in gains.items())
+        claims.append(
+            Claim(
+                f"With {_counted(detectors)} looks read more than fixed dwells",
+                above(gains.values()),
+                ", ".join(said) + " photons",
+            )
+        )
+    return claims
+
+
+def _gains(first: Chosen, second: Chosen) -> dict[int, dict[float, Difference]]:
+    """First less second, by detectors and by budget, both rising, where both were measured."""
+    gains = defaultdict[int, dict[float, Difference]](dict)
+    for place in sorted(first.keys() & second.keys()):
+        detectors, photons = place
+        gains[detectors][photons] = difference(first[place], second[place])
+    return gains
+
+
+def _counted(detectors: int) -> str:
+    return f"{detectors} detector{'s' if detectors > 1 else ''}"
+
+
+def _frames(point: Point) -> str:
+    return f"{point.masks} frame{'s' if point.masks > 1 else ''}"
+
+
+def _picture(fixed: Chosen, on: Chosen, looks: Chosen) -> Picture:
+    panels = {
+        BUDGET_AXIS: _by_detectors(fixed, looks),
+        "number of detectors": [
+            *_by_budget(fixed, MASKS, named=True),
+            *_by_budget(looks, LOOKS),
+            *_by_budget(on, ON),
+        ],
+    }
+    return Picture(
+        lines_figure(panels),
+        "How many detectors do you need? Accuracy against photons, a line for each number of "
+        "detectors, and against detectors, a line for each budget. Dashed and hollow: the dwells "
+        "follow the counts of earlier looks. Dotted: no masks, one frame that is all ON. Bars: "
+        "95 % intervals.",
+        "Accuracy against photons and against the number of detectors; numbers in the table.",
+    )
+
+
+def _coloured(look: Look, place: int) -> Look:
+    return {**look, "color": COLOURS[PALETTE[place % len(PALETTE)]]}
+
+
+def _by_detectors(fixed: Chosen, looks: Chosen) -> list[Line]:
+    *own, last = _numbers(fixed)
+    lines = [_line(f"{last}, impulse imaging", REFERENCE, fixed, detectors=last)]
+    for place, detectors in reversed(list(enumerate(own))):
+        masks = _coloured(MASKS, place)
+        lines.append(_line(_counted(detectors), masks, fixed, detectors=detectors))
+        if detectors in _numbers(looks):
+            lines.append(_line("", _coloured(LOOKS, place), looks, detectors=detectors))
+    return lines
+
+
+def _by_budget(chosen: Chosen, look: Look, *, named: bool = False) -> list[Line]:
+    every = list(enumerate(budgets(chosen.values())))
+    return [
+        _line(
+            f"{photons_text(photons)} photons" if named else "",
+            _coloured(look, place),
+            chosen,
+            photons=photons,
+        )
+        for place, photons in reversed(every)
+    ]
+
+
+def _line(
+    name: str,
+    look: Look,
+    chosen: Chosen,
+    *,
+    detectors: int | None = None,
+    photons: float | None = None,
+) -> Line:
+    """Line of one number of detectors against photons, or of one budget against detectors."""
+    at = (
+        (place[0] if detectors is None else place[1], point)
+        for place, point in chosen.items()
+        if detectors in (None, place[0]) and photons in (None, place[1])
+    )
+    return Line.through(name, look, at)
+
+
+def _table(fixed: Chosen, on: Chosen, looks: Chosen) -> Table:
+    lights = budgets(fixed.values())
+    rows = [
+        *_rows(fixed, lights, "fixed"),
+        *_rows(on, lights, "one frame, all ON"),
+        *_rows(looks, lights, "looks"),
+    ]
+    return Table(
+        "Accuracy by detectors and photons, with the number of frames that validation chose, as it "
+        "chose the masks that the training starts from",
+        ("detectors", "dwells", *(f"{photons_text(photons)} photons" for photons in lights)),
+        tuple(rows),
+    )
+
+
+def _rows(
+    chosen: Chosen, lights: Sequence[float], dwells: str
+) -> Iterable[tuple[int | str | None, ...]]:
+    for detectors in _numbers(chosen):
+        at = [chosen.get((detectors, photons)) for photons in lights]
+        alone = any(point and point.design == "impulse" for point in at)
+        cells = (
+            f"{point.accuracy:.3f}" + ("" if alone else f" ({point.masks})") if point else None
+            for point in at
+        )
+        yield (detectors, "impulse imaging" if alone else dwells, *cells)
+
+
+MNIST = Experiment(
+    name="detectors",
+    title="How many detectors do you need?",
+    paper=OWN_PAPER,
+    show=partial(show, targets=TARGETS),
+)
+
+CIFAR10 = Experiment(
+    name="detectors-cifar10",
+    title="How many detectors do you need on CIFAR-10?",
+    paper=OWN_PAPER,
+    show=partial(show, targets={}),
+    adapt=adapt,
+)

@@ -1,0 +1,237 @@
+"""Experiments: recipes, measures beyond accuracies, and the findings that follow from them."""
+
+import io
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import polars
+from pydantic import BaseModel
+
+from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import write_atomically
+from deepfsi.progress import SILENT, Report
+from deepfsi.sweeps.recipe import Recipe, parts
+from deepfsi.sweeps.records import rows
+from deepfsi.sweeps.results import Point, Results, read_results, write_results
+from deepfsi.sweeps.run import compare
+from deepfsi.sweeps.summary import provenance_of
+from deepfsi.sweeps.workers import Workers
+from deepfsi_paper.report.maps import Cell
+from deepfsi_paper.report.section import Claim, Picture, Section, Table
+
+Measure = Callable[[Results, Dataset, Path, int | None, Report], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Findings of an experiment, from its numbers; a title where these decide it."""
+
+    found: str
+    pictures: tuple[Picture, ...]
+    claims: tuple[Claim, ...] = ()
+    tables: tuple[Table, ...] = ()
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment of the paper.
+
+    Attributes
+    ----------
+    name : str
+        Of its recipe file and its results.
+    title : str
+    paper : str
+        Findings of the paper.
+    show : callable
+        Results → Finding.
+    measure : callable, optional
+        (results, data, folder of the designs, workers, report) → further numbers, kept in the
+        results as `extra`; the data are those of the first recipe.
+    prepare : callable, optional
+        Data → data that designs are trained on and tested with.
+    adapt : callable, optional
+        Recipe → recipe for this machine, such as other data where those that it names are missing.
+    settings : type of BaseModel
+        Of a recipe.
+    """
+
+    name: str
+    title: str
+    paper: str
+    show: Callable[[Results], Finding]
+    measure: Measure | None = None
+    prepare: Callable[[Dataset], Dataset] = lambda data: data
+    adapt: Callable[[Any], Any] = lambda recipe: recipe
+    settings: type[BaseModel] = Recipe
+
+    def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Any]:
+        """The recipes, or their coarse versions, by part; a single one has the experiment's name.
+
+        `trials` takes the place of theirs.
+        """
+        file = files("deepfsi_paper") / "recipes" / f"{self.name}.toml"
+        given = {} if trials is None else {"trials": trials}
+        with as_input_error():
+            return {
+                part or self.name: self.adapt(self.settings.model_validate({**settings, **given}))
+                for part, settings in parts(tomllib.loads(file.read_text("utf-8")), quick).items()
+            }
+
+    def run(
+        self,
+        folder: Path,
+        *,
+        command: str,
+        quick: bool = False,
+        trials: int | None = None,
+        device: str = "auto",
+        workers: int | None = 1,
+        ray: str | None = None,
+        report: Report = SILENT,
+    ) -> Results:
+        """Train and test what the folder does not hold yet, and write the numbers.
+
+        The experiments of a study share one folder of records, so that what one has trained
+        another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
+        figures, and `NAME-trials.csv` one for each test. Each point says the part that it is of,
+        its `recipe`. Where a recipe names a split, its points and the name of the data do, too.
+
+        Parameters
+        ----------
+        folder : Path
+        command : str
+            For the results.
+        quick : bool
+            The coarse recipes.
+        trials : int, optional
+            Instead of those of the recipes.
+        device : {"auto", "cpu", "cuda"}
+        workers : int, optional
+            Processes; None for as many as are fastest here.
+        ray : str, optional
+            Address of a Ray cluster.
+        report : Report
+        """
+        recipes = self.recipes(quick, trials)
+        data = self._data(recipes)
+        compared, points, records = list[Results](), list[Point](), list[dict[str, Any]]()
+        spans = report.parts(len(recipes) + (self.measure is not None))
+        for (name, recipe), span in zip(recipes.items(), spans, strict=False):
+            part, own = compare(
+                recipe,
+                data[name],
+                folder,
+                command=command,
+                device=device,
+                workers=Workers(workers, ray),
+                report=span,
+            )
+            split = {"data": recipe.data, "split": recipe.split} if recipe.split else {}
+            compared.append(part)
+            points += [p.model_copy(update={"recipe": name, **split}) for p in part.points]
+            records += own
+        results = _together(compared, points, records)
+        if self.measure:
+            first, designs = next(iter(data.values())), folder / "designs"
+            extra = self.measure(results, first, designs, workers, spans[-1])
+            results = results.model_copy(update={"extra": extra})
+        self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
+        return results
+
+    def _data(self, recipes: Mapping[str, Recipe]) -> dict[str, Dataset]:
+        """Prepared data of each recipe, loaded once where recipes share it."""
+        load = cache(lambda *source: self.prepare(_load(*source)))
+        return {name: load(each.data, each.size, each.split) for name, each in recipes.items()}
+
+    def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
+        """Write the results, a row for each point, and one for each test of a trial.
+
+        Parameters
+        ----------
+        folder : Path
+        results : Results
+        trials : polars.DataFrame
+        """
+        averaged = [
+            {name: value for name, value in point.as_dict().items() if not isinstance(value, list)}
+            for point in results.points
+        ]
+        for table, name in (
+            (polars.DataFrame(averaged, infer_schema_length=None), self.name),
+            (trials, f"{self.name}-trials"),
+        ):
+            text = io.BytesIO()
+            table.write_csv(text)
+            write_atomically(folder / f"{name}.csv", text.getvalue())
+        write_results(folder / f"{self.name}.json", results)
+
+    def section(self, folder: Path) -> Section | None:
+        """The experiment's part of the page, or None where it was not run."""
+        path = folder / f"{self.name}.json"
+        if not path.is_file():
+            return None
+        try:
+            results = read_results(path)
+            shown = self.show(results)
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                f"{path} does not hold the results of this version: run the experiment again"
+            ) from error
+        return Section(
+            name=self.name,
+            title=shown.title or self.title,
+            found=shown.found,
+            paper=self.paper,
+            pictures=shown.pictures,
+            claims=shown.claims,
+            tables=shown.tables,
+            files=(f"{self.name}.csv", f"{self.name}-trials.csv"),
+            command=results.command,
+            facts={
+                "data": results.data.as_dict(),
+                "recipe": results.recipe,
+                "provenance": results.provenance.as_dict(),
+            },
+        )
+
+
+def _together(
+    compared: Sequence[Results], points: Iterable[Point], records: Sequence[Mapping[str, Any]]
+) -> Results:
+    """Results of all parts: facts of the first, points, devices and times of all."""
+    once = {record["key"]: record for record in records}  # parts may share a record
+    seconds = sum(part.provenance.seconds for part in compared)
+    spent = {"provenance": provenance_of(list(once.values()), seconds)}
+    return compared[0].with_points(points).model_copy(update=spent)
+
+
+def _load(name: str, size: tuple[int, int] | None, split: str | None) -> Dataset:
+    data = load_dataset(name, size=size, split=split)
+    return replace(data, name=f"{data.name}, {split} split") if split else data
+
+
+def points(results: Results, **fields: Any) -> list[Point]:
+    """Points of results that have these values."""
+    return [
+        point
+        for point in results.points
+        if all(getattr(point, name) == value for name, value in fields.items())
+    ]
+
+
+def best(results: Results, **fields: Any) -> dict[tuple[str, float], Point]:
+    """Points at their chosen number of masks, by design and budget."""
+    return {(point.design, point.photons): point for point in points(results, best=True, **fields)}
+
+
+def budgets(chosen: Iterable[Cell]) -> list[float]:
+    """Budgets of points, rising."""
+    return sorted({point.photons for point in chosen})

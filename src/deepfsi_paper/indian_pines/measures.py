@@ -1,0 +1,271 @@
+"""Numbers behind the figures of Indian Pines, as `indian-pines.json` holds them.
+
+The scene and its parts, classes that DeepFSI gives to every labelled pixel, its spectral masks,
+and its accuracy class by class.
+"""
+
+import base64
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepfsi.datasets import Dataset, SpectralImage, load_spectra
+from deepfsi.datasets.indian_pines import WATER
+from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import evaluate
+from deepfsi.progress import SILENT, Report
+from deepfsi.report.comparison_page import read_masks
+from deepfsi.report.masks import brightest
+from deepfsi.sweeps.results import Point, Results
+from deepfsi_paper.experiment import best
+
+MAPPED = (1e2, 1e4, 1e6)
+"""Budgets of the class maps, photons."""
+
+SHOWN = (1e2, 1e4, 1e8)
+"""Budgets of the spectral masks, photons."""
+
+CURVE_COUNT = 4
+"""Spectral masks that are drawn of each noise and budget."""
+
+BAND = 12
+"""Band of the overview, from 1, as in the paper."""
+
+PAIR = ("Corn-notill", "Woods")
+"""Classes whose spectra are shown."""
+
+TRAINED, TESTED, LEFT_OUT = 1, 2, 3
+"""Use of a labelled pixel; 0 has no label."""
+
+Curves = Sequence[Sequence[float]]
+
+
+@dataclass(frozen=True)
+class Packed:
+    """Small whole numbers 0 to 255 in base64."""
+
+    shape: tuple[int, ...]
+    bytes: str
+
+    @property
+    def values(self) -> np.ndarray:
+        """The array that was packed."""
+        return np.frombuffer(base64.b64decode(self.bytes), np.uint8).reshape(self.shape)
+
+
+def pack(values: np.ndarray) -> Packed:
+    """Small whole numbers 0 to 255 as JSON can hold them."""
+    return Packed(values.shape, base64.b64encode(values.astype(np.uint8).tobytes()).decode())
+
+
+@dataclass(frozen=True)
+class Overview:
+    """Hyperspectral scene: its classes, one band and some spectra.
+
+    Attributes
+    ----------
+    classes : sequence of str
+    labels, band : Packed
+        Class of each pixel from 1, 0 for none; one band.
+    band_nm : float or None
+        Its wavelength, if known.
+    bands : int
+    wavelengths : sequence of float or None
+        Of all bands, nm.
+    water : sequence of pairs
+        Shortest and longest wavelength of bands that water vapour darkens, nm.
+    spectra : dict of str to array, shape (3, bands)
+        Percentiles 5, 50 and 95 of some classes.
+    """
+
+    classes: Sequence[str]
+    labels: Packed
+    band: Packed
+    band_nm: float | None
+    bands: int
+    wavelengths: Sequence[float] | None
+    water: Curves
+    spectra: dict[str, Curves]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Pixels of one split: the use of each, and the numbers of each use and of tested classes."""
+
+    uses: Packed
+    train: int
+    test: int
+    left_out: int
+    classes_tested: int
+
+
+@dataclass(frozen=True)
+class ClassMap:
+    """Classes given to every pixel, and their accuracy on training and on test pixels."""
+
+    split: str
+    photons: float
+    map: Packed
+    train: float
+    test: float
+
+
+@dataclass(frozen=True)
+class SpectralMasks:
+    """Brightest masks (k, bands) learned for a budget under each noise, and how many there are."""
+
+    photons: float
+    gaussian: Curves
+    gaussian_masks: int
+    poisson: Curves
+    poisson_masks: int
+
+
+@dataclass(frozen=True)
+class Recall:
+    """Accuracy (trials, classes) of DeepFSI on the test pixels of each class; None without any."""
+
+    split: str
+    photons: float
+    rates: Sequence[Sequence[float | None]]
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Everything that is measured beyond accuracies; `parts` by split."""
+
+    scene: Overview
+    parts: dict[str, Parts]
+    maps: Sequence[ClassMap]
+    masks: Sequence[SpectralMasks]
+    recalls: Sequence[Recall]
+
+
+def measure(
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+) -> dict[str, Any]:
+    """Overview, parts, class maps, spectral masks and recalls of the trained designs.
+
+    Parameters as of `Experiment.measure`.
+    """
+    scene = load_spectra(results.recipe["data"])
+    splits = list(dict.fromkeys(point.split for point in results.points))
+    parts: dict[str, Parts] = {}
+    maps: list[ClassMap] = []
+    for number, split in enumerate(splits):
+        report(number / len(splits), f"class maps, {split} split")
+        uses = _uses(scene, split)
+        parts[split] = _parts(scene, uses)
+        chosen = best(results, noise="poisson", split=split)
+        for photons in MAPPED:
+            if ("deepfsi", photons) in chosen:
+                design = _load(designs, chosen[("deepfsi", photons)])
+                seen = _classify_pixels(design, scene, data.pixels, photons)
+                right = seen == ranks(scene)
+                train, test = (float(right[uses == use].mean()) for use in (TRAINED, TESTED))
+                maps.append(ClassMap(split, photons, pack(seen), train, test))
+    masks = list(_spectral_masks(results, scene.cube.shape[2], splits[0], designs))
+    recalls = [row for split in splits for row in _recalls(results, scene, split, designs)]
+    return asdict(Measures(_overview(scene), parts, maps, masks, recalls))
+
+
+def _load(designs: Path, point: Point, trial: int = 0) -> Design:
+    return Design.load(designs / f"{point.keys[trial]}.safetensors")
+
+
+def ranks(scene: SpectralImage) -> np.ndarray:
+    """Place of each pixel's class among those present, from 1, (H, W); 0 where it has none."""
+    present = np.unique(scene.labels[scene.labels != 0])
+    return np.where(scene.labels != 0, np.searchsorted(present, scene.labels) + 1, 0)
+
+
+def _overview(scene: SpectralImage) -> Overview:
+    labels = ranks(scene)
+    spectra = scene.scenes().reshape(*labels.shape, -1)
+    bands = spectra.shape[2]
+    band = spectra[..., min(BAND, bands) - 1]
+    names = scene.class_names
+    nm = scene.wavelengths
+    return Overview(
+        classes=list(names),
+        labels=pack(labels),
+        band=pack(np.rint(255 * band / band.max())),
+        band_nm=None if nm is None else float(nm[min(BAND, len(nm)) - 1]),
+        bands=bands,
+        wavelengths=None if nm is None else nm.tolist(),
+        water=_water(nm),
+        spectra={
+            name: np.percentile(spectra[labels == names.index(name) + 1], (5, 50, 95), axis=0)
+            .round(4)
+            .tolist()
+            for name in [name for name in PAIR if name in names] or list(names[:2])
+        },
+    )
+
+
+def _water(wavelengths: np.ndarray | None) -> list[list[float]]:
+    """Ends (nm) of the runs of bands that water vapour darkens, where all 220 are known."""
+    if wavelengths is None or len(wavelengths) != 220:
+        return []
+    runs = np.split(WATER, np.flatnonzero(np.diff(WATER) > 1) + 1)
+    ranges = [wavelengths[run] for run in runs if len(run) > 1]
+    return [[float(each.min()), float(each.max())] for each in ranges]
+
+
+def _uses(scene: SpectralImage, split: str) -> np.ndarray:
+    train, test = scene.parts(split)
+    return np.select([train, test, scene.labels != 0], [TRAINED, TESTED, LEFT_OUT], 0)
+
+
+def _parts(scene: SpectralImage, uses: np.ndarray) -> Parts:
+    train, test, left_out = (int((uses == use).sum()) for use in (TRAINED, TESTED, LEFT_OUT))
+    tested = len(np.unique(scene.labels[uses == TESTED]))
+    return Parts(pack(uses), train, test, left_out, tested)
+
+
+def _classify_pixels(
+    design: Design, scene: SpectralImage, bands: int, photons: float
+) -> np.ndarray:
+    """Class of each labelled pixel after one exposure with photon noise, from 1; 0 elsewhere."""
+    known = scene.labels != 0
+    spectra = torch.from_numpy(scene.scenes(bands)[known.ravel()])
+    scanner = design.scanner("poisson")
+    with torch.no_grad():
+        rates = scanner.rates(spectra / design.summed_reflectance) * photons
+        counts = scanner.read(rates, torch.Generator().manual_seed(0))
+        guess = design.logits(design.detection.features(counts), photons).argmax(dim=-1)
+    seen = np.zeros(known.shape, int)
+    seen[known] = guess.numpy() + 1
+    return seen
+
+
+def _spectral_masks(
+    results: Results, bands: int, split: str, designs: Path
+) -> Iterator[SpectralMasks]:
+    """Brightest masks of DeepFSI at each of `SHOWN` for which both noises were trained."""
+    chosen = {noise: best(results, noise=noise, split=split) for noise in ("gaussian", "poisson")}
+    for photons in SHOWN:
+        if all(("deepfsi", photons) in own for own in chosen.values()):
+            row: list[Any] = []
+            for own in chosen.values():
+                point = own[("deepfsi", photons)]
+                rails = read_masks(designs / f"{point.keys[0]}.safetensors")[0]
+                masks = (rails[0] - rails[1])[brightest(rails, CURVE_COUNT), :bands]
+                row += [masks.round(6).tolist(), point.masks]
+            yield SpectralMasks(photons, *row)
+
+
+def _recalls(results: Results, scene: SpectralImage, split: str, designs: Path) -> Iterator[Recall]:
+    """Accuracy of DeepFSI on the test pixels of each class, under photon noise."""
+    data = scene.dataset(split, bands=results.data.image_shape[0])
+    for (design, photons), point in best(results, noise="poisson", split=split).items():
+        if design == "deepfsi":
+            trials = [
+                evaluate(_load(designs, point, seed), data, photons, seed=seed, report=SILENT)
+                for seed in range(len(point.keys))
+            ]
+            yield Recall(split, photons, [trial[0].rates for trial in trials])

@@ -1,0 +1,1 @@
+"""Figures of the experiments only, and the page of a study. Reads files; needs no torch."""

@@ -1,0 +1,178 @@
+"""A study of several experiments, as one HTML page that needs nothing else."""
+
+import math
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from pathlib import Path, PurePosixPath
+
+from markupsafe import Markup
+
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.report.rendering import flat, render
+from deepfsi.report.style import svg
+from deepfsi_paper.report.section import Cell, Claim, Section, Table
+
+WIDE = 5.5
+"""Inches; wider pictures have a line of the page for themselves."""
+
+# How an answer is written: word, mark, and place when claims are sorted by it.
+ANSWERS = {True: ("yes", "✓", 1), False: ("no", "✗", 2), None: ("open", "?", 3)}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A table cell as the page has it: its text, and the number that it sorts by."""
+
+    text: str
+    value: str | None = None
+
+
+def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
+    """Write `report.html` into a folder, all or nothing."""
+    check(sections)
+    text = render(
+        "study.html.jinja",
+        Path(__file__).parent,
+        title=title,
+        opened=opened(sections),
+        lead=lead(sections),
+        sections=[
+            {
+                "section": section,
+                "tally": tally(section.claims),
+                "pictures": [
+                    (
+                        picture,
+                        Markup(svg(picture.figure, f"figure{i}-{j}", picture.words)),
+                        picture.figure.get_figwidth() > WIDE,
+                    )
+                    for j, picture in enumerate(section.pictures)
+                ],
+                "tables": [(table, *columns(table)) for table in section.tables],
+                "facts": list(flat(section.facts)),
+            }
+            for i, section in enumerate(sections)
+        ],
+        claims=[(section, claim) for section in sections for claim in section.claims],
+        answers=ANSWERS,
+    )
+    return write_atomically(Path(folder) / "report.html", text.encode())
+
+
+def check(sections: Sequence[Section]) -> None:
+    """Refuse what cannot be a page; see `write_study`."""
+    if not sections:
+        raise InputError("a study without sections: give at least one")
+    names = [section.name for section in sections]
+    for section in sections:
+        if not re.fullmatch(r"[\w.-]+", section.name, re.ASCII):
+            raise InputError(
+                f"section name {section.name!r}: use letters, digits, '-', '_' and '.' only"
+            )
+        if names.count(section.name) > 1:
+            raise InputError(f"two sections named {section.name!r}: give each its own name")
+        for file in section.files:
+            if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts:
+                raise InputError(
+                    f"{file} of section {section.name!r} does not lie beside the page: give a path "
+                    "inside its folder"
+                )
+        for table in section.tables:
+            if any(len(row) != len(table.heads) for row in table.rows):
+                raise InputError(
+                    f"table {table.caption!r} of section {section.name!r} has rows that do not "
+                    f"fit its {len(table.heads)} heads: give a cell for each, None where empty"
+                )
+
+
+def tally(claims: Iterable[Claim]) -> str:
+    """Say how many claims hold, do not and are open; empty where there are none."""
+    answers = [claim.holds for claim in claims]
+    yes, no, still = (answers.count(answer) for answer in ANSWERS)
+    parts = [
+        (yes, "holds" if yes == 1 else "hold"),
+        (no, "does not" if no == 1 else "do not"),
+        (still, "open"),
+    ]
+    return ", ".join(f"{count} {words}" for count, words in parts if count)
+
+
+def opened(sections: Sequence[Section]) -> str:
+    """Say in three sentences what is tested, what the light is, and what intervals cover."""
+    names = [str(part.facts["data"]["name"]) for part in sections if "data" in part.facts]
+    data = f" of {', '.join(dict.fromkeys(names))}" if names else ""
+    return (
+        f"This page tests how well the class of a scene{data} can be read from few photons, with "
+        "masks and a network that were learned together and with others. A photon budget Φ is the "
+        "mean number of photons that reach the coding device in one exposure; masks share them "
+        "under a light law, and the photons of a mask are counted on one rail or, where it has "
+        "negative entries, on two. Intervals are of 95 % and cover what their caption says; "
+        "impulse imaging, which loses no photon, is no option, because it needs a detector for "
+        "each pixel."
+    )
+
+
+def lead(sections: Sequence[Section]) -> str:
+    """Write the paragraph under the title."""
+    many = len(sections)
+    claims = [claim for section in sections for claim in section.claims]
+    text = f"{many} experiment{'s' if many > 1 else ''}. "
+    if claims:
+        text += f"Claims tested: {len(claims)}; {tally(claims)}. "
+        text += "A claim is open where these data do not decide it. "
+    return text + (
+        "Each experiment says what the paper found and what we find, and gives its figures, the "
+        "numbers behind them and the command that repeats it."
+    )
+
+
+def columns(table: Table) -> tuple[list[bool], list[list[Shown]]]:
+    """Tell which columns of a table hold words, and write its cells, row by row."""
+    words, shown = [], []
+    for cells in zip(*table.rows, strict=True):
+        decimals = decimals_of([float(cell) for cell in cells if isinstance(cell, Real)])
+        words.append(any(isinstance(cell, str) for cell in cells))
+        shown.append([cell_shown(cell, decimals) for cell in cells])
+    return words or [True] * len(table.heads), [list(row) for row in zip(*shown, strict=True)]
+
+
+def cell_shown(cell: Cell, decimals: int) -> Shown:
+    """Write a cell; a dash where there is no value."""
+    if isinstance(cell, str):
+        return Shown(cell)
+    if cell is None or math.isnan(cell):
+        return Shown("–")
+    return Shown(number_text(cell, decimals), str(cell).replace("inf", "Infinity"))
+
+
+def decimals_of(numbers: Sequence[float]) -> int:
+    """Decimals that a column needs so that its largest number has three digits or four."""
+    sizes = [abs(n) for n in numbers if _plain(n) and not n.is_integer()]
+    if not sizes:
+        return 0
+    exponent = math.floor(math.log10(max(sizes)))
+    return max(0, 3 - exponent) if exponent >= 0 else 2 - exponent
+
+
+def number_text(number: float | Integral, decimals: int) -> str:
+    """Write a number: integers in full, others with these decimals or as a power of ten."""
+    if isinstance(number, Integral):
+        text = str(number)
+    elif math.isinf(number):
+        text = "∞" if number > 0 else "-∞"
+    elif _plain(number):
+        text = f"{number:.{decimals}f}"
+    else:
+        factor, exponent = f"{number:.2e}".split("e")
+        power = "10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        text = power if factor == "1.00" else f"{float(factor):g} × {power}"
+    return text.replace("-", "−")
+
+
+def _plain(number: float) -> bool:
+    """Test that a number is written without a power of ten."""
+    return number == 0 or 1e-3 <= abs(number) < 1e4

@@ -1,0 +1,64 @@
+"""The paper's experiments by name: each a recipe, figures, the numbers behind them, and claims."""
+
+import io
+from pathlib import Path
+
+from deepfsi.errors import InputError, check_known
+from deepfsi.files import write_atomically
+from deepfsi_paper import compression, detectors, mlgauss, quantization
+from deepfsi_paper.camera import claims as camera_study
+from deepfsi_paper.experiment import Experiment
+from deepfsi_paper.flexible import claims as flexible
+from deepfsi_paper.indian_pines import claims as indian_pines
+from deepfsi_paper.mnist import accuracy, masks, starts
+from deepfsi_paper.ovit import claims as ovit
+from deepfsi_paper.report.study_page import write_study
+
+STUDIES: dict[str, tuple[Experiment, ...]] = {
+    "mnist": (accuracy.EXPERIMENT, masks.EXPERIMENT, starts.EXPERIMENT),
+    "compression": (compression.EXPERIMENT,),
+    "mlgauss": (mlgauss.EXPERIMENT,),
+    "quantization": (quantization.EXPERIMENT,),
+    "indian-pines": (indian_pines.EXPERIMENT,),
+    "ovit": (ovit.EXPERIMENT,),
+    "ovit-images": (ovit.IMAGES,),
+    "ovit-full": (ovit.FULL,),
+    "hardware": (camera_study.EXPERIMENT,),
+    "flexible": (flexible.EXPERIMENT,),
+    "detectors": (detectors.MNIST, detectors.CIFAR10),
+}
+"""Experiments by the name under which they are reproduced, in the order of the page."""
+
+
+def find(name: str) -> tuple[Experiment, ...]:
+    """Experiments of that name, or `InputError`."""
+    check_known("experiment", name, STUDIES)
+    return STUDIES[name]
+
+
+def is_study(folder: Path) -> bool:
+    """True where a folder holds results of an experiment."""
+    return any((folder / f"{each.name}.json").is_file() for each in _every())
+
+
+def page(folder: Path) -> Path:
+    """Write `report.html` from whatever experiments a folder holds, and figures as `NAME-1.png`.
+
+    Raises
+    ------
+    InputError
+        If it holds none, or one that cannot be read.
+    """
+    sections = [section for each in _every() if (section := each.section(folder))]
+    if not sections:
+        raise InputError(f"no experiment in {folder}: run `deepfsi reproduce mnist -o {folder}`")
+    for section in sections:
+        for number, picture in enumerate(section.pictures, start=1):
+            drawn = io.BytesIO()
+            picture.figure.savefig(drawn, dpi=160)
+            write_atomically(folder / f"{section.name}-{number}.png", drawn.getvalue())
+    return write_study(folder, "Deep feature-specific imaging, reproduced", sections)
+
+
+def _every() -> list[Experiment]:
+    return [each for study in STUDIES.values() for each in study]

@@ -1,0 +1,200 @@
+"""Figures of the camera: what they show is what they were given, and all words can be read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import QuadMesh
+
+from deepfsi.devices import Device, find_device
+from deepfsi.errors import InputError
+from deepfsi.grid import find_grid
+from deepfsi.optics import codes
+from deepfsi.report import style
+from deepfsi_paper.camera import figures
+from deepfsi_paper.camera.figures import Accuracy
+from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
+from shared.figures import assert_legible
+
+DESIGNS = {
+    "deepfsi": ("DFSI", True),
+    "pca": ("FSI", True),
+    "truncated-hadamard": ("TH", False),
+    "raster": ("RS", False),
+    "hadamard": ("HB", False),
+}
+TITLES = {design: code.title for design, code in codes.DESIGNS.items()}
+TITLES["deepfsi"] = "DeepFSI, equal dwell"
+EXPOSURES = (1e-4, 1e-3, 1e-2, 1e-1)
+DIGITS = [str(digit) for digit in range(10)]
+
+
+def points(reach=0.03, offset=0.0):
+    return [
+        Accuracy(
+            design,
+            label,
+            TITLES[design],
+            specific,
+            exposure,
+            accuracy,
+            accuracy - reach,
+            accuracy + reach,
+        )
+        for place, (design, (label, specific)) in enumerate(DESIGNS.items())
+        for step, exposure in enumerate(EXPOSURES)
+        for accuracy in [0.3 + 0.2 * step - 0.05 * place + offset]
+    ]
+
+
+@pytest.mark.parametrize("count", [3, 10])
+def test_views_show_scenes_above_and_views_below_on_one_scale(count):
+    rng = np.random.default_rng(0)
+    raw, seen = rng.random((count, 16, 12)), rng.random((count, 8, 10))
+    figure = views_figure(raw, seen, DIGITS[:count], cell=(24, 32))
+    assert_legible(figure)
+    images = [image for ax in figure.axes for image in ax.get_images()]
+    assert len(images) == 2 * count
+    for image, wanted in zip(images, [*raw, *seen], strict=True):
+        np.testing.assert_array_equal(image.get_array(), wanted)
+        assert image.get_clim() == (0, 1)
+    assert images[-1].axes.get_aspect() == 24 / 32
+    with pytest.raises(InputError, match="one view of each"):
+        views_figure(raw, seen[:-1])
+
+
+def test_a_frame_is_shown_whole_and_its_close_up_mirror_by_mirror():
+    grid = find_grid(find_device("dlp7000"), (32, 32))
+    mirrors = np.random.default_rng(0).random((768, 1024)) < 0.3
+    figure = mirrors_figure(mirrors, grid, (4, 9), (2, 3))
+    assert_legible(figure)
+    whole, near = (ax.get_images()[0] for ax in figure.axes)
+    assert whole.get_array().mean() == pytest.approx(mirrors.mean())
+    close = mirrors[4 * 24 : 6 * 24, 9 * 32 : 12 * 32]
+    shown = np.asarray(near.get_array())
+    finer = shown.shape[0] // close.shape[0]
+    np.testing.assert_array_equal(shown, close.repeat(finer, 0).repeat(finer, 1))
+    assert tuple(near.get_extent()) == (9 * 32, 12 * 32, 6 * 24, 4 * 24)
+    borders = figure.axes[1].get_lines()
+    assert [line.get_ydata()[0] for line in borders[:3]] == [96, 120, 144]
+    assert [line.get_xdata()[0] for line in borders[3:]] == [288, 320, 352, 384]
+    assert [tick.get_text() for tick in figure.axes[1].get_xticklabels()] == ["10", "11", "12"]
+
+
+def test_the_close_up_lies_within_masks_that_leave_a_margin():
+    device = Device(name="d", columns=103, rows=77)
+    grid = find_grid(device, (2, 5))
+    figure = mirrors_figure(np.ones((77, 103), bool), grid)
+    assert_legible(figure)
+    left, right, bottom, top = figure.axes[1].get_images()[0].get_extent()
+    assert (left, right) == (grid.left + grid.width, grid.left + 4 * grid.width)
+    assert (top, bottom) == (grid.top, grid.top + 2 * grid.height)
+    with pytest.raises(InputError, match="leaves a mask of 2 x 5"):
+        mirrors_figure(np.ones((77, 103), bool), grid, (0, 3))
+
+
+@pytest.mark.parametrize("flux", [None, 1e7])
+def test_exposures_have_lines_and_published_values_open_beside(flux):
+    published = points(0.15, -0.08)
+    figure = figures.exposure_figure(points(), published, flux=flux)
+    assert_legible(figure)
+    ax = figure.axes[0]
+    ours = [line for line in ax.get_lines() if line.get_label() == TITLES["deepfsi"]]
+    np.testing.assert_allclose(ours[0].get_ydata(), [0.3, 0.5, 0.7, 0.9])
+    open_ones = [
+        line
+        for line in ax.get_lines()
+        if line.get_markerfacecolor() == style.PAPER and len(line.get_ydata()) == 1
+    ]
+    assert len(open_ones) == len(published)
+    for line, point in zip(open_ones, published, strict=True):
+        assert line.get_ydata()[0] == pytest.approx(point.accuracy)
+        assert point.exposure_s < line.get_xdata()[0] < 2 * point.exposure_s
+        assert line.get_marker() == ("o" if point.specific else "s")
+        assert line.get_color() == style.COLOURS[point.design]
+    if flux is not None:
+        (top,) = ax.child_axes
+        assert [tick.get_text() for tick in top.get_xticklabels()] == ["10³", "10⁴", "10⁵", "10⁶"]
+
+
+def test_exposures_without_published_values_need_no_key():
+    figure = figures.exposure_figure(points())
+    assert_legible(figure)
+    assert not figure.legends
+
+
+def test_squares_have_the_success_rate_as_grey_and_as_number():
+    rng = np.random.default_rng(0)
+    panels = {f"{exposure:g} s": rng.random((5, 10)) for exposure in EXPOSURES}
+    panels["0.1 s"][2, 3] = np.nan
+    panels["0.1 s"][0] = 1
+    labels = [label for label, _ in DESIGNS.values()]
+    figure = figures.digits_figure(panels, labels, DIGITS)
+    assert_legible(figure)
+    for ax, (heading, rates) in zip(figure.axes, panels.items(), strict=False):
+        assert ax.get_title(loc="left") == heading
+        (mesh,) = (c for c in ax.collections if isinstance(c, QuadMesh))
+        shown = np.ma.filled(mesh.get_array(), np.nan).reshape(5, 10)
+        np.testing.assert_allclose(shown, 100 * rates)
+        assert mesh.get_clim() == (0, 100)
+        words = [text.get_text() for text in ax.texts]
+        assert words == ["–" if np.isnan(rate) else f"{100 * rate:.0f}" for rate in rates.ravel()]
+        assert ax.get_ylim() == (5, 0)
+    with pytest.raises(InputError, match="5 designs and 10 classes"):
+        figures.digits_figure({"a": np.ones((4, 10))}, labels, DIGITS)
+
+
+def test_one_exposure_and_longer_names():
+    figure = figures.digits_figure({"0.1 s": np.eye(2, 3)}, ["DeepFSI", "FSI"], ["a", "b", "c"])
+    assert_legible(figure)
+
+
+AXES = {
+    "ambient": "ambient light (photons/s on the device)",
+    "dead_time_s": "dead time (s)",
+    "assumed": "budget assumed in training (photons)",
+    "unused": "what nobody varied",
+}
+VALUES = {
+    "ambient": (0.0, 1e5, 3e5, 1e6, 1e7),
+    "dead_time_s": (0.0, 20e-9, 50e-9, 200e-9),
+    "assumed": (1e3, 1e4, 1e5),
+}
+
+
+def test_effects_have_a_column_each_and_exposures_a_row():
+    rows = [
+        replace(point, effect=effect, value=value, accuracy=0.5, low=0.4, high=0.5 + k)
+        for effect, values in VALUES.items()
+        for k, value in zip(np.linspace(0.1, 0.2, len(values)), values, strict=True)
+        for point in points()
+        if point.exposure_s in (1e-3, 1e-2)
+    ]
+    figure = figures.effects_figure(rows, AXES, flux=1e7)
+    assert_legible(figure)
+    heads = [ax.get_title(loc="left") for ax in figure.axes]
+    assert [head for head in heads if head] == [
+        "exposure 0.01 s, 10⁵ photons",
+        "exposure 0.001 s, 10⁴ photons",
+    ]
+    assert heads[0]
+    assert heads[3]
+    axes = dict(zip(VALUES, figure.axes, strict=False))
+    ambient = axes["ambient"].containers
+    assert len(ambient) == len(DESIGNS)
+    np.testing.assert_allclose(ambient[0].lines[0].get_xdata(orig=False)[1:], VALUES["ambient"][1:])
+    dead = axes["dead_time_s"].containers[0].lines[0].get_xdata(orig=False)
+    np.testing.assert_allclose(dead[1:], [20, 50, 200])
+    assert 0 < dead[0] < 20
+    ticks = [tick.get_text() for tick in figure.axes[4].get_xticklabels()]
+    assert ticks == ["0", "20", "50", "200"]
+    assert figure.axes[4].get_xlabel() == "dead time (ns)"
+    marks = [axes[effect].get_lines()[-1].get_xdata()[0] for effect in ("ambient", "assumed")]
+    assert marks == [1e7, 1e5]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        *(TITLES[design] for design in DESIGNS),
+        figures.MARKS,  # the dotted lines are explained
+    ]
+    breaks = [line for line in axes["ambient"].get_lines() if line.get_ydata()[0] == 0]
+    assert len(breaks) >= 3  # 0 is not on the logarithmic scale
+    assert not [line for line in axes["assumed"].get_lines()[:-1] if line.get_ydata()[0] == 0]

@@ -1,0 +1,129 @@
+"""The study of detectors answers to the numbers."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from deepfsi_paper import detectors as study
+from shared.figures import assert_legible, assert_sound
+from shared.results import a_point, some_results
+
+LIGHTS = (1e2, 1e3, 1e4, 1e5)
+NAMES = ("1x1", "2x2", "4x4", "8x8")
+ACCURACY = {  # by photons, a column for each number of detectors, the last that of each pixel
+    1e2: (0.20, 0.30, 0.40, 0.45, 0.53),
+    1e3: (0.48, 0.70, 0.80, 0.88, 0.93),
+    1e4: (0.85, 0.95, 0.97, 0.98, 0.985),
+    1e5: (0.97, 0.97, 0.97, 0.97, 0.97),
+}
+
+
+def point(recipe, name, photons, accuracy, **fields):
+    shifted = tuple(accuracy + np.array([-0.001, 0.0, 0.001]))
+    optics = {"light": "free-dwell", "rails": "single", "detectors": name, "masks": 4}
+    given = {**optics, "photons": photons, "accuracies": shifted, **fields}
+    return a_point(accuracy, 0.002, recipe=recipe, **given)
+
+
+def results(gain=0.02, bare=-0.1, **changed):
+    """Results with another accuracy at PLACE (place of the detectors) and PHOTONS.
+
+    `gain` and `bare` are what looks and a frame that is all ON read more than masks.
+    """
+    points = []
+    for photons, place in product(LIGHTS, range(4)):
+        accuracy = changed.get(f"at_{place}_{photons:g}", ACCURACY[photons][place])
+        points.append(point(NAMES[place], NAMES[place], photons, accuracy))
+        points.append(point(NAMES[place], NAMES[place], photons, 0.99, masks=8, best=False))
+        if place < 2:
+            name = NAMES[place]
+            points.append(point(f"looks-{name}", name, photons, accuracy + gain, masks=32))
+    without = {"design": "truncated-hadamard", "masks": 1}
+    for photons, (place, name) in product(LIGHTS, enumerate(("2x2", "4x4", "16x16"), 1)):
+        points.append(point("on", name, photons, ACCURACY[photons][place] + bare, **without))
+    for photons in LIGHTS:
+        impulse = {"design": "impulse", "light": "column", "masks": 1024, "ratio": 1.0}
+        points.append(point("impulse", "1x1", photons, ACCURACY[photons][-1], **impulse))
+    return some_results(points)
+
+
+@pytest.mark.parametrize(
+    ("changes", "answers"),
+    [
+        ({}, [True] * 9),
+        ({"at_1_1000": 0.65}, [False, *[True] * 8]),
+        ({"at_1_10000": 0.939}, [True, None, *[True] * 7]),
+        ({"at_3_10000": 0.96}, [*[True] * 4, False, *[True] * 4]),
+        ({"at_3_10000": 0.97}, [*[True] * 4, None, *[True] * 4]),
+        ({"bare": 0.01}, [*[True] * 5, False, False, True, True]),
+        ({"bare": 0.0}, [*[True] * 5, None, None, True, True]),
+        ({"gain": -0.02}, [*[True] * 7, False, False]),
+        ({"gain": 0.0005}, [*[True] * 9]),
+        ({"gain": 0.0}, [*[True] * 7, None, None]),
+    ],
+)
+def test_claims_answer_to_the_numbers(changes, answers):
+    claims = study.MNIST.show(results(**changes)).claims
+    assert [claim.holds for claim in claims] == answers
+    assert all(claim.measured for claim in claims)
+    assert len(study.CIFAR10.show(results(**changes)).claims) == len(answers) - 4
+
+
+def test_the_fewest_detectors_that_are_near_impulse_imaging_are_told():
+    found = study.MNIST.show(results()).found
+    near = "1024 at 100 photons, 1024 at 1000 photons, 16 at 10⁴ photons, 1 at 10⁵ photons"
+    assert near in found
+
+
+def test_the_table_has_a_row_for_each_number_of_detectors_and_kind_of_dwells():
+    [table] = study.MNIST.show(results()).tables
+    assert [row[:2] for row in table.rows] == [
+        *((detectors, "fixed") for detectors in (1, 4, 16, 64)),
+        (1024, "impulse imaging"),
+        *((detectors, "one frame, all ON") for detectors in (4, 16, 256)),
+        *((detectors, "looks") for detectors in (1, 4)),
+    ]
+    assert table.rows[1][3] == "0.700 (4)"
+    assert table.rows[-1][3] == "0.720 (32)"
+    assert table.rows[4][3] == "0.930"
+
+
+def test_the_start_is_chosen_on_validation_images_and_not_on_those_of_the_test():
+    better = {"validation": 0.9, "masks": 12, "variant": "start truncated-hadamard"}
+    made = results()
+    other = point("2x2", "2x2", 1e3, 0.65, **better)
+    for points in ([other, *made.points], [*made.points, other]):
+        [table] = study.MNIST.show(made.with_points(points)).tables
+        assert table.rows[1][3] == "0.650 (12)"
+
+
+def test_a_line_for_each_number_of_detectors_and_for_each_budget():
+    [picture] = study.MNIST.show(results()).pictures
+    by_photons, by_detectors = picture.figure.axes
+    assert len(by_photons.lines) == 5 + 2
+    assert len(by_detectors.lines) == len(LIGHTS) * 3
+    assert [list(line.get_xdata()) for line in by_detectors.lines[:1]] == [[1, 4, 16, 64, 1024]]
+    assert_legible(picture.figure)
+    assert_sound(lambda: study.MNIST.show(results()).pictures[0].figure)
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_both_data_sets_have_the_same_designs(quick):
+    first, second = (each.recipes(quick) for each in (study.MNIST, study.CIFAR10))
+    assert list(first) == list(second)
+    for one, other in zip(first.values(), second.values(), strict=True):
+        assert one == other.model_copy(update={"data": "mnist"})
+
+
+@pytest.mark.parametrize(
+    ("here", "taken"),
+    [
+        (("cifar10", "cifar10-jpeg"), "cifar10"),
+        (("cifar10-jpeg",), "cifar10-jpeg"),
+        ((), "cifar10"),
+    ],
+)
+def test_a_copy_in_jpeg_is_taken_where_the_original_is_not_here(monkeypatch, here, taken):
+    monkeypatch.setattr(study, "where", lambda name: name in here)
+    assert {each.data for each in study.CIFAR10.recipes(True).values()} == {taken}

@@ -1,0 +1,105 @@
+"""The claims of flexible designs answer to the numbers."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from deepfsi.design.stopping import Estimate, Stopped, StoppingRule
+from deepfsi_paper.flexible import claims as flexible
+from deepfsi_paper.flexible.measures import Measures, Prefix
+from shared.results import a_point, some_results
+
+LIGHTS = (1e3, 1e4)
+SHIFTS = np.array([-0.001, 0.0, 0.001])
+
+
+def point(recipe, accuracy, **fields):
+    given = {"recipe": recipe, "label": "DFSI", "title": "DeepFSI", **fields}
+    return a_point(accuracy, 0.002, accuracies=tuple(accuracy + SHIFTS), **given)
+
+
+def rate(mean):
+    return Estimate(mean, mean - 0.001, mean + 0.001)
+
+
+def stopped_trials(used, lost):
+    """Exposures of three trials that stop early."""
+    return [
+        Stopped(
+            photons=1e5,
+            rule=StoppingRule((1, 2), (1.0, 1.0), 0.9),
+            used=rate(used + change),
+            whole=rate(0.9),
+            stopped=rate(0.9 - lost),
+            difference=rate(-lost + change / 1000),
+            stops=[0.5, 0.5],
+            confidence=0.9,
+            calibration_error=0.01,
+            uncalibrated_error=0.02,
+            log_loss=0.1,
+            uncalibrated_log_loss=0.2,
+            reliability=[],
+            rejection=[{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
+            curve=[{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
+            validation={},
+            images=10,
+            draws=1,
+        )
+        for change in SHIFTS
+    ]
+
+
+def results(ranged=0.9, first=0.89, used=0.6, lost=0.0, looked=0.5):
+    fixed = [{"design": d, "label": d.upper(), "title": d} for d in ("pca", "truncated-hadamard")]
+    points = [
+        *(point("budgets", 0.9, photons=p) for p in LIGHTS),
+        *(point("budgets", 0.7, photons=p, **design) for p in LIGHTS for design in fixed),
+        point("counts", 0.9, masks=10),
+        *(point("counts", 0.7, masks=10, **design) for design in fixed),
+        *(point("range", ranged, photons=p, trained_at=2e2) for p in LIGHTS),
+        point("nested", 0.9),
+        point("stop", 0.9, photons=1e5),
+        *(point("plain", 0.9, photons=p) for p in (5e4, 1e5)),
+    ]
+    prefixes = [
+        Prefix(
+            recipe, masks, masks / 1024, 1e4, tuple(each + SHIFTS), each, each - 0.002, each + 0.002
+        )
+        for recipe in ("nested", "both")
+        for masks, each in ((10, first), (92, 0.9))
+    ]
+    trials = stopped_trials(used, lost), stopped_trials(looked, 0.0)
+    return some_results(points, extra=asdict(Measures(prefixes, *trials)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "answers"),
+    [
+        ({}, [True, True, True, True]),
+        ({"ranged": 0.88}, [False, True, True, True]),
+        ({"first": 0.88}, [True, False, True, True]),
+        ({"used": 0.8}, [True, True, False, True]),
+        ({"lost": 0.01}, [True, True, False, True]),
+        ({"looked": 0.8}, [True, True, True, False]),
+    ],
+)
+def test_claims_answer_to_the_numbers(changes, answers):
+    claims = flexible.claims_of(flexible.Numbers(results(**changes)))
+    assert [claim.holds for claim in claims] == answers
+
+
+def test_tables_hold_the_differences():
+    found = flexible.show(results(ranged=0.91))
+    assert len(found.pictures) == 3
+    ranged, nested, stopping = found.tables
+    assert ranged.rows[0][:4] == ("1000", 0.91, 0.9, "+0.010 [+0.010, +0.010]")
+    assert ranged.rows[0][4:] == (0.7, 0.7)
+    assert nested.rows[0][:4] == (10, 0.89, 0.9, "−0.010 [−0.010, −0.010]")
+    assert stopping.rows[1][:2] == ("nested, stopped early", pytest.approx(6e4))
+    assert stopping.rows[3][:2] == ("several looks, stopped early", pytest.approx(5e4))
+
+
+def test_a_single_trial_has_the_interval_of_its_images():
+    found = flexible.mean_rate([Estimate(0.4, 0.3, 0.5)])
+    assert (found.low, found.high) == pytest.approx((0.3, 0.5))

@@ -1,0 +1,381 @@
+"""The study of spectra: run small on either scene, and claims that answer to made-up numbers."""
+
+import csv
+import itertools
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from deepfsi.datasets import load_spectra
+from deepfsi.report.style import svg
+from deepfsi_paper import experiment, studies
+from deepfsi_paper.indian_pines import claims as indian_pines
+from deepfsi_paper.indian_pines import figures
+from deepfsi_paper.indian_pines.claims import EXPERIMENT
+from deepfsi_paper.indian_pines.measures import (
+    ClassMap,
+    Measures,
+    Overview,
+    Packed,
+    Parts,
+    Recall,
+    SpectralMasks,
+    pack,
+)
+from shared.figures import assert_legible
+from shared.results import a_point, some_results
+
+SIMULATED = "indian-pines-surrogate"
+NM = np.linspace(400, 2500, 220)
+NM[31:34] = NM[33:30:-1]  # where two spectrometers overlap the table does not rise
+
+
+def label_map():
+    """Sixteen classes in four small fields each, in a scene of Indian Pines' size."""
+    labels = np.zeros((145, 145), np.uint8)
+    for number, (i, j) in enumerate(itertools.product(range(8), range(8))):
+        labels[18 * i + 2 : 18 * i + 6, 18 * j + 2 : 18 * j + 6] = 1 + number % 16
+    return labels
+
+
+def make_home(root, patch):
+    """$DEEPFSI_DATA with a label map and a band table, but no cube."""
+    folder = root / "data" / "indian_pines"
+    folder.mkdir(parents=True)
+    patch.setenv("DEEPFSI_DATA", str(folder.parent))
+    savemat(folder / "Indian_pines_gt.mat", {"indian_pines_gt": label_map()})
+    rows = [f"{nm:.6f}\t9.78\t0.92\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
+    (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
+    return folder
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    return make_home(tmp_path, monkeypatch)
+
+
+def add_cube(home):
+    cube = np.random.default_rng(0).integers(955, 2000, (145, 145, 220)).astype(np.uint16)
+    cube += (label_map()[..., None] * (100 + np.arange(220))).astype(np.uint16)
+    savemat(home / "Indian_pines.mat", {"indian_pines": cube})
+
+
+def run(folder, patch, **grid):
+    """Run the study with one trial on a grid of a moment."""
+    whole = experiment.Experiment.recipes
+    grid = {"photons": (1e2, 1e4), **grid}
+
+    def recipes(self, quick, trials=None):
+        how = {"epochs": (1,), "batch": (100,), "hidden": ((8,),)}
+        changes = {"ratios": (0.02,), "training": how, "draws": 1, **grid}
+        coarse = whole(self, True, trials)
+        return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
+
+    patch.setattr(experiment.Experiment, "recipes", recipes)
+    results = EXPERIMENT.run(folder, command="deepfsi reproduce indian-pines", trials=1)
+    patch.setattr(experiment.Experiment, "recipes", whole)
+    return results, EXPERIMENT.section(folder)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Run the study on a simulated scene: (folder, results, section)."""
+    root = tmp_path_factory.mktemp("simulated")
+    with pytest.MonkeyPatch.context() as patch:
+        make_home(root, patch)
+        yield root / "out", *run(root / "out", patch)
+
+
+def test_what_is_simulated_says_so_wherever_it_shows(simulated):
+    folder, results, section = simulated
+    assert "simulated" in section.title
+    assert SIMULATED in section.title
+    assert section.found.startswith("These are not numbers of the real scene")
+    assert len(section.pictures) == 5
+    for picture in section.pictures:
+        assert SIMULATED in picture.caption
+        assert SIMULATED in picture.words
+        assert f"{SIMULATED} (simulated)" in picture.figure.get_suptitle()
+    assert all(SIMULATED in table.caption for table in section.tables)
+    assert all(SIMULATED in claim.measured for claim in section.claims)
+    for name in section.files:
+        rows = list(csv.DictReader((folder / name).read_text().splitlines()))
+        assert rows
+        assert all(SIMULATED in row["data"] for row in rows)
+    assert SIMULATED in studies.page(folder).read_text()
+    assert "224" in section.found + section.paper
+    assert {point.split for point in results.points} == {"random", "blocks"}
+
+
+def test_both_splits_are_trained_and_tested_apart(simulated):
+    _, results, section = simulated
+    keys = {
+        split: {key for point in experiment.points(results, split=split) for key in point.keys}
+        for split in ("random", "blocks")
+    }
+    assert len(keys["random"]) == len(keys["blocks"]) > 0
+    assert not keys["random"] & keys["blocks"]
+    scene = load_spectra(SIMULATED)
+    for split, part in results.extra["parts"].items():
+        train, test = scene.parts(split)
+        uses = Packed(**part["uses"]).values
+        assert np.array_equal(uses == 1, train)
+        assert np.array_equal(uses == 2, test)
+        assert np.array_equal(uses > 0, scene.labels > 0)
+        assert (part["train"], part["test"]) == (train.sum(), test.sum())
+    assert not any(claim.holds for claim in section.claims), "one trial has no interval over seeds"
+
+
+def test_maps_show_what_the_design_says_of_each_pixel(simulated):
+    _, results, _ = simulated
+    extra = results.extra
+    scene = load_spectra(SIMULATED)
+    for row in extra["maps"]:
+        seen = Packed(**row["map"]).values
+        uses = Packed(**extra["parts"][row["split"]]["uses"]).values
+        assert np.array_equal(seen > 0, scene.labels > 0)
+        right = seen == scene.labels
+        assert row["test"] == right[uses == 2].mean()
+        assert row["train"] == right[uses == 1].mean()
+
+
+def test_the_real_scene_is_used_where_it_is_at_hand(home, tmp_path, monkeypatch):
+    assert EXPERIMENT.recipes(quick=True)["random"].data == SIMULATED
+    add_cube(home)
+    assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines"
+    (home / "92AV3C.spc").unlink()
+    _, section = run(tmp_path / "out", monkeypatch, photons=(1e4,))
+    said = json.dumps([section.title, section.found, *(p.caption for p in section.pictures)])
+    assert "simulated" not in said
+    assert "surrogate" not in said
+    for picture in section.pictures[2:]:
+        labels = [ax.get_xlabel() for ax in picture.figure.axes] + [picture.figure.get_supxlabel()]
+        assert "wavelength (nm)" not in labels, "there is no band table"
+
+
+def test_the_corrected_cube_goes_before_a_simulated_one(home):
+    cube = np.ones((145, 145, 200), np.uint16)
+    savemat(home / "Indian_pines_corrected.mat", {"indian_pines_corrected": cube})
+    assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines-corrected"
+
+
+def test_without_any_scene_the_real_one_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    assert EXPERIMENT.recipes(quick=True)["random"].data == "indian-pines"
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_the_recipes_differ_in_their_split_alone(quick):
+    one, other = EXPERIMENT.recipes(quick).values()
+    assert (one.split, other.split) == ("random", "blocks")
+    assert one.model_dump(exclude={"split"}) == other.model_dump(exclude={"split"})
+    assert min(one.photons) == 10
+    assert max(one.photons) == 1e10
+
+
+def test_the_full_recipe_is_the_papers():
+    recipe = EXPERIMENT.recipes(quick=False)["random"]
+    assert recipe.training == {"epochs": (2000,), "batch": (5000,), "lr": (5e-3,)}
+    assert recipe.photons == tuple(10.0**k for k in range(1, 11))
+    assert not recipe.ratios
+    assert set(recipe.noise) == {"poisson", "gaussian"}
+
+
+LEVEL = {"deepfsi": 0.8, "pca": 0.7, "truncated-hadamard": 0.6, "control": 0.65,
+         "hadamard": 0.4, "raster": 0.3, "impulse": 0.9}  # fmt: skip
+BUDGETS = (1e2, 1e4, 1e6)
+
+
+def overview(labels, classes, wavelengths=None, spectra=None, water=()):
+    labels = np.array(labels)
+    spectra = spectra or {classes[0]: [[0.1, 0.2, 0.3]] * 3}
+    bands = np.shape(next(iter(spectra.values())))[1]
+    return Overview(classes, pack(labels), pack(labels), None, bands, wavelengths, water, spectra)
+
+
+def measured(labels, *recalls):
+    scene, parts = overview(labels, ["a", "b"]), Parts(pack(np.array(labels)), 3, 2, 0, 2)
+    return Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
+
+
+def answers(recall=(0.9, 0.8), **changed):
+    """Answers to all claims: an advantage under PN, none under AGN, or with changes."""
+    points = []
+    for split, noise, photons in itertools.product(
+        ("random", "blocks"), ("poisson", "gaussian"), BUDGETS
+    ):
+        for design, level in LEVEL.items():
+            level = 0.7 if (design, noise) == ("deepfsi", "gaussian") else level
+            level = changed.get(f"{split}|{noise}|{design}|{photons:g}", level)
+            step = -0.001 if (split, design) == ("random", "deepfsi") else 0.001
+            points.append(
+                a_point(
+                    level,
+                    0.002,
+                    split=split,
+                    noise=noise,
+                    photons=photons,
+                    design=design,
+                    masks=3,
+                    specific=design in ("pca", "deepfsi", "control"),
+                    accuracies=(level - step, level, level + step),
+                )
+            )
+    results = some_results(
+        points,
+        recipe={"data": SIMULATED, "sigma": 1.0},
+        data={"classes": ("a", "b"), "image_shape": (4,)},
+        extra=asdict(
+            measured(
+                [[0, 1, 1], [2, 2, 2]],
+                *(
+                    Recall(split, photons, [[rate - 0.001, None], [rate, 0.0]])
+                    for split, rate in zip(("random", "blocks"), recall, strict=True)
+                    for photons in BUDGETS
+                ),
+            )
+        ),
+    )
+    return [claim.holds for claim in indian_pines.claims_of(indian_pines.Numbers(results))]
+
+
+def test_claims_hold_where_the_numbers_are_the_papers():
+    assert answers() == [True] * 6
+
+
+@pytest.mark.parametrize(
+    ("place", "change", "answer"),
+    [
+        (0, {"random|gaussian|deepfsi|10000": 0.8}, False),
+        (0, {"random|gaussian|deepfsi|10000": 0.72}, None),
+        (0, {"random|gaussian|deepfsi|10000": 0.5}, True),
+        (0, {"random|gaussian|impulse|10000": 0.5}, True),
+        (1, {"blocks|gaussian|deepfsi|100": 0.8}, False),
+        (1, {"random|gaussian|deepfsi|100": 0.8}, True),
+        (2, {"random|poisson|raster|100": 0.85}, False),
+        (2, {"random|poisson|control|100": 0.8}, None),
+        (2, {"random|poisson|impulse|100": 0.99}, True),
+        (2, {"blocks|poisson|pca|100": 0.85}, True),
+        (3, {"blocks|poisson|pca|100": 0.85}, False),
+        (4, {"recall": (0.8, 0.9)}, False),
+        (4, {"recall": (0.8, 0.8)}, None),
+        (5, {"blocks|poisson|pca|100": 0.75}, False),
+        (5, {"random|poisson|pca|100": 0.72, "blocks|poisson|pca|100": 0.7}, None),
+        (5, {"random|poisson|pca|100": 0.71}, True),
+    ],
+)
+def test_claims_answer_to_the_numbers(place, change, answer):
+    assert answers(**change)[place] is answer
+
+
+def test_leakage_weighs_classes_by_their_share_of_the_scene():
+    """A class that one split does not test counts in neither."""
+    measures = measured(
+        [1] * 6 + [2] * 2 + [3] * 9,
+        Recall("random", 1e4, [[1.0, 0.6, 0.0]]),
+        Recall("blocks", 1e4, [[0.5, 0.2, None]]),
+    )
+    found = indian_pines.leakage(measures)[1e4]
+    assert found.random == pytest.approx((6 * 1 + 2 * 0.6) / 8)
+    assert found.blocks == pytest.approx((6 * 0.5 + 2 * 0.2) / 8)
+    assert found.difference.mean == pytest.approx(found.random - found.blocks)
+
+
+def test_small_numbers_survive_json():
+    values = np.arange(12).reshape(3, 4) * 20
+    assert np.array_equal(Packed(**json.loads(json.dumps(asdict(pack(values))))).values, values)
+
+
+def names(count):
+    return [f"Class of some length {k}" for k in range(1, count + 1)]
+
+
+def mask_rows(count=2, bands=220):
+    rng = np.random.default_rng(1)
+    return [
+        SpectralMasks(
+            10.0 ** (2 + 3 * row), rng.normal(size=(4, bands)), 10, rng.normal(size=(3, bands)), 3
+        )
+        for row in range(count)
+    ]
+
+
+@pytest.mark.parametrize("count", [2, 16])
+@pytest.mark.parametrize("wavelengths", [NM, None])
+def test_the_overview_can_be_read(count, wavelengths):
+    labels = np.minimum(label_map(), count)
+    spectrum = np.linspace(0.1, 0.3, 3)[:, None] * np.ones(220)
+    water = [[1350, 1400]] if wavelengths is not None else []
+    scene = overview(labels, names(count), wavelengths, {"a": spectrum, "b": 2 * spectrum}, water)
+    figure = figures.overview_figure(scene, title="farm", band_name="band 12")
+    figure.draw_without_rendering()
+    counts = [patch.get_width() for patch in figure.axes[2].patches]
+    assert counts == np.bincount(labels.ravel())[1:].tolist()
+    xs = figure.axes[3].lines[0].get_xdata()
+    assert (np.diff(xs) > 0).all()
+    assert len({text.get_text() for text in figure.axes[1].texts}) == count
+    assert "farm" in svg(figure, "overview", "words")
+
+
+def test_maps_stand_beside_the_truth():
+    labels = label_map()
+    rows = [
+        ClassMap(split, photons, pack(np.roll(labels, k, 0)), 1.0, 0.5)
+        for split in ("random", "blocks")
+        for k, photons in enumerate((1e2, 1e4, 1e6))
+    ]
+    uses = {"random": np.minimum(labels, 3), "blocks": np.minimum(labels, 2)}
+    figure = figures.class_maps_figure(overview(labels, names(16)), rows, uses, title="farm")
+    shown = [ax.get_images()[0].get_array() for ax in figure.axes]
+    assert len(shown) == 10
+    for line, split in ((shown[:5], "random"), (shown[5:], "blocks")):
+        wanted = [labels, uses[split], *(r.map.values for r in rows if r.split == split)]
+        for got, each in zip(line, wanted, strict=True):
+            np.testing.assert_array_equal(got, each)
+    said = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
+    assert {"16 Class of some length 16", "pixels: training"} <= said
+
+
+@pytest.mark.parametrize("wavelengths", [NM, None])
+def test_masks_are_curves_over_rising_wavelengths(wavelengths):
+    rows = mask_rows()
+    scene = overview(label_map(), names(16), wavelengths)
+    figure = figures.spectral_masks_figure(rows, scene, title="farm")
+    assert_legible(figure)
+    line = figure.axes[0].lines[0]
+    assert (np.diff(line.get_xdata()) > 0).all()
+    order = np.arange(220) if wavelengths is None else np.argsort(NM, kind="stable")
+    np.testing.assert_array_equal(line.get_ydata(), rows[0].gaussian[0][order])
+    assert figure.get_supxlabel() == ("band" if wavelengths is None else "wavelength (nm)")
+
+
+SEEN = {
+    "all cones": (np.eye(3), 20),
+    "no red cones": (
+        ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052)),
+        10,
+    ),
+    "no green cones": (
+        ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969)),
+        10,
+    ),
+}
+"""What eyes see of linear RGB (Machado, Oliveira and Fernandes 2009), and the least distance."""
+
+
+@pytest.mark.parametrize("eyes", SEEN)
+def test_class_colours_are_apart(eyes):
+    from matplotlib.colors import to_rgb
+    from skimage.color import deltaE_ciede2000, rgb2lab
+
+    matrix, least = SEEN[eyes]
+    rgb = np.array([to_rgb(colour) for colour in (*figures.CLASS_COLOURS, figures.NO_CLASS)])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.transpose(matrix), 0, 1)
+    back = np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
+    lab = rgb2lab(back[None])[0]
+    apart = deltaE_ciede2000(lab[:, None], lab[None])
+    assert apart[~np.eye(17, dtype=bool)].min() > least

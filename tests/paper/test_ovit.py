@@ -1,0 +1,229 @@
+"""The study of the vision transformer: its trials, what they leave on disk, and its claims."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from conftest import synthetic
+from deepfsi.design.artifact import Design
+from deepfsi.errors import InputError
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.sweeps import patch_trials
+from deepfsi.sweeps.patch_trials import PatchRecipe, plan_patches
+from deepfsi_paper import studies
+from deepfsi_paper.ovit import claims as ovit
+from deepfsi_paper.ovit.claims import EXPERIMENT, IMAGES
+from shared.results import a_point, some_results
+
+TINY = PatchRecipe(
+    data="synthetic",
+    validation=24,
+    patch=4,
+    designs=("impulse", "raster", "hadamard", "pca", "deepfsi"),
+    photons=(1e2, 1e5),
+    trials=2,
+    training={"epochs": 1, "batch": 24, "width": 8, "heads": 2, "depth": 1, "hidden": 8},
+)
+
+
+@pytest.fixture
+def images(monkeypatch):
+    """Make the study one of small synthetic images, of a moment."""
+    data = synthetic((8, 8))
+    monkeypatch.setattr(PatchRecipe, "load", lambda self: data)
+
+    def recipes(self, quick, trials=None):
+        return {"ovit": TINY if trials is None else TINY.model_copy(update={"trials": trials})}
+
+    monkeypatch.setattr(ovit.PatchExperiment, "recipes", recipes)
+    return data
+
+
+def table(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
+    results = EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
+    assert len(results.points) == 10
+    page = studies.page(tmp_path).read_text()
+    section = EXPERIMENT.section(tmp_path)
+    assert section.title in page
+    assert "applied to every patch" in page
+    assert "synthetic in grey" in section.found
+    assert [claim.text.split()[3] for claim in section.claims[:3]] == ["RS", "HB", "FSI"]
+    assert all(claim.measured for claim in section.claims)
+    for number in (1, 2):
+        assert (tmp_path / f"ovit-{number}.png").read_bytes().startswith(b"\x89PNG")
+    assert len(table(tmp_path / "ovit-trials.csv")) == 20
+    assert {row["data"] for row in table(tmp_path / "ovit-trials.csv")} == {"synthetic"}
+
+
+def test_points_are_means_over_seeds_of_what_the_trials_hold(images, tmp_path):
+    results = EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
+    rows = table(tmp_path / "ovit-trials.csv")
+    for point in results.points:
+        own = [
+            float(row["accuracy"])
+            for row in rows
+            if (row["design"], float(row["photons"])) == (point.design, point.photons)
+        ]
+        assert point.accuracies == pytest.approx(own)
+        assert point.accuracy == pytest.approx(np.mean(own))
+        assert point.trials == 2
+    learned = [point.label for point in results.points if point.design == "deepfsi"]
+    assert set(learned) == {"OViT"}
+
+
+def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
+    trained, most = [], 3
+    train = patch_trials.train
+
+    def counted(patches, job, progress=None):
+        if len(trained) == most:
+            raise KeyboardInterrupt
+        trained.append(job)
+        return train(patches, job, progress)
+
+    monkeypatch.setattr(patch_trials, "train", counted)
+    with pytest.raises(KeyboardInterrupt):
+        EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
+    assert len(list((tmp_path / "trials").glob("*.json"))) == 3
+    assert not list((tmp_path / "designs").glob(".*"))
+    most = 31
+    EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
+    assert len(trained) == 20
+    assert len({(job.design, job.photons, job.seed) for job in trained}) == 20
+    EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", trials=3, device="cpu")
+    assert len(trained) == 30
+
+
+def test_a_trial_that_diverges_is_named_and_the_others_are_done(images, tmp_path, monkeypatch):
+    real = patch_trials.train
+
+    def train(patches, job, report):
+        if (job.design, job.photons, job.seed) == ("pca", 1e2, 0):
+            raise patch_trials.Diverged("training diverged")
+        return real(patches, job, report)
+
+    monkeypatch.setattr(patch_trials, "train", train)
+    with pytest.raises(InputError, match="diverged and the others are done: pca, 100 photons"):
+        EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
+    assert len(list((tmp_path / "trials").glob("*.json"))) == 9
+
+
+def test_several_processes_train_what_one_does(images, tmp_path):
+    one = EXPERIMENT.run(tmp_path / "one", command="", trials=1, device="cpu", workers=1)
+    two = EXPERIMENT.run(tmp_path / "two", command="", trials=1, device="cpu", workers=2)
+    assert [p.accuracies for p in one.points] == [p.accuracies for p in two.points]
+
+
+def test_a_record_names_a_design_that_can_be_read(images, tmp_path):
+    EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
+    for path in (tmp_path / "trials").glob("*.json"):
+        record = json.loads(path.read_text())
+        design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
+        assert design.name == record["trial"]["job"]["design"]
+        assert design.info["data"]["name"] == "synthetic"
+        assert record["test"][0]["photons"] == record["trial"]["job"]["photons"]
+
+
+def test_damaged_results_are_one_clear_line(images, tmp_path):
+    (tmp_path / "ovit.json").write_text("{}")
+    with pytest.raises(InputError, match="run the experiment again"):
+        studies.page(tmp_path)
+
+
+def test_everything_a_result_depends_on_is_in_its_name():
+    data = synthetic((8, 8))
+    keys = {trial.key for trial in plan_patches(TINY, data)}
+    assert len(keys) == 20
+    for change in (
+        {"validation": 25},
+        {"draws": 2},
+        {"training": TINY.training.model_copy(update={"lr": 1e-5})},
+        {"tuned": {design: {"scale": "each"} for design in TINY.designs}},
+    ):
+        assert not keys & {t.key for t in plan_patches(TINY.model_copy(update=change), data)}
+    assert not keys & {trial.key for trial in plan_patches(TINY, synthetic((8, 8), scenes=150))}
+    again = {t.design_key for t in plan_patches(TINY.model_copy(update={"draws": 2}), data)}
+    assert again == {trial.design_key for trial in plan_patches(TINY, data)}
+
+
+@pytest.mark.parametrize(
+    ("original", "jpeg", "loaded"),
+    [
+        ("here", "here", "cifar10"),
+        ("here", "not here", "cifar10"),
+        ("not here", "here", "cifar10-jpeg"),
+        ("not here", "not here", "cifar10"),
+    ],
+)
+def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg, loaded):
+    from deepfsi.datasets.catalog import DatasetInfo
+
+    listed = [DatasetInfo("cifar10", 1, 1, 1, original), DatasetInfo("cifar10-jpeg", 1, 1, 1, jpeg)]
+    asked = []
+    monkeypatch.setattr(patch_trials, "list_datasets", lambda: listed)
+    monkeypatch.setattr(patch_trials, "load_dataset", lambda name, **how: asked.append((name, how)))
+    EXPERIMENT.recipes(quick=False)["ovit"].load()
+    assert asked == [(loaded, {"size": (64, 64), "images": 12_000})]
+
+
+def results_of(gap: float):
+    """Results in which the learned design is ahead of the others by `gap`, with little spread."""
+    points = [
+        a_point(
+            base + step + 0.002,
+            photons=photons,
+            design=design,
+            accuracies=tuple(base + step + seed for seed in (0.0, 0.002, 0.004)),
+        )
+        for photons, base in ((1e2, 0.2), (1e6, 0.4))
+        for design, step in (("deepfsi", gap), ("raster", 0), ("hadamard", 0), ("pca", 0))
+    ]
+    return {(point.design, point.photons): point for point in points}
+
+
+@pytest.mark.parametrize(("gap", "holds"), [(0.05, True), (-0.05, False)])
+def test_the_claim_follows_from_the_differences(gap, holds):
+    claim = ovit.ahead(results_of(gap), "pca", [1e2, 1e6])
+    assert claim.holds is holds
+    assert "100" in claim.measured
+    assert ("not clearly above" in claim.why) is not holds
+
+
+@pytest.mark.parametrize(
+    ("dim", "bright", "holds"),
+    [
+        ([0.5, 0.51, 0.52], [0.9, 0.91, 0.92], True),
+        ([0.9, 0.901, 0.899], [0.9, 0.9001, 0.8999], False),  # equal, and that is known
+        ([0.8, 0.9, 1.0], [0.95, 0.9, 0.85], None),
+    ],
+)
+def test_light_is_spared_only_where_the_difference_can_be_noticed(dim, bright, holds):
+    claim = ovit.grows("frugal", [(1e2, dim), (1e6, bright)], ovit.NOTICED, "why not")
+    assert claim.holds is holds
+    assert (claim.why == "why not") is (holds is False)
+
+
+def test_names_keep_their_distance_on_a_short_axis():
+    points = [
+        a_point(0.48, low=0.47, high=0.489, design=design, specific=False, photons=photons)
+        for design in TINY.designs
+        for photons in (1e4, 1e6)
+    ]
+    results = some_results(points, data={"classes": ("a", "b")})
+    (ax,) = accuracy_figure(results, top=0.5).axes
+    assert ax.get_ylim() == (0, 0.5)
+    heights = sorted(text.get_position()[1] for text in ax.texts if text.get_text())
+    assert heights[-1] < 0.52
+    assert np.diff(heights).min() >= 0.029
+
+
+def test_more_images_are_trained_as_fewer_are():
+    [few], [many] = (each.recipes(quick=False).values() for each in (EXPERIMENT, IMAGES))
+    assert (many.images, few.images) == (None, 12_000)
+    assert (many.training, many.patch, many.size) == (few.training, few.patch, few.size)
