@@ -81,23 +81,6 @@ def opened(browser, pages):
     return open_page
 
 
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        ("column", "the optics of this design need 14, one for each rail of each mask"),
-        ("arms", "this camera has 2, one on each arm"),
-        ("tiles", "this camera has 4, each on its part of the scene"),
-        ("nested", "this camera has 1"),
-    ],
-)
-def test_the_detectors_are_those_of_the_optics(opened, kind, said):
-    text = opened(kind).find_element(By.TAG_NAME, "main").text
-    assert f"{said}." in text
-    own = text.partition("Raster scan")[0]
-    assert ("no single mirror device does this" in own) == (kind == "column")
-    assert ("one detector counts" in own) == (kind == "nested")
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_classes_and_rates_are_those_of_the_design(opened, designs, digits, kind):
     design, browser = designs[kind], opened(kind)

@@ -95,7 +95,7 @@ def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) ->
 
 
 class _Download:
-    """What pooch tells of a download, as a report."""
+    """Progress of a download, as pooch tells it."""
 
     def __init__(self, report: Report) -> None:
         self.report = report
