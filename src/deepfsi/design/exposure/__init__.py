@@ -35,7 +35,7 @@ class Job(Protocol):
 
     @property
     def masks(self) -> int:
-        """m."""
+        """Number of masks, m."""
 
     @property
     def photons(self) -> float:
