@@ -9,6 +9,7 @@ import typer
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
+from deepfsi.optics.camera import Camera
 from deepfsi.training.job import find_job
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def evaluate(
     told = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
     made = common.open_design(file, trust).to(find_device(device))
-    camera = made.camera_with(**told)
+    camera = Camera.load(made.camera, **told)
     options.check_sigma(told, [camera.noise_name])
     if ideal and camera.noise_name != "poisson":
         raise InputError(

@@ -129,10 +129,10 @@ def evaluate(
 
     Examples
     --------
-    >>> from deepfsi import learn, load_dataset
-    >>> digits = load_dataset("digits")
-    >>> design = learn(digits, photons=1e4, masks=6, epochs=1, device="cpu")
-    >>> [result] = evaluate(design, digits, 1e4, draws=1)
+    >>> import deepfsi
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn("digits", photons=1e4, masks=6, training=few)
+    >>> [result] = deepfsi.evaluate(design, "digits", 1e4, draws=1)
     >>> result.low < result.accuracy < result.high
     True
     """
@@ -140,7 +140,7 @@ def evaluate(
     scenes = as_dataset(data)
     check_data(design, scenes)
     check_draws(draws, seed)
-    tested = design.camera_with(**settings) if camera is None else Camera.load(camera, **settings)
+    tested = Camera.load(design.camera if camera is None else camera, **settings)
     dark = tested.dark_counts if tested.noise_name == "camera" else 0.0
     scanner = design.scanner(tested.noise, tested.sigma, dark)
     design.exposure.check_noise(scanner.noise)

@@ -105,7 +105,9 @@ class StoppingRule:
                 f"{self.after[-1]} masks"
             )
         part = design.first(shown)
-        return self.decide(shown, part.classify(read, photons * part.used / design.used))
+        return self.decide(
+            shown, part.classify(read, photons * part.exposure.used / design.exposure.used)
+        )
 
     def decide(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
         """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop.

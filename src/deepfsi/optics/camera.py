@@ -282,6 +282,8 @@ class Camera(BaseModel):
         """
         name = str(source) if isinstance(source, str | os.PathLike) else ""
         fields = {**_fields(source), **settings}
+        if settings.get("noise", "camera") != "camera":
+            fields["dark"] = settings.get("dark", 0.0)  # only camera noise has dark counts
         for field in fields:
             if field not in cls.model_fields:
                 raise InputError(

@@ -13,11 +13,12 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
+from deepfsi.optics.camera import Camera
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import record_of
 from deepfsi.sweeps.trial import Trial
-from deepfsi.training.footprint import check_fits, footprint, memory_for
+from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.learning import Diverged, companions, train
 from deepfsi.training.training_set import Matrices, TrainingSet
 
@@ -178,7 +179,7 @@ def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]
             design.quantised(levels) if levels else design,
             data,
             trial.test_photons,
-            camera=design.camera_with(noise=noise),
+            camera=Camera.load(design.camera, noise=noise),
             draws=trial.draws,
             seed=trial.job.seed,
             report=SILENT,

@@ -19,7 +19,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
-from deepfsi.training.footprint import batch_of
+from deepfsi.training.batches import batch_of
 from deepfsi.training.job import Job
 from deepfsi.training.learning import train
 from deepfsi.training.precision import dtypes

@@ -23,8 +23,8 @@ from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import resolve, try_own
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
+from deepfsi.training.batches import check_fits
 from deepfsi.training.counts import train_for_counts
-from deepfsi.training.footprint import check_fits
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks

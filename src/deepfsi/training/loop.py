@@ -26,9 +26,9 @@ from deepfsi.errors import InputError
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.progress import SILENT, Report
+from deepfsi.training.batches import batch_of
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
-from deepfsi.training.footprint import batch_of
 from deepfsi.training.job import VIT, Job
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet

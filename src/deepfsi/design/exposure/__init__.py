@@ -142,7 +142,7 @@ class Conditioned(Exposure):
         return photons * self.span
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One whose classifier has the budget and the number of masks as inputs."""
+        """One whose classifier is told budget and masks; parameters as of `Exposure.begin`."""
         from deepfsi.design.exposure.conditioned import ConditionedExposure
 
         width = job.features(image_shape) // job.masks
@@ -240,7 +240,7 @@ class Looks(Exposure):
         return 1
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One with a network that chooses dwells, of the classifier's hidden layers."""
+        """One whose network chooses dwells; parameters as of `Exposure.begin`."""
         from deepfsi.design.classifiers import Mlp
         from deepfsi.design.exposure.looks import Dwells, LooksExposure
 
@@ -327,7 +327,7 @@ class Patches(Exposure):
         )
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One that cuts images in patches."""
+        """One that cuts images in patches; parameters as of `Exposure.begin`."""
         from deepfsi.design.exposure.trained import PatchExposure
 
         return PatchExposure(self.patch)

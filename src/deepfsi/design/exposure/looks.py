@@ -185,7 +185,7 @@ class LooksExposure(TrainedExposure):
 
     @property
     def dwell_words(self) -> str:
-        """What `mask_dwells` are: those of the first look."""
+        """Words on `mask_dwells`, those of the first look."""
         share = f"{1 / self.looks:.0%}"
         return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
 
