@@ -92,7 +92,7 @@ def test(design: Design, data: Dataset, photons: float) -> tuple[float, float]:
 def frames_shown(design: Design, looks: list[Observation]) -> float:
     """Frames of an exposure, in the mean over scenes."""
     if looks[-1].dwell is None:
-        return float(len(frames(design.rails)))
+        return float(len(frames(design.rails.stacked)))
     totals = torch.stack([torch.zeros_like(looks[0].dwell), *(seen.dwell for seen in looks)])
     return float((totals.diff(dim=0) > 0).float().sum(dim=(0, 2)).mean())
 

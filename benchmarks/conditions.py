@@ -18,7 +18,6 @@ import torch
 from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
-from deepfsi.optics import constraints
 from deepfsi.optics.budget import summed_reflectance
 from deepfsi.training.learning import learn
 
@@ -31,7 +30,7 @@ def under(design: Design, data: Dataset, learned: float, share: float) -> Design
 
     The mean of the stray light is known and subtracted: it moves the centres of the features.
     """
-    stray = constraints.combine(design.rails)[0].mean(dim=-1)
+    stray = design.rails.difference.mean(dim=-1)
     mean = design.mean * (1 + learned) + (share - learned) * stray
     return replace(
         design,

@@ -31,8 +31,9 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import constraints
-from deepfsi.optics.masks import LearnedMasks, pair
+from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.noise import poisson
+from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import measure, project
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.training_set import TrainingSet
@@ -253,13 +254,13 @@ def learn(
             chosen = x.index_select(0, functional.pad(rows, (0, 1), value=count))
             labels = training_set.labels[rows]
             if estimator is None:
-                rails = masks.matrix() if masks.disjoint else pair(*masks())
+                rails = masks.matrix() if masks.disjoint else masks().combined
                 features = measure(chosen, rails, epsilon * gain**-0.5, masks.disjoint)
                 size = torch.linalg.vector_norm(features) / features.numel() ** 0.5
                 scaled = features.squeeze(1) / size
                 functional.cross_entropy(network(scaled), labels).backward()
             else:
-                rails = constraints.separate(*masks())[0]
+                rails = masks().stacked[0]
                 products = gain * project(chosen, rails)
                 rates = (products[:-1] + products[-1]).clamp(min=0)
                 centre = products[-1, 0] - products[-1, 1]
@@ -277,7 +278,7 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
     """The design as the package would store it: masks of all pixels, statistics of all scenes."""
     with torch.no_grad():
         rails = torch.zeros(2, job.masks, training_set.data.pixels)
-        rails[..., training_set.pixels(job.light)] = constraints.separate(*masks())[0]
+        rails[..., training_set.pixels(job.light)] = masks().stacked[0]
         plus, minus = project(training_set.full, rails).unbind(dim=1)
         counts = (plus + minus).mean(dim=0)
         power = (plus - minus).var(dim=0, correction=0) + counts * (
@@ -285,7 +286,7 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
         )
         return Design(
             name=job.design,
-            rails=constraints.check(rails, job.light),
+            rails=Rails.of(constraints.check(rails, job.light)),
             classifier=network,
             mean=(plus - minus).mean(dim=0) / training_set.summed_reflectance,
             std=power.mean().sqrt().expand(job.masks) / training_set.summed_reflectance,

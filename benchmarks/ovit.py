@@ -17,13 +17,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from deepfsi.training.patches import Patches, PatchJob, PatchTraining, precision, train
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.progress import Moments, Report
-from deepfsi.training.patches import Patches, PatchJob, PatchTraining, precision, train
 from deepfsi_paper.studies import find
 
 BUDGET, CLASSES = 1e4, 10

@@ -25,6 +25,7 @@ from deepfsi.design.classifiers import Mlp
 from deepfsi.design.payload import playable
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
+from deepfsi.optics.rails import Rails
 from deepfsi.report.playground.page import write_page
 
 MEASURE = """
@@ -50,9 +51,10 @@ def large_page(path: Path) -> Path:
     generator = torch.Generator().manual_seed(0)
     rng = np.random.default_rng(0)
     scenes = from_arrays(rng.random((100, 32, 32)), np.arange(100) % 10, name="noise")
+    signs = torch.randn(96, 1024, generator=generator)
     design = Design(
         name="deepfsi",
-        rails=constraints.fit(torch.randn(96, 1024, generator=generator), "free-dwell"),
+        rails=Rails.of(constraints.fit(signs, "free-dwell")),
         classifier=Mlp(192, 10, (512, 256), generator=generator),
         mean=torch.zeros(192),
         std=torch.ones(192),

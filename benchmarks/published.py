@@ -28,9 +28,9 @@ import torch
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import summed_reflectance
-from deepfsi.optics.constraints import Light
 from deepfsi.statistics.intervals import wilson
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point

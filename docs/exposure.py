@@ -101,7 +101,7 @@ def expose() -> Run:
         chances.append(now)
         if enough:
             break
-    peaks = design.rails[0].amax(dim=1).numpy()
+    peaks = design.rails.plus.amax(dim=1).numpy()
     ends = np.cumsum(peaks) / peaks.sum()
     rng = np.random.default_rng(0)
     arrived = rng.poisson(rates.numpy() / data.pixels)

@@ -19,6 +19,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.optics import codes, constraints, tiles
+from deepfsi.optics.rails import Rails
 from deepfsi.training.learning import learn
 
 PHOTONS = 1e4
@@ -89,7 +90,7 @@ def own_matrix(masks: int, pixels: int, light: str, rails: str) -> np.ndarray:
     if light == "two-arm":
         return rng.choice([-1.0, 1.0], size=(masks, pixels)) / masks
     wild = rng.random((masks, pixels)) - (0.5 if rails == "dual" else 0)
-    return constraints.combine(constraints.fit(torch.from_numpy(wild), light, rails))[0].numpy()
+    return Rails.of(constraints.fit(torch.from_numpy(wild), light, rails)).difference.numpy()
 
 
 def quick(data: Dataset, design: str = "deepfsi", masks: int | None = None, **settings) -> Design:
@@ -110,7 +111,7 @@ def two_valued(rails: Tensor) -> bool:
 
 
 def parameters(design: Design) -> list[torch.Tensor]:
-    return [design.rails, design.mean, design.std, *design.classifier.parameters()]
+    return [design.rails.stacked, design.mean, design.std, *design.classifier.parameters()]
 
 
 def same(first: Design, second: Design) -> bool:

@@ -134,7 +134,7 @@ def test_the_comparison_trains_as_the_package(digits):
     job = Job(masks=6, photons=300, seed=3, training=settings)
     (theirs,) = train(scenes, [job])
     ours = benchmark("gradients").learn(scenes, job, None)
-    assert torch.allclose(ours.rails, theirs.rails, rtol=0, atol=1e-4)
+    assert torch.allclose(ours.rails.stacked, theirs.rails.stacked, rtol=0, atol=1e-4)
     for name in ("mean", "std", "shares"):
         assert torch.allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-3, atol=1e-5)
     for mine, other in zip(
@@ -148,7 +148,7 @@ def test_masks_to_keep_stay_while_their_classifier_learns(digits):
     job = Job(masks=6, photons=300, training=TrainingSettings(epochs=1, precision="float32"))
     first = gradients.learn(scenes, job, None)
     again = gradients.learn(scenes, job, gradients.straight, keep=first.matrix)
-    assert torch.allclose(again.rails, first.rails, rtol=0, atol=1e-5)
+    assert torch.allclose(again.rails.stacked, first.rails.stacked, rtol=0, atol=1e-5)
     assert not torch.equal(again.classifier.layers[0].weight, first.classifier.layers[0].weight)
 
 
@@ -206,8 +206,9 @@ def test_the_comparison_of_streaming_runs(capsys):
 
 def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
-    from deepfsi.datasets import from_arrays
     from deepfsi.training.patches import Patches, PatchTraining
+
+    from deepfsi.datasets import from_arrays
 
     ovit = benchmark("ovit")
     ovit.main(["--images", "100", "--size", "16", "--rounds", "1", "--epochs", "1"])

@@ -25,8 +25,8 @@ class SinglePixelCamera(LinearPhysics):
     def __init__(self, design, generator=None):
         super().__init__(img_size=(1, *design.image_shape))
         self.scanner, self.generator = design.scanner(), generator
-        self.register_buffer("rails", design.rails.flatten(0, 1))
-        self.shape = design.rails.shape[:2]
+        self.register_buffer("rails", design.rails.stacked.flatten(0, 1))
+        self.shape = design.rails.stacked.shape[:2]
 
     def A(self, x, **kwargs):
         return (x.flatten(1) @ self.rails.T).unflatten(1, self.shape)

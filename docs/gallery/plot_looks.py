@@ -36,7 +36,7 @@ design = deepfsi.learn(
 
 picture = digits.x_test[17]
 photons = deepfsi.photons_per_pixel(picture, PHOTONS, design.summed_reflectance)
-scene = design.rails[0].numpy() * design.masks @ photons
+scene = design.rails.plus.numpy() * design.masks @ photons
 rng = np.random.default_rng(1)
 dwells, chances = [], []
 

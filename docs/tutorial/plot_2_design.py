@@ -66,7 +66,7 @@ print(design)
 # photons that is counted.
 
 figure, axes = plt.subplots(3, 8, figsize=(6.4, 2.9), layout="constrained")
-plus, minus = design.rails.numpy()
+plus, minus = design.rails.stacked.numpy()
 peak = abs(design.matrix).max()
 for column, signed, first, second in zip(axes.T, design.matrix, plus, minus, strict=True):
     image = column[0].imshow(signed.reshape(8, 8), cmap="RdBu_r", vmin=-peak, vmax=peak)

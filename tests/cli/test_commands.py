@@ -118,7 +118,7 @@ def test_one_dmd_design(done, tmp_path):
     done("design", "--photons", "1e3", *words, "-o", file)
     design = Design.load(file)
     assert design.light == "free-dwell"
-    assert design.rails.shape == (1, 6, 64)
+    assert design.rails.stacked.shape == (1, 6, 64)
 
 
 def test_a_flexible_design(done, tmp_path):
@@ -131,7 +131,7 @@ def test_a_flexible_design(done, tmp_path):
     training = made["info"]["job"]["training"]
     settings = [training[key] for key in ("span", "nested", "levels", "start")]
     assert settings == [1e3, 2, 2, "random"]
-    assert [len(frame.unique()) for frame in Design.load(file).rails[0]] == [2] * 6
+    assert [len(frame.unique()) for frame in Design.load(file).rails.plus] == [2] * 6
     out = done("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
     assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
     words = ["stop", file, "--photons", "1e5", "--hold-out", 300]

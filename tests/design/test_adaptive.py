@@ -19,6 +19,7 @@ from deepfsi.optics import constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import LearnedMasks
+from deepfsi.optics.rails import Rails
 from deepfsi.training.draws import SeedStream
 from deepfsi.training.features import AdaptiveFeatures
 from deepfsi.training.job import Job, training_for
@@ -59,16 +60,17 @@ def test_each_exposure_takes_its_time_and_no_more(digits, name, levels):
     dwell = exposures(design, digits, 1e3).dwell
     assert torch.allclose(dwell.sum(dim=-1), torch.ones(len(dwell)), atol=1e-5)
     assert (dwell >= 0).all()
-    peaks = design.rails.amax(dim=-1)
+    peaks = design.rails.stacked.amax(dim=-1)
     assert torch.allclose(peaks, torch.full_like(peaks, 1 / masks), rtol=1e-5)
-    assert constraints.excess(design.rails, "free-dwell") <= constraints.SLACK
+    assert constraints.excess(design.rails.stacked, "free-dwell") <= constraints.SLACK
 
 
 def test_masks_that_are_all_on_count_what_a_scene_sends(digits, design):
     """However the dwells are chosen: so that no others count more."""
     photons, draws = 1e3, 400
     few = digits.x_test[:20]
-    design = replace(design, rails=torch.full_like(design.rails, 1 / design.masks))
+    lit = torch.full_like(design.rails.stacked, 1 / design.masks)
+    design = replace(design, rails=Rails.of(lit))
     data = replace(digits, x_test=few, y_test=digits.y_test[:20])
     seen = exposures(design, data, photons, draws)
     counted = seen.features.sum(dim=-1).view(20, draws).mean(dim=1) * photons
@@ -79,7 +81,7 @@ def test_masks_that_are_all_on_count_what_a_scene_sends(digits, design):
 def test_expected_counts_are_those_of_the_dwells(digits, design):
     seen = exposures(design, digits, 1e3, noise="none")
     x = torch.from_numpy(digits.x_test) / design.summed_reflectance
-    expected = 6 * seen.dwell * (x @ design.rails[0].T)
+    expected = 6 * seen.dwell * (x @ design.rails.plus.T)
     assert torch.allclose(seen.features, expected, rtol=1e-5, atol=1e-7)
 
 
@@ -91,7 +93,7 @@ def test_counts_at_known_dwells_are_poisson(digits, design):
     x = torch.from_numpy(digits.x_test).repeat_interleave(20, dim=0) / design.summed_reflectance
     with torch.no_grad():
         [seen] = design.expose(scanner, scanner.rates(x), generator, photons)
-    rates = (photons * 6 * seen.dwell * (x @ design.rails[0].T)).double()
+    rates = (photons * 6 * seen.dwell * (x @ design.rails.plus.T)).double()
     chi = ((seen.features * photons - rates).square() / rates)[rates > 20]
     assert len(chi) > 1e4
     assert abs(float(chi.mean()) - 1) < 5 * (2.05 / len(chi)) ** 0.5
@@ -119,7 +121,7 @@ def test_dwells_follow_the_counts_and_only_from_the_second_look(design):
 
 def test_a_camera_of_ones_own_has_the_accuracy_of_the_test(digits, design):
     photons, rng = 1e4, np.random.default_rng(0)
-    patterns = design.rails[0].numpy() * 6
+    patterns = design.rails.plus.numpy() * 6
 
     def camera(scene):
         rates = patterns @ scene * photons / design.summed_reflectance
@@ -254,7 +256,7 @@ def test_replicas_learn_as_they_would_alone(digits):
     together = train(TrainingSet(digits, "cpu"), jobs)
     for job, design in zip(jobs, together, strict=True):
         (alone,) = train(TrainingSet(digits, "cpu"), [job])
-        assert torch.allclose(alone.rails, design.rails, rtol=1e-3, atol=1e-5)
+        assert torch.allclose(alone.rails.stacked, design.rails.stacked, rtol=1e-3, atol=1e-5)
         for mine, other in zip(
             alone.exposure.network.parameters(), design.exposure.network.parameters(), strict=True
         ):
@@ -266,7 +268,7 @@ def test_masks_dwells_and_classifier_all_learn(digits, noise):
     short, longer = (seeing(digits, noise=noise, epochs=epochs) for epochs in (1, 20))
     (before,), (after,) = (evaluate(each, digits, 1e3) for each in (short, longer))
     assert after.accuracy > before.accuracy + 5 * (0.5 / before.images) ** 0.5
-    assert not torch.allclose(short.rails, longer.rails)
+    assert not torch.allclose(short.rails.stacked, longer.rails.stacked)
     networks = short.exposure.network, longer.exposure.network
     pairs = zip(*(network.parameters() for network in networks), strict=True)
     assert not all(torch.allclose(one, other) for one, other in pairs)
@@ -298,8 +300,8 @@ def test_damaged_looks_are_refused(design, tmp_path, damage):
 
 
 def test_the_same_seed_repeats(digits, design):
-    assert torch.equal(seeing(digits).rails, design.rails)
-    assert not torch.equal(seeing(digits, seed=1).rails, design.rails)
+    assert torch.equal(seeing(digits).rails.stacked, design.rails.stacked)
+    assert not torch.equal(seeing(digits, seed=1).rails.stacked, design.rails.stacked)
 
 
 def test_the_light_that_is_counted_is_measured(digits, design):

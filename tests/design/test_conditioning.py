@@ -28,13 +28,15 @@ LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale":
 @every_optics
 def test_the_first_masks_at_the_whole_constraint_obey_it(digits, light, rails):
     design = quick(digits, light=light, rails=rails, **TRAINED)
-    whole = constraints.used(design.rails, light)[-1]
+    whole = constraints.used(design.rails.stacked, light)[-1]
     for masks in range(3, 9):
         part = design.first(masks)
-        constraints.check(part.rails, light)
+        constraints.check(part.rails.stacked, light)
         assert part.masks == masks
-        assert constraints.used(part.rails, light)[-1] == pytest.approx(float(whole), rel=1e-5)
-    assert torch.equal(design.first(8).rails, design.rails)
+        assert constraints.used(part.rails.stacked, light)[-1] == pytest.approx(
+            float(whole), rel=1e-5
+        )
+    assert torch.equal(design.first(8).rails.stacked, design.rails.stacked)
 
 
 @every_optics
@@ -91,7 +93,7 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, sp
     rng = np.random.default_rng(2)
     n, repeats = len(digits.x_train), 20
     squares = []
-    used = constraints.used(design.rails, design.light).numpy()
+    used = constraints.used(design.rails.stacked, design.light).numpy()
     for _ in range(repeats):
         budget = 300.0 * span ** rng.random((n, 1))
         likely = design.exposure.chances.double().numpy()
@@ -127,7 +129,7 @@ def test_what_fewer_masks_gain_in_light_has_its_gradient():
 @every_optics
 def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
     design = quick(digits, light=light, rails=rails, **TRAINED)
-    assert float(constraints.used(design.rails, light)[-1]) == pytest.approx(1, rel=1e-5)
+    assert float(constraints.used(design.rails.stacked, light)[-1]) == pytest.approx(1, rel=1e-5)
 
 
 def test_the_noise_of_a_range_is_its_mean_over_budgets():
@@ -168,7 +170,7 @@ def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
     together = train(scenes, jobs)
     for job, design in zip(jobs, together, strict=True):
         [alone] = train(scenes, [job])
-        torch.testing.assert_close(design.rails, alone.rails, rtol=1e-3, atol=1e-5)
+        torch.testing.assert_close(design.rails.stacked, alone.rails.stacked, rtol=1e-3, atol=1e-5)
         assert design.exposure == alone.exposure == ConditionedExposure(job.photons, 30.0, 5, 2)
 
 

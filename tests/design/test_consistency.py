@@ -307,7 +307,7 @@ def test_a_damaged_distribution_is_refused(design, tmp_path, change):
 
 
 def test_a_dimmed_design_expects_less_light(design, data):
-    shown = design.as_shown(0.1 * design.rails.numpy(), design.image_shape, 0.1)
+    shown = design.as_shown(0.1 * design.rails.stacked.numpy(), design.image_shape, 0.1)
     counts = np.random.default_rng(11).poisson(0.1 * rates_of(design, data.x_test[:40]) * 1e6)
     assert not shown.consistency(counts, 1e6).refused
     assert shown.consistency(counts, 1e6).brightness == pytest.approx(1, abs=0.1)
@@ -321,7 +321,7 @@ def test_what_has_no_distribution_says_so(data, design):
     for each in (small, looks, design.quantised(3)):
         assert each.distribution is None
         with pytest.raises(InputError, match="no distribution"):
-            each.consistency(np.ones((1, *each.rails.shape[:2])), 1e3)
+            each.consistency(np.ones((1, *each.rails.stacked.shape[:2])), 1e3)
 
 
 def test_designs_of_one_readout_or_of_a_range_are_tested(data):

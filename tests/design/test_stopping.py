@@ -177,7 +177,7 @@ def test_an_exposure_of_several_looks_may_stop_after_each(looking, digits):
 
 def test_a_camera_that_looks_again_stops_as_the_study_says(looking, digits):
     found = stop(looking, digits, 2e4, held_out=HELD_OUT, threshold=0.9, draws=4)
-    rng, patterns = np.random.default_rng(0), looking.rails[0].numpy() * looking.masks
+    rng, patterns = np.random.default_rng(0), looking.rails.plus.numpy() * looking.masks
     looks, right = [], []
     for scene, label in zip(digits.x_test, digits.y_test, strict=True):
         shown = []

@@ -12,6 +12,7 @@ from deepfsi.optics import constraints, noise
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import LearnedMasks
+from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
 from shared.noises import exact, photons, saturating
 
@@ -75,7 +76,7 @@ def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
     """Times of the frames of one device sum to the exposure; on two arms each detector has all."""
     matrix = torch.randn(6, 20, dtype=torch.float64, generator=generator())
     fitted = constraints.fit(matrix if rails == "dual" else matrix.abs(), light, rails)
-    time = ONE.readouts(*constraints.combine(fitted)).time
+    time = ONE.readouts(Rails.of(fitted)).time
     if light == "column":
         assert (time <= 1).all()
     elif light == "two-arm":
@@ -87,10 +88,8 @@ def test_one_detector_has_all_its_dark_counts_in_one_exposure(light, rails):
 
 def test_impulse_imaging_has_a_detector_for_each_pixel_and_raster_one_for_all(digits):
     for design, detectors in (("impulse", 64), ("raster", 1)):
-        rails = quick(digits, design).rails.double()
-        assert float(ONE.readouts(*constraints.combine(rails)).time.sum()) == pytest.approx(
-            detectors
-        )
+        rails = quick(digits, design).rails.stacked.double()
+        assert float(ONE.readouts(Rails.of(rails)).time.sum()) == pytest.approx(detectors)
 
 
 @pytest.mark.parametrize("light", ["column", "free-dwell", "two-arm"])
@@ -101,11 +100,11 @@ def test_masks_follow_mean_and_variance(light):
     scene = torch.linspace(1, 5, 5, dtype=torch.float64)
     scanner = Scanner(masks, "camera", SIGMA, DARK)
 
-    difference, total = masks()
-    read = ONE.readouts(difference, total)
-    power = total @ scene + DARK * read.time.sum(dim=0) + SIGMA**2 * read.lit
+    shown = masks()
+    read = ONE.readouts(shown)
+    power = shown.total @ scene + DARK * read.time.sum(dim=0) + SIGMA**2 * read.lit
     wanted = torch.autograd.grad(
-        ((difference @ scene) ** 2 + power).sum(), list(masks.parameters())
+        ((shown.difference @ scene) ** 2 + power).sum(), list(masks.parameters())
     )
 
     batches = []
@@ -127,10 +126,10 @@ def test_training_draws_what_the_scanner_does(kind):
     """Counted features of a step, two trainings side by side, against the law of each."""
     gains, sigmas, darks = [50.0, 200.0], [2.0, 5.0], [30.0, 10.0]
     drawn = FeatureNoise.of(kind, gains, sigmas, [0, 1], torch.device("cpu"), darks)
-    difference, total = constraints.combine(RAILS.unsqueeze(0))
+    rails = Rails.of(RAILS.unsqueeze(0))
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
-    mean, light = (each @ scene for each in (difference, total))  # (1, 4)
-    read = ONE.readouts(difference, total)
+    mean, light = (each @ scene for each in (rails.difference, rails.total))  # (1, 4)
+    read = ONE.readouts(rails)
     features = drawn.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
     lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
     for job, gain in enumerate(gains):
@@ -149,12 +148,13 @@ def test_training_follows_mean_light_and_time(kind):
     """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""
     gain, dark = 50.0, 30.0
     noisy = FeatureNoise.of(kind, [gain], [4.0], [0], torch.device("cpu"), [dark])
-    read = ONE.readouts(*constraints.combine(RAILS[:, :2].unsqueeze(0)))
+    rails = Rails.of(RAILS[:, :2].unsqueeze(0))
+    read = ONE.readouts(rails)
     read = read._replace(time=read.time.clone().requires_grad_())
     scene = torch.tensor([0.4, 0.9], dtype=torch.float64)
     mean, light = (
         (each @ scene).expand(DRAWS, 1, 2).clone().requires_grad_()
-        for each in constraints.combine(RAILS[:, :2].unsqueeze(0))
+        for each in (rails.difference, rails.total)
     )
     noisy.counted(mean, light, read).square().sum().backward()
     for mask in range(2):

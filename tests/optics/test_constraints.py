@@ -16,10 +16,11 @@ from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import LearnedMasks
+from deepfsi.optics.rails import Rails
 
 
 def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
-    return constraints.separate(*masks())
+    return masks().stacked
 
 
 def fixed_matrix(design: str, digits) -> Tensor:
@@ -61,7 +62,7 @@ def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails)
 @pytest.mark.parametrize("light", ["column", "free-dwell"])
 def test_one_common_factor_keeps_the_masks_in_proportion(digits, light):
     matrix = fixed_matrix("pca", digits)
-    difference, _ = constraints.combine(fit(matrix, light))
+    difference = Rails.of(fit(matrix, light)).difference
     factor = difference.norm() / matrix.norm()
     assert torch.allclose(difference, matrix * factor, atol=1e-7)
 
@@ -99,10 +100,10 @@ def test_rails_are_not_negative_and_recombine(digits, light, rails):
     matrix = fixed_matrix("pca", digits)
     fitted = fit(matrix if rails == "dual" else matrix.abs(), light, rails)
     assert fitted.min() >= 0
-    difference, total = constraints.combine(fitted)
-    again = constraints.separate(difference, total)
+    given = Rails.of(fitted)
+    again = given.each(torch.clone).stacked  # of difference and total alone
     assert torch.allclose(again, fitted, rtol=0, atol=1e-8)
-    assert (difference.abs() <= total).all()
+    assert (given.difference.abs() <= given.total).all()
 
 
 def test_split_gives_positive_and_negative_parts():
@@ -122,7 +123,7 @@ def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
     target = 10 * torch.randn(2, 6, 16, generator=generator(1))
     optimiser = torch.optim.Adam(learned.parameters(), lr=rate)
     for _ in range(40):
-        loss = (learned()[0] - target).square().mean()
+        loss = (learned().difference - target).square().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -148,7 +149,7 @@ def test_learned_masks_obey_in_every_step_of_a_training(digits, light, rails, le
     monkeypatch.undo()
     assert len(snapshots) > 20
     for module in snapshots:
-        split = constraints.separate(*module()).detach()
+        split = module().stacked.detach()
         assert split.min() >= 0
         assert max(limits(replica, light).max() for replica in split) <= 1 + SLACK
         if levels:
@@ -215,18 +216,20 @@ def test_gradients_go_straight_through_the_rounding(light, rails, levels):
     shown, continuous = (LearnedMasks(start, light, rails, each) for each in (levels, 0))
     targets = torch.randn(2, 2, 4, 9, generator=generator(1))
 
-    def loss(masks: tuple[Tensor, Tensor]) -> Tensor:
-        return sum(
-            (mask - target).pow(4).sum() for mask, target in zip(masks, targets, strict=True)
-        )
+    def sums(masks: LearnedMasks) -> tuple[Tensor, Tensor]:
+        both = masks()
+        return both.difference, both.total
 
-    quantised = shown()
-    loss(quantised).backward()
-    points = [mask.detach().requires_grad_() for mask in quantised]
-    torch.autograd.backward(continuous(), torch.autograd.grad(loss(points), points))
+    def loss(difference: Tensor, total: Tensor) -> Tensor:
+        return (difference - targets[0]).pow(4).sum() + (total - targets[1]).pow(4).sum()
+
+    quantised = sums(shown)
+    loss(*quantised).backward()
+    points = [each.detach().requires_grad_() for each in quantised]
+    torch.autograd.backward(sums(continuous), torch.autograd.grad(loss(*points), points))
     elsewhere = [parameter.grad.clone() for parameter in continuous.parameters()]
     continuous.zero_grad()
-    loss(continuous()).backward()
+    loss(*sums(continuous)).backward()
     for found, wanted, other in zip(
         shown.parameters(), elsewhere, continuous.parameters(), strict=True
     ):
@@ -239,7 +242,7 @@ def test_gradients_go_straight_through_the_rounding(light, rails, levels):
 def test_learned_masks_can_move(light, rails):
     start = torch.rand(3, 8, generator=generator()) + 0.1
     learned = LearnedMasks(start, light, rails)
-    learned()[0].square().sum().backward()
+    learned().difference.square().sum().backward()
     for parameter in learned.parameters():
         assert (parameter.grad != 0).any()
 
@@ -259,7 +262,7 @@ def test_a_start_without_light_is_refused():
 def test_dwells_are_learned_shares_of_the_whole_time():
     learned = LearnedMasks(torch.randn(4, 9, generator=generator()), "two-arm")
     torch.nn.init.normal_(learned.dwell, generator=generator())
-    total = learned()[1].detach()
+    total = learned().total.detach()
     assert total[:, 0].sum() == pytest.approx(1, rel=FLOAT32)
     assert len(set(total[:, 0].tolist())) == 4
 
@@ -270,7 +273,7 @@ def test_replicas_do_not_touch_each_other(light, rails, levels):
     start = torch.rand(3, 4, 9, generator=generator()) + 0.1
     together = LearnedMasks(start, light, rails, levels)()
     alone = LearnedMasks(start[1], light, rails, levels)()
-    for whole, one in zip(together, alone, strict=True):
+    for whole, one in ((together.difference, alone.difference), (together.total, alone.total)):
         assert torch.allclose(whole.expand(3, 4, 9)[1], one, atol=1e-7)
 
 

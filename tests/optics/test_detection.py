@@ -9,9 +9,9 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints, tiles
 from deepfsi.optics.constraints import expand, fit
 from deepfsi.optics.detection import ONE, Detection, detector_map
-from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import Scanner, measure, project, project_pair
+from deepfsi.optics.scanner import Scanner, measure, project, project_rails
 
 SHAPE = (6, 8)
 MAPS = [
@@ -125,14 +125,14 @@ def test_a_step_of_training_has_the_gradient_of_autograd(light, rails, detectors
     disjoint = masks.disjoint and readout == "difference"
 
     def ours() -> torch.Tensor:
-        given = masks.matrix() if disjoint else pair(*seen.masks_read(*masks()))
+        given = masks.matrix() if disjoint else seen.read_of(masks()).combined
         x = seen.arrange(torch.cat([scenes - middle, middle[None]]))
         return measure(x, given, epsilon, disjoint, seen.count)
 
     def plain() -> torch.Tensor:
-        every = seen.masks_read(*masks())
-        mean, total = project_pair(seen.arrange(scenes), *every, True, seen.count)
-        centre = project(seen.arrange(middle), every[0], seen.count)
+        every = seen.read_of(masks())
+        mean, total = project_rails(seen.arrange(scenes), every, seen.count)
+        centre = project(seen.arrange(middle), every.difference, seen.count)
         return mean - centre + root(total) * epsilon
 
     found = []
@@ -161,7 +161,7 @@ def test_arranging_loses_nothing(detectors):
 def test_dark_counts_are_those_of_each_detector(light):
     """Every detector counts its own dark counts for as long as a frame is shown."""
     frames, seen = rails_for(light, "dual"), Detection.of("2x2", SHAPE)
-    one, four = (each.readouts(*seen.arrange_both(*FixedMasks(frames)())) for each in (ONE, seen))
+    one, four = (each.readouts(FixedMasks(frames)().each(seen.arrange)) for each in (ONE, seen))
     assert torch.equal(four.time.unflatten(-1, (5, 4)), one.time.unsqueeze(-1).expand(2, 5, 4))
 
 

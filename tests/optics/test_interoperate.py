@@ -74,7 +74,7 @@ def test_it_measures_what_the_scanner_does(digits, made, adapter, light, rails, 
     counts = camera(images)
     again = one.scanner().read(camera.A(images), generator(3))
     assert torch.equal(counts, again)
-    seen = counts if len(one.rails) == 2 else counts[:, 0]
+    seen = counts if one.rails.count == 2 else counts[:, 0]
     assert one.classify(seen, PHOTONS).shape == (5, 10)
 
 

@@ -24,6 +24,7 @@ from deepfsi.design.evaluation import evaluate
 from deepfsi.optics import codes, constraints
 from deepfsi.optics.detection import ONE
 from deepfsi.optics.noise import variance
+from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
@@ -78,7 +79,7 @@ def test_padding_takes_no_light_from_the_laws(design):
 
 @every_design
 def test_every_constraint_implies_the_flux_bound(made, design, light, rails):
-    assert constraints.excess(made(design, light, rails).rails, "column") <= FLOAT32
+    assert constraints.excess(made(design, light, rails).rails.stacked, "column") <= FLOAT32
 
 
 def scan(design: str, digits) -> Tensor:
@@ -96,15 +97,15 @@ def scene(name: str, digits) -> Tensor:
 
 def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
     """Pixel mean of the variance of the reconstruction M⁻¹ y."""
-    difference, total = constraints.combine(rails)
-    power = variance(photons @ total.T, ONE.readouts(difference, total).lit, noise, sigma)
-    return float((torch.linalg.inv(difference).square() @ power).mean())
+    both = Rails.of(rails)
+    power = variance(photons @ both.total.T, ONE.readouts(both).lit, noise, sigma)
+    return float((torch.linalg.inv(both.difference).square() @ power).mean())
 
 
 def simulated_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> float:
     scanner = Scanner.from_rails(rails, noise, sigma)
     features = scanner(photons.expand(DRAWS, N), generator(1))
-    reconstruction = features @ torch.linalg.inv(constraints.combine(rails)[0]).T
+    reconstruction = features @ torch.linalg.inv(Rails.of(rails).difference).T
     assert torch.allclose(  # unbiased: 5 sigma of the mean
         reconstruction.mean(dim=0),
         photons,
@@ -157,7 +158,7 @@ def test_hadamard_on_one_device(digits, name):
 def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
     made, digits, design, light, rails
 ):
-    masks = readouts(made(design, light, rails).rails)
+    masks = readouts(made(design, light, rails).rails.stacked)
     first = light_on(made(design, light, rails), digits.x_test[:100])
     second = first.roll(1, dims=0)
     mean, difference = (first + second) / 2, first - second
@@ -169,8 +170,8 @@ def test_photon_noise_nothing_separates_two_scenes_better_than_impulse(
 @every_design
 def test_subtracting_rails_adds_no_information(made, digits, design, light, rails):
     made_design = made(design, light, rails)
-    signed, total = (part.double() for part in constraints.combine(made_design.rails))
-    masks = readouts(made_design.rails)
+    signed, total = made_design.rails.difference.double(), made_design.rails.total.double()
+    masks = readouts(made_design.rails.stacked)
     first = light_on(made_design, digits.x_test[:100])
     mean, difference = (first + first.roll(1, dims=0)) / 2, first - first.roll(1, dims=0)
     apart = separation(masks, (mean @ masks.T).clamp(min=1e-12), difference)
@@ -182,7 +183,7 @@ def test_subtracting_rails_adds_no_information(made, digits, design, light, rail
 def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, rails):
     """Draw the impulse camera's photons, send each to a readout or away, compare with Scanner."""
     made_design = made("deepfsi", light, rails)
-    masks = readouts(made_design.rails)
+    masks = readouts(made_design.rails.stacked)
     photons = light_on(made_design, digits.x_test[0], 1e3)
     rng, draws = np.random.default_rng(0), 10_000
     routed = np.zeros((draws, len(masks) + 1))
@@ -191,7 +192,7 @@ def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, r
         routed += rng.multinomial(rng.poisson(rate, draws), ways / ways.sum())
     counts = made_design.scanner().counts(photons.expand(draws, N), generator())
     every = counts.transpose(-1, -2).flatten(1)
-    shown = made_design.rails.transpose(0, 1).flatten(0, 1).amax(dim=-1) > 0
+    shown = made_design.rails.stacked.transpose(0, 1).flatten(0, 1).amax(dim=-1) > 0
     rates = (masks @ photons).numpy()
     power = np.sqrt(np.outer(rates, rates) + np.diag(rates + rates**2)) / draws**0.5
     for drawn in (routed[:, :-1], every[:, : len(shown)][:, shown].numpy()):

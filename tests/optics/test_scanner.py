@@ -10,9 +10,10 @@ from conftest import assert_moments, every_design, every_optics, generator, ligh
 from deepfsi.errors import InputError
 from deepfsi.optics.constraints import fit
 from deepfsi.optics.detection import ONE
-from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import Scanner, measure, project, project_pair
+from deepfsi.optics.rails import Rails
+from deepfsi.optics.scanner import Scanner, measure, project, project_rails
 
 DRAWS = 50_000
 RATES = [1e-3, 1.0, 1e3, 1e6, 1.001e6, 1e8, 1e10]
@@ -122,7 +123,7 @@ def test_rails_are_not_negative_and_recombine(made, digits, design, light, rails
 def test_counts_have_the_shape_of_the_rails(made, digits, design, light, rails):
     made_design = made(design, light, rails)
     counts = made_design.scanner().counts(light_on(made_design, digits.x_test[:3]), generator())
-    assert counts.shape == (3, len(made_design.rails), made_design.masks)
+    assert counts.shape == (3, made_design.rails.count, made_design.masks)
 
 
 def test_poisson_features_are_the_difference_of_counts():
@@ -209,8 +210,8 @@ def test_mask_gradients_follow_mean_and_variance(noise, sigma):
     matrix = torch.tensor([[0.3, -0.2, 0.1, -0.05]], dtype=torch.float64, requires_grad=True)
 
     class Matrix(nn.Module):
-        def forward(self) -> tuple[Tensor, Tensor]:
-            return matrix, matrix.abs()
+        def forward(self) -> Rails:
+            return Rails(matrix, matrix.abs())
 
     batches = []
     for seed in range(60):
@@ -295,11 +296,11 @@ def test_the_step_of_training_is_the_scanners_forward_and_its_gradient(
     weight = torch.randn(epsilon.shape, generator=draw, dtype=torch.float64)
 
     def expected() -> torch.Tensor:
-        difference, total = masks()
-        mean, light_ = project_pair(scenes, difference, total, both=True)
-        return mean - project(mean_scene, difference) + root(light_) * epsilon
+        shown = masks()
+        mean, light_ = project_rails(scenes, shown)
+        return mean - project(mean_scene, shown.difference) + root(light_) * epsilon
 
-    given = masks.matrix() if masks.disjoint else pair(*masks())
+    given = masks.matrix() if masks.disjoint else masks().combined
     found = []
     for features in (
         measure(centred, given, epsilon, masks.disjoint),

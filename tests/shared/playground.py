@@ -10,6 +10,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
+from deepfsi.optics.rails import Rails
 
 VECTORS = 100
 ONE_ARM = {"light": "free-dwell", "rails": "single"}
@@ -60,7 +61,7 @@ def large_design() -> Design:
     signs = torch.randn(96, 1024, generator=generator())
     return Design(
         name="deepfsi",
-        rails=constraints.fit(signs, "free-dwell"),
+        rails=Rails.of(constraints.fit(signs, "free-dwell")),
         classifier=Mlp(192, 10, (512, 256), generator=generator()),
         mean=torch.zeros(192),
         std=torch.ones(192),

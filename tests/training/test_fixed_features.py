@@ -41,13 +41,13 @@ def by_formula(
 ) -> Tensor:
     """(x D − mean + deviation · ε) / std of the first step, with the draws of the same seed."""
     x = torch.from_numpy(digits.x_train)
-    difference, total = masks()
+    rails = masks()
     mean, std, _ = feature_statistics(x, masks, noise, "each", Detection())
     again = SeedStream(0, slice(0, len(std)), noise, torch.from_numpy(digits.y_train), BATCH)
     again.shuffle()
     rows = x[again.rows[0]]
-    expected = torch.einsum("bn,rmn->brm", rows, difference)
-    light = root(torch.einsum("bn,rmn->brm", rows, total)) * noise.unit
+    expected = torch.einsum("bn,rmn->brm", rows, rails.difference)
+    light = root(torch.einsum("bn,rmn->brm", rows, rails.total)) * noise.unit
     if noise.kind == "gaussian":
         light = noise.variance(mean, features.read).sqrt().expand_as(light)
     return (expected - mean + light * again.normal(MASKS)) / std

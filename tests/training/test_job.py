@@ -10,6 +10,7 @@ from conftest import PHOTONS, RECIPE, quick
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
+from deepfsi.optics.rails import Rails
 from deepfsi.progress import Report
 from deepfsi.training.job import (
     BFLOAT16_COUNTS,
@@ -169,7 +170,8 @@ def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_p
 def rounding(digits, masks: int, photons: float) -> float:
     """RMS error of bfloat16 products over photon noise, for the worst mask."""
     matrix = torch.from_numpy(codes.sensing_matrix("pca", masks, digits)).float()
-    difference, total = constraints.combine(constraints.fit(matrix, "column"))
+    rails = Rails.of(constraints.fit(matrix, "column"))
+    difference, total = rails.difference, rails.total
     x = torch.from_numpy(digits.x_train)
     light = photons * x.double() / x.double().sum(dim=1).mean()
     exact, noise = light @ difference.double().T, (light @ total.double().T).sqrt()

@@ -36,14 +36,14 @@ SETTINGS = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
 def test_learned_masks_are_dark_where_no_scene_varies(digits, made, light, rails):
     """Light from there is noise alone; on two arms one of them gets it in any case."""
     constant = torch.from_numpy((digits.x_train == digits.x_train[0]).all(axis=0))
-    rails_there = made("deepfsi", light, rails).rails[..., constant]
+    rails_there = made("deepfsi", light, rails).rails.stacked[..., constant]
     assert constant.any()
     assert (rails_there > 0).all() if light == "two-arm" else not rails_there.any()
 
 
 @pytest.mark.parametrize("design", FIXED)
 def test_fixed_designs_keep_their_masks(made, digits, design):
-    found = made(design, "column", "dual").rails
+    found = made(design, "column", "dual").rails.stacked
     if design == "raster":
         assert torch.equal(found[0], torch.eye(64) / 64)
         return
@@ -56,7 +56,7 @@ def test_fixed_designs_keep_their_masks(made, digits, design):
 @every_optics
 def test_learned_masks_change_from_their_start(made, light, rails):
     short, longer = made("deepfsi", light, rails), made("pca", light, rails)
-    assert not torch.allclose(short.rails, longer.rails, atol=1e-4)
+    assert not torch.allclose(short.rails.stacked, longer.rails.stacked, atol=1e-4)
 
 
 @every_optics
@@ -64,7 +64,7 @@ def test_the_control_group_has_the_masks_learned_under_gaussian_noise(digits, li
     settings = {"light": light, "rails": rails, "sigma": 2.0}
     control = quick(digits, "control", **settings)
     source = quick(digits, "deepfsi", noise="gaussian", **settings)
-    assert torch.allclose(control.rails, source.rails, rtol=1e-6, atol=1e-9)
+    assert torch.allclose(control.rails.stacked, source.rails.stacked, rtol=1e-6, atol=1e-9)
     assert not same(control, source)
 
 
@@ -94,7 +94,7 @@ def test_masks_may_start_from_a_design_of_all_pixels(digits, start, rails):
 def test_impulse_imaging_is_column_whatever_else_is_compared(digits, light):
     one = quick(digits, "impulse", light=light)
     assert one.light == "column"
-    assert torch.equal(one.rails[0], torch.eye(64))
+    assert torch.equal(one.rails.plus, torch.eye(64))
 
 
 @every_optics
@@ -126,21 +126,21 @@ def test_a_negative_matrix_cannot_be_a_single_rail(digits):
 def test_a_two_level_design_shows_dark_and_peak_alone(digits, made, light, rails, noise, precision):
     settings = {"light": light, "rails": rails, "noise": noise, "precision": precision}
     one = quick(digits, levels=2, **settings)
-    assert two_valued(one.rails)
-    assert torch.allclose(one.quantised(2).rails, one.rails, rtol=FLOAT32, atol=0)
-    assert not two_valued(made("deepfsi", light, rails).rails)
-    constraints.check(one.rails, light)
+    assert two_valued(one.rails.stacked)
+    assert torch.allclose(one.quantised(2).rails.stacked, one.rails.stacked, rtol=FLOAT32, atol=0)
+    assert not two_valued(made("deepfsi", light, rails).rails.stacked)
+    constraints.check(one.rails.stacked, light)
 
 
 @pytest.mark.parametrize("design", ["control", "pca", "random", "s-matrix", "raster", "custom"])
 def test_levels_hold_for_masks_that_are_not_learned_here(digits, design):
-    assert two_valued(quick(digits, design, light="equal-dwell", levels=2).rails)
+    assert two_valued(quick(digits, design, light="equal-dwell", levels=2).rails.stacked)
 
 
 @every_optics
 @pytest.mark.parametrize("levels", [3, 17])
 def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, levels):
-    rails = quick(digits, light=light, rails=rails, levels=levels).rails.double()
+    rails = quick(digits, light=light, rails=rails, levels=levels).rails.stacked.double()
     peak = (rails.sum(dim=0) if light == "two-arm" else rails).amax(dim=-1, keepdim=True)
     level = (levels - 1) * rails / torch.where(peak > 0, peak, 1.0)
     assert level.numpy() == pytest.approx(level.round().numpy(), abs=1e-4)
@@ -159,10 +159,10 @@ def test_two_level_designs_train_together_as_alone(digits, light, rails):
     training_set = TrainingSet(digits, "cpu")
     together = train(training_set, jobs)
     for one, job in zip(together, jobs, strict=True):
-        assert two_valued(one.rails)
-        lit, alone = one.rails > 0, train(training_set, [job])[0].rails > 0
+        assert two_valued(one.rails.stacked)
+        lit, alone = one.rails.stacked > 0, train(training_set, [job])[0].rails.stacked > 0
         assert (lit != alone).double().mean() <= 0.01
-    assert ((together[0].rails > 0) != (together[1].rails > 0)).any()
+    assert ((together[0].rails.stacked > 0) != (together[1].rails.stacked > 0)).any()
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_learning_two_levels_beats_rounding_to_them(digits, light, rails):
 def test_levels_survive_the_design_file(digits, tmp_path):
     one = quick(digits, light="free-dwell", levels=2)
     again = Design.load(one.save(tmp_path / "one.safetensors"))
-    assert torch.equal(again.rails, one.rails)
+    assert torch.equal(again.rails.stacked, one.rails.stacked)
     assert again.info["job"]["training"]["levels"] == 2
 
 
@@ -298,9 +298,9 @@ def test_statistics_of_a_two_level_design_are_of_its_own_masks(digits, noise, li
 def test_two_arms_that_are_both_read_start_where_one_arm_does(digits):
     """Masks that hardly learn are the frames of one arm, within the range of a start."""
     words = {**RECIPE, "photons": 1e3, "masks": 6, "epochs": 1, "mask_lr": 1e-9}
-    one = learn(digits, light="free-dwell", rails="single", **words).rails[0]
+    one = learn(digits, light="free-dwell", rails="single", **words).rails.plus
     both, difference = (
-        learn(digits, light="two-arm", readout=readout, **words).rails
+        learn(digits, light="two-arm", readout=readout, **words).rails.stacked
         for readout in ("both", "difference")
     )
 

@@ -60,7 +60,8 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
 
     Not of the mean, which takes up whatever masks do where pixels do not vary.
     """
-    pairs = [(first.rails[..., pixels], second.rails[..., pixels]), (first.std, second.std)]
+    masks = [each.rails.stacked[..., pixels] for each in (first, second)]
+    pairs = [masks, (first.std, second.std)]
     pairs += zip(first.classifier.parameters(), second.classifier.parameters(), strict=True)
     return max(((a - b).abs().max() / b.abs().max()).item() for a, b in pairs)
 
@@ -88,7 +89,9 @@ def test_replicas_draw_the_same_counts_together_as_alone(digits, light, rails):
 def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
     """Photons do not change them; seeds do."""
     made, fixed = [], learning.FixedMasks
-    monkeypatch.setattr(learning, "Fixed", lambda rails: made.append(len(rails)) or fixed(rails))
+    monkeypatch.setattr(
+        learning, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails)
+    )
     alike = {"design": "random", "masks": 6, "training": SETTINGS}
     for seeds in ((3, 3, 3), (3, 4, 5)):
         pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)
@@ -162,7 +165,7 @@ def test_wide_networks_have_products_of_the_type_asked_for(digits, monkeypatch, 
 def test_replicas_learn_for_their_own_budget(digits):
     jobs = [Job(masks=6, photons=photons, training=SETTINGS) for photons in (1e2, 1e6)]
     starved, bright = train(TrainingSet(digits, "cpu"), jobs)
-    assert not torch.allclose(starved.rails, bright.rails, atol=1e-3)
+    assert not torch.allclose(starved.rails.stacked, bright.rails.stacked, atol=1e-3)
     assert (starved.std > 2 * bright.std).all()
 
 

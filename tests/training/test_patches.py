@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from deepfsi.training.patches import Patches, PatchJob, PatchTraining, train
 
 from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi.design.artifact import Design
@@ -15,7 +16,6 @@ from deepfsi.optics import codes
 from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner
-from deepfsi.training.patches import Patches, PatchJob, PatchTraining, train
 from shared.design_files import refused, rewrite
 
 DESIGNS = ("impulse", "raster", "hadamard", "pca", "deepfsi")
@@ -131,7 +131,7 @@ def test_a_seed_gives_the_same_design_again(patches, design):
     other = train(patches, job.model_copy(update={"seed": 4}))
     for one, two in zip(first.classifier.parameters(), again.classifier.parameters(), strict=True):
         assert torch.equal(one, two)
-    assert torch.equal(first.rails, again.rails)
+    assert torch.equal(first.rails.stacked, again.rails.stacked)
     assert not torch.equal(first.classifier.head.weight, other.classifier.head.weight)
 
 
@@ -164,7 +164,7 @@ def test_a_design_comes_back_from_its_file(data, learned, tmp_path):
     fields = ("name", "light", "summed_reflectance", "image_shape", "classes", "exposure", "info")
     for name in fields:
         assert getattr(again, name) == getattr(learned, name)
-    assert torch.equal(again.rails, learned.rails)
+    assert torch.equal(again.rails.stacked, learned.rails.stacked)
 
 
 def test_probabilities_of_one_exposure(data, learned):
@@ -195,7 +195,10 @@ def test_a_damaged_file_is_one_clear_line(learned, tmp_path, change):
 
 def test_what_patches_cannot_do_is_refused(data, learned):
     refused = [
-        (lambda: learned.as_shown(learned.rails.numpy(), learned.image_shape, 1.0), "patches"),
+        (
+            lambda: learned.as_shown(learned.rails.stacked.numpy(), learned.image_shape, 1.0),
+            "patches",
+        ),
         (lambda: learned.classify_live(lambda dwell: dwell, BUDGET), "`looks`"),
         (lambda: learned.first(3), "`nested`"),
         (lambda: stop(learned, data, BUDGET), "`nested`"),
@@ -209,9 +212,9 @@ def test_what_patches_cannot_do_is_refused(data, learned):
 def test_fixed_masks_stay_as_they_are(patches):
     masks = patches.masks("hadamard")
     assert isinstance(masks, FixedMasks)
-    assert torch.allclose(masks()[0].abs(), torch.tensor(1 / 16))
+    assert torch.allclose(masks().difference.abs(), torch.tensor(1 / 16))
     made = train(patches, PatchJob(design="hadamard", photons=BUDGET, patch=4, training=SMALL))
-    assert np.array_equal(made.matrix, masks()[0].numpy())
+    assert np.array_equal(made.matrix, masks().difference.numpy())
 
 
 def test_a_hadamard_basis_is_whole():

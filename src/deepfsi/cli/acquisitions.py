@@ -1,14 +1,11 @@
 """Acquisitions of a laboratory, prepared for the photon file that its counter will write."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from deepfsi.cli import common, options, paths
-
-if TYPE_CHECKING:
-    from deepfsi.hardware.recording.acquisition import Scene
 
 
 def camera_prepare(
@@ -45,11 +42,12 @@ def camera_prepare(
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.recording.acquisition import name_inputs, plan_acquisition, prepare
+    from deepfsi.laboratory.scenes import listed
 
     manifest = read_patterns(patterns).manifest
     planned = plan_acquisition(
         manifest,
-        _scenes(scenes),
+        listed(scenes),
         exposure_s=options.optional_seconds("exposure", exposure),
         settle_s=options.optional_seconds("settle", settle),
         repeats=repeats,
@@ -120,19 +118,3 @@ def camera_import(
         f"channel {marker}: {triggers} markers on 0\n{left} events of other channels left out\n"
         f"photons: {out}"
     )
-
-
-def _scenes(source: Path) -> "tuple[Scene, ...]":
-    """Scenes of a list, of one picture or of a folder of pictures."""
-    from deepfsi.datasets import read_display
-    from deepfsi.hardware.recording.acquisition import Scene
-    from deepfsi.hardware.recording.scene_list import read_scenes
-
-    suffix = source.suffix.lower()
-    if suffix in (".txt", ".csv"):
-        paths.check_there(source, "a list of scenes, or their pictures")
-    if source.is_file() and suffix in ("", ".txt", ".csv"):
-        return read_scenes(source)
-    shown = read_display(source)
-    labels = shown.labels or [None] * len(shown.names)
-    return tuple(Scene(name=n, label=x) for n, x in zip(shown.names, labels, strict=True))

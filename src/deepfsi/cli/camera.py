@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options, paths, replays
+from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.errors import InputError, as_input_error
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from deepfsi.datasets.display import Display
     from deepfsi.hardware.ptu.contents import Contents
     from deepfsi.hardware.recording.counts import Counts
-    from deepfsi.hardware.virtual.camera import Camera
+    from deepfsi.hardware.virtual.camera import VirtualCamera
+    from deepfsi.laboratory.live.replay import LiveCounts
 
 NO_DRIFT = 1e-7
 """Drift of clocks that is printed as none, as a share."""
@@ -63,6 +63,7 @@ def camera_simulate(
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
+    from deepfsi.laboratory.scenes import displayed
 
     recording = RecordingSettings(
         find_camera(settings),
@@ -74,7 +75,7 @@ def camera_simulate(
         **options.wiring(inputs, None),
     )
     shown = read_patterns(patterns)
-    images = read_scenes(scene, patterns, shown.manifest.design_sha256 is not None)
+    images = displayed(scene, patterns)
     if not yes:
         ask_for_room(expected_events(shown, images.x, recording.camera, flux))
     with common.progress("photons", quiet=as_json) as report:
@@ -94,21 +95,6 @@ def camera_simulate(
         f"{len(made.scenes)} scenes, {made.repeats} exposures of {made.exposure_s:g} s each\n"
         f"recorded: {out}"
     )
-
-
-def read_scenes(scene: Path, patterns: Path, has_design: bool) -> "Display":
-    """Pictures of scenes, with the white of the design where their type has none."""
-    from deepfsi.datasets import read_display
-
-    images = read_display(scene)
-    if not (images.levels.chosen and has_design):
-        return images
-    from deepfsi.design.artifact import Design
-    from deepfsi.design.memory import memory_of
-
-    memory = memory_of(Design.load(patterns / "design.safetensors"))
-    white = memory.origin.white if memory and memory.origin else None
-    return images if white is None else read_display(scene, white)
 
 
 def camera_count(
@@ -135,12 +121,14 @@ def camera_count(
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.recording.counting import count
+    from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
-    if replays.is_live(folder):
-        replays.check_as_it_was(
+    if is_live(folder):
+        check_as_it_was(
             (exposure, settle, repeats, tolerance, inputs, marker, dead_time, dead_time_model)
         )
-        replays.print_live_counts(folder, as_json)
+        with common.progress("counting", quiet=as_json) as report:
+            _print_live_counts(count_live(folder, report), folder, as_json)
         return
     with common.progress("counting", quiet=as_json) as report:
         counts = count(
@@ -201,6 +189,28 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         f"{_span(counts.photons)} photons an exposure, dark "
         f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
         f"clocks: frames last {_drifted(counts.drift)}\n"
+        f"counts: {folder / 'counts.npz'}"
+    )
+
+
+def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> None:
+    summary = {
+        "scenes": len(counts.scenes),
+        "looks": sum(each.looks for each in counts.scenes),
+        "frames": len(counts.counts),
+        "photons_counted": int(counts.counts.sum()),
+    }
+    if as_json:
+        rows = [
+            [{"look": part.look, "frames": part.frames, "counts": found.tolist()}
+             for part, found in zip(scene.lists, lists, strict=True)]
+            for scene, lists in counts.by_scene
+        ]  # fmt: skip
+        common.print_json("camera.count", {**summary, "counts": rows})
+        return
+    print(
+        f"a live run: {summary['scenes']} scenes, {summary['looks']} looks, {summary['frames']} "
+        f"frames\n{summary['photons_counted']} photons counted\n"
         f"counts: {folder / 'counts.npz'}"
     )
 
@@ -291,17 +301,17 @@ def ask_for_room(events: float) -> None:
     )
 
 
-def find_camera(text: str) -> "Camera":
+def find_camera(text: str) -> "VirtualCamera":
     """Virtual camera of a name or a TOML file, or `InputError`."""
     from deepfsi.errors import closest
-    from deepfsi.hardware.virtual.camera import CAMERAS, Camera
+    from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 
     if text in CAMERAS:
         return CAMERAS[text]
     if not text.endswith(".toml"):
         raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return Camera.model_validate(common.read_toml(text, Path(text)))
+        return VirtualCamera.model_validate(common.read_toml(text, Path(text)))
 
 
 def _span(values: "np.ndarray") -> str:

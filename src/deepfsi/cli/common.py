@@ -38,7 +38,7 @@ def help_if_bare(context: typer.Context) -> None:
 
 
 def load(
-    data: str, size: tuple[int, int] | None, view: Path | None = None, split: str | None = None
+    data: str, size: tuple[int, int] | None, view: Path | None = None, **options: Any
 ) -> "Dataset":
     """Data set of a name or path, as the camera whose calibration is in the folder `view` sees it.
 
@@ -46,7 +46,7 @@ def load(
     """
     from deepfsi.datasets import load_dataset
 
-    scenes = load_dataset(data, size=size, split=split)
+    scenes = load_dataset(data, size=size, **options)
     if view is None:
         return scenes
     from deepfsi.hardware.calibration.view import view_from
@@ -186,11 +186,11 @@ def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
 def size(made: "Design") -> str:
     """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
     parts = [f"{made.masks} masks"]
-    if made.exposure.looks > 1:
+    if made.exposure.chooses:
         parts.append(f"{made.exposure.looks} looks")
     if made.detection.count > 1:
         parts.append(f"{made.detection.count} detectors")
-    if len(made.rails) == 2 and made.detection.readout == "both":
+    if made.rails.count == 2 and made.detection.readout == "both":
         parts.append("both rails read")
     return ", ".join(parts)
 

@@ -9,6 +9,7 @@ import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.recipes import check_recipe
+from deepfsi.cli.settings import job_fields, with_settings
 
 
 def export(
@@ -38,7 +39,7 @@ def export(
     write_atomically(target, to_onnx(design))
     if as_json:
         sizes = {
-            "rails": len(design.rails),
+            "rails": design.rails.count,
             "masks": design.masks,
             "detectors": design.detection.count,
             "classes": design.classes,
@@ -47,7 +48,7 @@ def export(
         common.print_json("export", {"graph": str(target), **sizes})
         return
     shape = ", ".join(map(str, ("batch", *design.counts_shape)))
-    looks = ", dwell, left, shortest" if design.exposure.looks > 1 else ""
+    looks = ", dwell, left, shortest" if design.exposure.chooses else ""
     print(
         f"in: counts ({shape}), photons (batch,){looks}\n"
         f"out: probabilities (batch, {len(design.classes)}){', next' if looks else ''}\n"
@@ -55,31 +56,16 @@ def export(
     )
 
 
+@with_settings(job_fields(), axes=True, leave=("design", "seed"))
 def plan(
-    context: typer.Context,
     target: Annotated[str, typer.Option(help="target accuracy, such as 0.95")],
+    settings: dict[str, Any],
     out: options.Folder = Path("runs/plan"),
     data: options.Data = "digits",
     size: options.Size = None,
-    designs: options.Designs = "impulse,raster,truncated-hadamard,pca,deepfsi",
-    photons: Annotated[
-        str, typer.Option(help="budgets to try first; more are added where the target is met")
-    ] = "1e2,1e3,1e4,1e5,1e6",
-    ratios: Annotated[
-        str | None,
-        typer.Option(
-            help="readouts divided by pixels, m/N for one detector; 0.01,0.04,0.16 unless given"
-        ),
-    ] = None,
-    masks: options.MaskCounts = None,
-    noise: options.Noise = "poisson",
-    sigma: options.Sigmas = 1.0,
-    light: options.Lights = "column",
-    rails: options.RailsAxis = "dual",
-    detectors: options.DetectorsAxis = "1x1",
-    readout: options.ReadoutAxis = None,
-    trials: options.Trials = 2,
-    epochs: options.Epochs = None,
+    designs: options.Designs = None,
+    ratios: options.Ratios = None,
+    trials: options.Trials = None,
     device: options.Device = "auto",
     workers: options.Workers = None,
     as_json: options.Json = False,
@@ -100,9 +86,9 @@ def plan(
     from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
-    asked = options.recipe_settings(context.params, {"ratios": (0.01, 0.04, 0.16)})
-    recipe, scenes = check_recipe(asked)
-    options.check_sigma(context, *recipe.noise)
+    fields = options.recipe_fields(data, size, designs, ratios, trials)
+    recipe, scenes = check_recipe(options.recipe_settings(settings, fields, PLANNED))
+    options.check_sigma(settings, recipe.noises)
     check_plan(recipe, scenes, accuracy)
     with common.progress("plan", quiet=as_json) as report:
         found, results = photons_needed(
@@ -121,8 +107,18 @@ def plan(
         common.print_json("plan", found)
         return
     axes = ("light", "rails", "detectors", "readout")
-    _print_needs(found, [axis for axis in axes if len(getattr(recipe, axis)) > 1])
+    several = [axis for axis in axes if len({need[axis] for need in found["needs"]}) > 1]
+    _print_needs(found, several)
     print(f"plan: {out / 'plan.json'}")
+
+
+PLANNED: dict[str, Any] = {
+    "designs": ("impulse", "raster", "truncated-hadamard", "pca", "deepfsi"),
+    "photons": (1e2, 1e3, 1e4, 1e5, 1e6),
+    "ratios": (0.01, 0.04, 0.16),
+    "trials": 2,
+}
+"""Recipe of a plan where nothing else is given; budgets are added where the target is met."""
 
 
 def _print_needs(plan: Mapping[str, Any], axes: list[str]) -> None:

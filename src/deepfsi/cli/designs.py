@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
+from deepfsi.training.job import find_job
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
@@ -15,42 +17,17 @@ if TYPE_CHECKING:
     from deepfsi.design.stopping import Stopped
 
 
+@with_settings(job_fields())
 def design(
-    context: typer.Context,
     out: options.DesignFile,
-    photons: options.PhotonRange = None,
+    settings: dict[str, Any],
     counts: options.Counts = None,
-    masks: options.MaskCount = None,
     data: options.Data = "digits",
     size: options.Size = None,
-    name: options.Design = None,
-    noise: options.Noise = "poisson",
-    train_noise: options.TrainNoise = None,
-    sigma: options.Sigma = 1.0,
-    dark: options.Dark = 0.0,
-    light: options.Light = "column",
-    rails: options.Rails = "dual",
-    detectors: options.Detectors = "1x1",
-    readout: options.Readout = None,
-    nested: options.Nested = 0,
-    levels: options.Levels = 0,
-    start: options.Start = None,
-    looks: options.Looks = 1,
-    shortest_dwell: options.ShortestDwell = None,
-    exposure: options.DesignExposure = None,
-    classifier: options.Classifier = "mlp",
-    epochs: options.Epochs = None,
-    balance: options.Balance = False,
     hold_out: Annotated[
         int,
         typer.Option(
             help="number of last training scenes to leave out, which `deepfsi stop` needs"
-        ),
-    ] = 0,
-    seed: Annotated[
-        int,
-        typer.Option(
-            help="seed of the random numbers: the same one repeats the result exactly on one device"
         ),
     ] = 0,
     matrix: options.Matrix = None,
@@ -64,33 +41,27 @@ def design(
     """
     paths.check_file(out, paths.DESIGNS)
     common.check_data(data, view)
-    options.check_sigma(context, noise, train_noise)
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.design.exposure.looks import check_noise_of_looks
-    from deepfsi.optics.noise import check_dark, resolve
     from deepfsi.training.learning import learn
 
-    named, _ = resolve(noise)
-    check_dark(dark, named)
-    if looks > 1:
-        check_noise_of_looks(named)
-
     own = common.read_matrix(matrix)
-    options.light_settings(photons, counts)
+    counted = None if counts is None else options.number("counts", counts)
     scenes = common.load(data, options.size_of(size), view)
-    settings = options.job_settings(context.params, scenes, own)
+    asked = options.job_settings(settings, scenes, own)
+    job = find_job(asked, counted)
+    options.check_sigma(settings, (job.camera.noise_name, job.noise))
     shown = scenes.hold_out(hold_out) if hold_out else scenes
-    with common.progress(f"{settings['design']}, {settings['masks']} masks", as_json) as report:
-        made = learn(shown, matrix=own, device=device, report=report, **settings)
-    trained_at = made.info["job"]["photons"]
-    budgets = (trained_at,) if photons is None else options.budget_range(photons)
+    with common.progress(f"{job.design}, {job.masks} masks", as_json) as report:
+        made = learn(shown, counts=counted, matrix=own, device=device, report=report, **asked)
+    lowest = made.info["job"]["photons"]
     made.save(out)
-    results = test(made, scenes, list(dict.fromkeys(budgets)), noise=noise, sigma=sigma, dark=dark)
+    results = test(made, scenes, list(dict.fromkeys((lowest, job.exposure.highest(lowest)))))
     if as_json:
         tests = [{"classes": made.classes, **result.as_dict()} for result in results]
         common.print_json("design", {"design": str(out), "info": made.info, "tests": tests})
         return
     common.print_data(scenes)
+    print(job.optics.words)
     for result in results:
         print(
             f"{made.name} with {common.size(made)} at {common.budget(result.photons)} photons: "
@@ -104,16 +75,15 @@ def design(
 
 
 def evaluate(
-    context: typer.Context,
     file: Annotated[
         Path, typer.Argument(help="design file, or a folder of patterns that `dmd export` wrote")
     ],
     photons: Annotated[str, typer.Option(help="budgets, such as 1e2,1e3,1e4")],
     data: options.TestData = None,
     size: options.Size = None,
-    noise: options.Noise = "poisson",
-    sigma: options.Sigma = 1.0,
-    dark: options.Dark = 0.0,
+    noise: options.Noise = None,
+    sigma: options.Sigma = None,
+    dark: options.Dark = None,
     first: Annotated[
         int | None, typer.Option(help="use only this many first masks of a nested design")
     ] = None,
@@ -136,31 +106,26 @@ def evaluate(
     """
     paths.check_design(file)
     common.check_data(data, view)
-    options.check_sigma(context, noise)
-    if ideal and noise != "poisson":
-        raise InputError(f"the ideal observer is of photon noise, not {noise}: leave --ideal out")
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.design.memory import data_of
     from deepfsi.design.posterior import ideal_observer
+    from deepfsi.laboratory.data import data_of
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
+    told = {"noise": noise, "sigma": sigma, "dark": dark}
+    told = {name: value for name, value in told.items() if value is not None}
     made = common.open_design(file, trust).to(find_device(device))
+    camera = made.camera_with(**told)
+    options.check_sigma(told, [camera.noise_name])
+    if ideal and camera.noise_name != "poisson":
+        raise InputError(
+            f"the ideal observer is of photon noise, not {camera.noise_name}: leave --ideal out"
+        )
     if first is not None:
         made = made.first(first)
     scenes, notes = data_of(made, data, options.size_of(size), view)
     with common.progress("evaluate", quiet=as_json) as report:
-        results = test(
-            made,
-            scenes,
-            budgets,
-            noise=noise,
-            sigma=sigma,
-            dark=dark,
-            draws=draws,
-            seed=seed,
-            report=report,
-        )
+        results = test(made, scenes, budgets, camera=camera, draws=draws, seed=seed, report=report)
     bounds: list[Result] = []
     if ideal:
         with common.progress("ideal observer", quiet=as_json) as report:
@@ -175,7 +140,7 @@ def evaluate(
         common.print_json("evaluate", said)
         return
     common.print_data(scenes, notes)
-    _print_results(made, noise, results, bounds)
+    _print_results(made, camera.noise_name, results, bounds)
 
 
 def stop(
@@ -217,9 +182,9 @@ def stop(
         paths.check_file(out, paths.DESIGNS)
     common.check_data(data)
     from deepfsi.design.artifact import Design
-    from deepfsi.design.live import looks_of, with_rule
-    from deepfsi.design.memory import data_of
+    from deepfsi.design.stopping import looks_of, with_rule
     from deepfsi.design.stopping import stop as run
+    from deepfsi.laboratory.data import data_of
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
@@ -323,10 +288,7 @@ def show(
         title += f"; the {count} that count most photons"
     dwells = made.exposure.mask_dwells(made.rails, made.light, made.mean, made.std)
     if dwells is not None:
-        looks = made.exposure.looks
-        title += "\ndwell: share of the exposure" + (
-            f" in the first of {looks} looks, {1 / looks:.0%} of it each" if looks > 1 else ""
-        )
+        title += f"\ndwell: {made.exposure.dwell_words}"
     labels = made.detection.labels
     if labels is not None:
         title += "\nlines: parts of the device that one detector sees"
@@ -363,8 +325,8 @@ def page(
     paths.check_design(file)
     paths.check_file(out, (".html",))
     common.check_data(data)
-    from deepfsi.design.memory import data_of
     from deepfsi.design.payload import check_playable, playable
+    from deepfsi.laboratory.data import data_of
     from deepfsi.report.playground.page import write_page
 
     made = common.open_design(file)

@@ -125,7 +125,7 @@ def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails"
                 "leave it out"
             )
     paths.check_design(file)
-    from deepfsi.design.frames import design_rails
+    from deepfsi.laboratory.rails import design_rails
 
     return design_rails(file)
 

@@ -1,21 +1,23 @@
 """Options of the commands, their values parsed, and the job or recipe that they ask for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common
+from deepfsi import units
+from deepfsi.cli.settings import values
 from deepfsi.errors import InputError, check_known
+from deepfsi.optics.camera import Camera
+from deepfsi.training.job import owner, sorted_settings
 
 if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
     from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
-    from deepfsi.optics.detection import Detection
 
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
@@ -53,24 +55,9 @@ Matrix = Annotated[
         "folder of images, or a TIFF of m pages"
     ),
 ]
-Balance = Annotated[
-    bool,
-    typer.Option("--balance", help="weight the training scenes so that all classes count equally"),
-]
-Epochs = Annotated[int | None, typer.Option(help="training epochs")]
-TrainNoise = Annotated[
-    str | None,
-    typer.Option(help="noise in training, if different: ml_gauss, poisson, gaussian, camera, none"),
-]
 
 # one design
 
-PhotonRange = Annotated[
-    str | None,
-    typer.Option(
-        help="budget: expected photons on the coding device; LOW:HIGH for a range of budgets"
-    ),
-]
 Counts = Annotated[
     str | None,
     typer.Option(
@@ -78,78 +65,16 @@ Counts = Annotated[
     ),
 ]
 DesignFile = Annotated[Path, typer.Option("--out", "-o", help="design file, .safetensors")]
-MaskCount = Annotated[str | None, typer.Option(help="number of masks, m")]
-Design = Annotated[str | None, typer.Option("--design", help="which design; deepfsi unless given")]
 Noise = Annotated[
-    str,
-    typer.Option(
-        help="poisson, gaussian, camera (photons, dark counts and read noise), none, or "
-        "module:function of your own"
-    ),
+    str | None, typer.Option(help="noise of the tests; that of the design's camera unless given")
 ]
 Sigma = Annotated[
-    float, typer.Option(help="read noise of gaussian and camera noise, counts rms per readout")
+    float | None,
+    typer.Option(help="read noise of gaussian and camera noise, counts rms per readout"),
 ]
 Dark = Annotated[
-    float, typer.Option(help="dark counts of a detector in a whole exposure, for camera noise")
-]
-Light = Annotated[
-    str, typer.Option(help="light law of the optics: column, equal-dwell, free-dwell or two-arm")
-]
-Rails = Annotated[
-    str, typer.Option(help="dual: signed masks of two frames each; single: non-negative masks")
-]
-Detectors = Annotated[
-    str,
-    typer.Option(
-        help="detectors, each on its part of the device: ROWSxCOLUMNS, a number of spectral "
-        "bands, or a .npy map with each pixel's detector, from 0"
-    ),
-]
-Readout = Annotated[
-    str | None,
-    typer.Option(
-        help="what the network reads of two rails: both, or their difference; by default both "
-        "for two-arm, else the difference"
-    ),
-]
-Nested = Annotated[
-    int,
-    typer.Option(
-        help="nested masks: smallest number of first masks from which the network must "
-        "classify; 0: always all"
-    ),
-]
-Levels = Annotated[
-    int,
-    typer.Option(
-        help="grey levels of the masks, dark included: 2 for ON and OFF; 0 for continuous values"
-    ),
-]
-Start = Annotated[
-    str | None,
-    typer.Option(
-        help="design that learned masks start from; pca unless given, class-pairs for several looks"
-    ),
-]
-Looks = Annotated[
-    int,
-    typer.Option(
-        help="parts (looks) of an exposure: the counts so far choose the dwells of the next part"
-    ),
-]
-ShortestDwell = Annotated[
-    str | None,
-    typer.Option(
-        help="shortest time for which a frame is counted, such as 32us: the device's shortest "
-        "picture less settling and 2 us; needs --exposure"
-    ),
-]
-DesignExposure = Annotated[
-    str | None, typer.Option(help="time of a whole exposure, such as 10ms; for --shortest-dwell")
-]
-Classifier = Annotated[
-    str, typer.Option(help="mlp, or module:factory of a torch module of your own")
+    float | None,
+    typer.Option(help="dark counts/s of a detector; in an exposure, where no time is given"),
 ]
 Trust = Annotated[
     bool, typer.Option("--trust", help="run the code of the classifier that the design names")
@@ -159,25 +84,11 @@ NoiseSeed = Annotated[int, typer.Option(help="seed of the noise")]
 
 # many designs
 
+Ratios = Annotated[
+    str | None,
+    typer.Option(help="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"),
+]
 Designs = Annotated[str | None, typer.Option(help="names, separated by commas")]
-MaskCounts = Annotated[str | None, typer.Option(help="mask counts, instead of ratios")]
-Noises = Annotated[
-    str | None, typer.Option(help="poisson, gaussian, camera, none, or module:function")
-]
-Sigmas = Annotated[
-    float | None, typer.Option(help="read noise, gaussian and camera, counts rms per readout")
-]
-Darks = Annotated[
-    float | None, typer.Option(help="dark counts of a detector in an exposure, camera noise")
-]
-Lights = Annotated[str | None, typer.Option(help="light laws, such as column,free-dwell")]
-RailsAxis = Annotated[str | None, typer.Option(help="dual, single")]
-DetectorsAxis = Annotated[
-    str | None, typer.Option(help="detectors, each on its part of the device: 1x1,2x2,map.npy")
-]
-ReadoutAxis = Annotated[
-    str | None, typer.Option(help="what the network reads of two rails: both, difference")
-]
 Trials = Annotated[int | None, typer.Option(help="training seeds for each point")]
 
 
@@ -288,16 +199,10 @@ def whole_number(option: str, text: str) -> int:
 
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
-    value = text.strip().lower()
-    units = {"ps": 1e-12, "ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "": 1.0}
-    unit = next(each for each in units if value.endswith(each))
     try:
-        time = float(value.removesuffix(unit)) * units[unit]
-    except ValueError:
-        time = math.nan
-    if not (math.isfinite(time) and time >= 0):
-        raise InputError(f"--{option} {text!r} is not a time: give seconds, or such as 10ms, 44us")
-    return time
+        return units.seconds(text)
+    except ValueError as error:
+        raise InputError(f"--{option}: {error}") from None
 
 
 def optional_seconds(option: str, text: str | None) -> float | None:
@@ -323,24 +228,6 @@ Budget = Annotated[
         "frames unless given"
     ),
 ]
-
-
-def dwell_settings(shortest: str | None, exposure: str | None) -> dict[str, float]:
-    """Settings of `learn` of the options --shortest-dwell and --exposure, or `InputError`."""
-    if shortest is None and exposure is None:
-        return {}
-    if shortest is None or exposure is None:
-        raise InputError(
-            "the shortest dwell is told as a share of the exposure: give both --shortest-dwell and "
-            "--exposure, or neither"
-        )
-    frame_s, exposure_s = seconds("shortest-dwell", shortest), seconds("exposure", exposure)
-    if frame_s >= exposure_s:
-        raise InputError(
-            f"--shortest-dwell {shortest} is not below --exposure {exposure}: give a longer "
-            "exposure, which has room for more than one frame"
-        )
-    return {"shortest_dwell": frame_s / exposure_s}
 
 
 def wiring(inputs: list[int] | None, marker: int | None) -> dict[str, Any]:
@@ -381,116 +268,101 @@ def budget_range(text: str) -> tuple[float, float]:
     return parts[0], parts[-1]
 
 
-def light_settings(photons: str | None, counts: str | None) -> dict[str, float]:
-    """Settings of `learn` of one of the options --photons and --counts, or `InputError`."""
-    from deepfsi.optics.budget import check_one_budget
-
-    counted = None if counts is None else number("counts", counts)
-    if photons is None:
-        return {"counts": check_one_budget(None, counted, 1.0)}
-    lowest, highest = budget_range(photons)
-    return {"photons": check_one_budget(lowest, counted, 1.0), "span": highest / lowest}
-
-
-def check_sigma(context: typer.Context, *noises: str | None) -> None:
+def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
-    if common.is_given(context, "sigma") and not {"gaussian", "camera"} & {*noises}:
-        named = " and ".join(dict.fromkeys(filter(None, noises)))
+    named = list(dict.fromkeys(noises))
+    if "sigma" in given and not {"gaussian", "camera"} & {*named}:
         raise InputError(
-            f"--sigma is not of {named} noise: leave it out, or give --noise gaussian or camera"
+            f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
+            "gaussian or camera"
         )
 
 
 def job_settings(
-    options: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
+    given: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
 ) -> dict[str, Any]:
-    """Settings of `learn` that the options of `design` ask for, but for device, matrix and report.
+    """Fields of a job of the options of `design`, for `learn`.
 
-    The options are by the names of their parameters. The data decides how many masks a design of a
-    fixed number has; the matrix, (m, N), is the user's own.
+    The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
+    user's own.
     """
-    from deepfsi.optics.detection import Detection, read_detectors
-    from deepfsi.sweeps.recipe import training_noise
-
-    usual = training_noise(options["noise"])
-    if options["looks"] > 1 and usual == "ml_gauss":
-        usual = "poisson"  # a look shows many masks too shortly for MLGauss
-    labels = read_detectors(options["detectors"])
-    detection = Detection.of(labels, data.image_shape)
-    design, masks = _design_and_masks(options["name"], options["masks"], data, matrix, detection)
-    trained = options["train_noise"] or usual
-    same = (
-        *("sigma", "light", "rails", "readout", "seed", "nested", "levels", "looks", "epochs"),
-        *("start", "classifier", "balance"),
-    )
-    settings = {name: options[name] for name in same if options[name] is not None}
-    return settings | {
-        "design": design,
-        "masks": masks,
-        "detectors": labels,
-        **light_settings(options["photons"], options["counts"]),
-        **dwell_settings(options["shortest_dwell"], options["exposure"]),
-        "noise": trained,
-        "dark": options["dark"] if trained == "camera" else 0.0,
-    }
-
-
-def _design_and_masks(
-    name: str | None,
-    masks: str | None,
-    data: "Dataset",
-    matrix: "np.ndarray | None",
-    detection: "Detection",
-) -> tuple[str, int]:
-    from deepfsi.optics import codes, tiles
-
+    settings = dict(given)
+    if "photons" in settings:
+        lowest, highest = budget_range(settings["photons"])
+        settings |= {"photons": lowest, "span": highest / lowest}
+    if "masks" in settings:
+        settings["masks"] = whole_number("masks", settings["masks"])
+    job = sorted_settings(settings)
+    job["camera"] = Camera.load(job.get("camera"))
     if matrix is not None:
-        if masks is not None or name not in (None, "custom"):
+        if "masks" in job or job.get("design", "custom") != "custom":
             raise InputError(
                 "--matrix is a design with its own masks: leave --masks and --design out"
             )
-        return "custom", len(matrix)
-    design = codes.check_design(name or "deepfsi")
-    if masks is not None:
-        return design, whole_number("masks", masks)
-    if not codes.DESIGNS[design].fixed_count:
+        return {**job, "design": "custom", "masks": len(matrix)}
+    if "masks" not in job:
+        job["masks"] = _fixed_count(job, data)
+    return job
+
+
+def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
+    """Number of masks of a design that has no choice, or `InputError`."""
+    from deepfsi.design.exposure import find_exposure
+    from deepfsi.optics import codes, tiles
+    from deepfsi.optics.detection import ONE
+
+    design = codes.check_design(job.get("design", "deepfsi"))
+    code = codes.DESIGNS[design]
+    if not code.fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
-    seen = (detection,) if design != "impulse" else ()
-    return design, tiles.count_allowed(design, data, *seen)[1]
+    detection = ONE if code.every_pixel else job["camera"].detection(data.image_shape)
+    scenes = find_exposure(job.get("exposure", {})).seen(data)
+    return tiles.count_allowed(design, scenes, detection)[1]
 
 
-def recipe_settings(options: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
+def recipe_fields(
+    data: str | None, size: str | None, designs: str | None, ratios: str | None, trials: int | None
+) -> dict[str, Any]:
+    """Fields of a recipe that are no settings of a job, None where one is not given."""
+    return {
+        "data": data,
+        "size": size_of(size),
+        "designs": words(designs),
+        "ratios": numbers("ratios", ratios),
+        "trials": trials,
+    }
+
+
+def recipe_settings(
+    given: Mapping[str, Any], own: Mapping[str, Any], base: Mapping[str, Any]
+) -> dict[str, Any]:
     """Settings of the recipe that the options of `compare` or `plan` ask for.
 
-    The options are by the names of their parameters, None where one is not given; settings of
-    `base` hold where no option overrides them.
+    Options of a job are axes, as text; `own` are fields of the recipe, None where one is not given;
+    settings of `base` hold where no option overrides them.
     """
-    if options["masks"] is not None and options["ratios"] is not None:
+    fields = {name: value for name, value in own.items() if value is not None}
+    if "masks" in given and "ratios" in fields:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
-    axes = ("designs", "noise", "train_noise", "light", "rails", "detectors", "readout")
-    given = {name: words(options.get(name)) for name in axes} | {
-        "data": options["data"],
-        "size": size_of(options["size"]),
-        "photons": numbers("photons", options["photons"]),
-        "ratios": numbers("ratios", options["ratios"]),
-        "masks": numbers("masks", options["masks"], whole=True),
-        "sigma": options["sigma"],
-        "dark": options.get("dark"),
-        "trials": options["trials"],
-    }
-    given = {name: value for name, value in given.items() if value is not None}
+    tables: dict[str, dict[str, Any]] = {"camera": {}, "exposure": {}, "training": {}}
+    if "camera" in given:
+        tables["camera"] = Camera.load(given["camera"]).given
+    for name, text in given.items():
+        table, key = owner(name)
+        if name != "camera":
+            (tables[table] if table else fields)[key] = values(name, text)
     replaced = {"masks": "ratios", "ratios": "masks"}
-    left_out = {replaced[name] for name in given if name in replaced}
-    settings = {name: value for name, value in base.items() if name not in left_out} | given
-    told = {"epochs": options["epochs"], "balance": options.get("balance") or None}
-    told = {name: value for name, value in told.items() if value is not None}
-    if told and isinstance(settings.setdefault("training", {}), dict):
-        settings["training"] = {**settings["training"], **told}
-    if told and isinstance(tuned := settings.get("tuned"), dict):
-        settings["tuned"] = {
-            design: {name: value for name, value in table.items() if name not in told}
+    left_out = {replaced[name] for name in fields if name in replaced}
+    merged = {name: value for name, value in base.items() if name not in left_out} | fields
+    for name, axes in tables.items():
+        held = merged.get(name, {})
+        if isinstance(held, dict) and axes:
+            merged[name] = {**held, **axes}
+    if isinstance(tuned := merged.get("tuned"), dict):
+        merged["tuned"] = {
+            design: {name: value for name, value in table.items() if name not in tables["training"]}
             if isinstance(table, dict)
             else table
             for design, table in tuned.items()
         }
-    return settings
+    return merged

@@ -32,8 +32,6 @@ def read_recipe(source: str) -> dict[str, Any]:
     file = common.read_toml(source, named.get(source, path))
     if not file:
         raise InputError(f"{source} is empty: give a recipe at least one setting, such as designs")
-    if "patch" in file:
-        raise InputError(f"{source} is a recipe of patches: run it by `deepfsi reproduce ovit`")
     return file
 
 
@@ -44,6 +42,6 @@ def check_recipe(
     from deepfsi.sweeps import recipe_check
 
     def load(recipe: "Recipe") -> "Dataset":
-        return common.load(recipe.data, recipe.size, split=recipe.split)
+        return common.load(recipe.data, recipe.size, split=recipe.split, images=recipe.images)
 
     return recipe_check.check_recipe(settings, load, matrix)

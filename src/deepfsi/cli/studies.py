@@ -8,6 +8,7 @@ import typer
 
 from deepfsi.cli import common, options, paper, paths
 from deepfsi.cli.recipes import check_recipe, read_recipe
+from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.progress import duration_text
 
 if TYPE_CHECKING:
@@ -18,31 +19,15 @@ if TYPE_CHECKING:
     from deepfsi.sweeps.results import Point, Results
 
 
+@with_settings(job_fields(), axes=True, leave=("design", "seed"))
 def compare(
-    context: typer.Context,
+    settings: dict[str, Any],
     out: options.Folder = Path("runs/compare"),
     data: options.Data = "digits",
     size: options.Size = None,
     designs: options.Designs = None,
-    photons: Annotated[str | None, typer.Option(help="budgets, such as 1e3,1e4,1e5")] = None,
-    ratios: Annotated[
-        str | None,
-        typer.Option(
-            help="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"
-        ),
-    ] = None,
-    masks: options.MaskCounts = None,
-    noise: options.Noises = None,
-    train_noise: options.TrainNoise = None,
-    sigma: options.Sigmas = None,
-    dark: options.Darks = None,
-    light: options.Lights = None,
-    rails: options.RailsAxis = None,
-    detectors: options.DetectorsAxis = None,
-    readout: options.ReadoutAxis = None,
+    ratios: options.Ratios = None,
     trials: options.Trials = None,
-    epochs: options.Epochs = None,
-    balance: options.Balance = False,
     matrix: options.Matrix = None,
     recipe: Annotated[
         str | None,
@@ -70,15 +55,17 @@ def compare(
     from deepfsi.sweeps.recipe import only
 
     own = common.read_matrix(matrix)
-    asked = dict(context.params)
     if recipe:
         base = only(base)
-        asked["data"] = data if common.is_given(context, "data") else None
-    elif data == "digits" and not (ratios or masks or trials):
-        base = QUICK
-    chosen = check_recipe(options.recipe_settings(asked, base), own)
-    asked_noises = (*chosen[0].noise, *chosen[0].train_noise, *chosen[0].test_noise)
-    options.check_sigma(context, *asked_noises)
+    else:
+        base = {"data": data}
+        if data == "digits" and not (ratios or trials or "masks" in settings):
+            base |= QUICK
+    fields = options.recipe_fields(
+        data if data != "digits" else None, size, designs, ratios, trials
+    )
+    chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
+    options.check_sigma(settings, (*chosen[0].noises, *chosen[0].test_noise))
     results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
     _finish("compare", results, out, as_json)
 
@@ -88,6 +75,9 @@ def sweep(
         str, typer.Argument(help="name of a recipe, such as mnist, or TOML file; lists are axes")
     ],
     part: Annotated[str | None, typer.Option(help="part of a recipe that has several")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="a camera in place of the recipe's: a preset, or a TOML file")
+    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="the recipe's coarse version, where it has one")
     ] = False,
@@ -118,7 +108,8 @@ def sweep(
     from deepfsi.sweeps.recipe import only
     from deepfsi.sweeps.records import write_table
 
-    chosen = check_recipe(only(file, part, quick))
+    base = only(file, part, quick)
+    chosen = check_recipe(base if camera is None else {**base, "camera": camera})
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return

@@ -19,14 +19,16 @@ from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
+from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.constraints import Light
+from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.noise import OwnNoise
+from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
 
 
@@ -38,8 +40,8 @@ class Design:
     ----------
     name : str
         Which design, a key of `codes.DESIGNS`.
-    rails : tensor, shape (2 or 1, m, N)
-        M⁺ and M⁻, or the one rail; shares of each pixel's photons.
+    rails : Rails
+        `plus` and `minus` (m, N), shares of each pixel's photons; `stacked` (2 or 1, m, N).
     classifier : nn.Module
         Inputs, as the exposure makes them of features (..., m), to logits (..., C).
     mean, std : tensor, shape (k,)
@@ -74,7 +76,7 @@ class Design:
     """
 
     name: str
-    rails: Tensor
+    rails: Rails
     classifier: nn.Module
     mean: Tensor
     std: Tensor
@@ -92,22 +94,21 @@ class Design:
         budget = self.info.get("job", {}).get("photons")
         trained = f", learned at {budget:g} photons" if budget else ""
         shape = "x".join(map(str, self.mask_shape))
-        rails = {1: "single", 2: "dual"}[len(self.rails)]
         network = getattr(self.classifier, "title", type(self.classifier).__name__)
         return (
-            f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, {rails} rails, "
-            f"{network}, {len(self.classes)} classes{trained}>"
+            f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, "
+            f"{self.rails.kind} rails, {network}, {len(self.classes)} classes{trained}>"
         )
 
     @property
     def matrix(self) -> np.ndarray:
         """Sensing matrix M (m, N), float32: the share of each pixel's photons, signed by rail."""
-        return constraints.combine(self.rails)[0].cpu().numpy()
+        return self.rails.difference.cpu().numpy()
 
     @property
     def masks(self) -> int:
         """m, number of masks."""
-        return self.rails.shape[1]
+        return self.rails.masks
 
     @property
     def pixels(self) -> int:
@@ -123,12 +124,12 @@ class Design:
     def counts_shape(self) -> tuple[int, ...]:
         """Shape ([2,] m [, D]) of the counts of one exposure, as `classify` takes them."""
         several = (self.detection.count,) if self.detection.count > 1 else ()
-        return ((2,) if len(self.rails) == 2 else ()) + (self.masks, *several)
+        return ((2,) if self.rails.count == 2 else ()) + (self.masks, *several)
 
     @property
     def features(self) -> int:
         """k, number of features that the classifier reads."""
-        return self.masks * self.detection.width(len(self.rails))
+        return self.masks * self.detection.width(self.rails.count)
 
     @property
     def fewest_masks(self) -> int:
@@ -140,11 +141,26 @@ class Design:
         """Share of the light law that the masks take within the whole sequence."""
         return self.exposure.used
 
+    @property
+    def camera(self) -> Camera:
+        """The camera that it was trained for, as the file keeps it."""
+        known = self.info.get("job", {}).get("camera")
+        if known is None:
+            return Camera.load(light=self.light)
+        with as_input_error("the design's camera", "train it again"):
+            return Camera.model_validate(known)
+
+    def camera_with(self, **settings: Any) -> Camera:
+        """Its camera with other settings, such as the noise of a test."""
+        if settings.get("noise", "camera") != "camera":
+            settings = {"dark": 0.0, **settings}  # only camera noise has dark counts
+        return Camera.load(self.camera, **settings)
+
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
         """The optical front end, with a noise of your choice; parameters as for `Scanner`."""
-        return Scanner.from_rails(self.rails, noise, sigma, dark, self.detection)
+        return Scanner.from_rails(self.rails.stacked, noise, sigma, dark, self.detection)
 
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
@@ -205,7 +221,7 @@ class Design:
         Parameters
         ----------
         read : callable
-            Called once for each look: shows each mask, ``rails[0] * masks`` in 0 .. 1, for the
+            Called once for each look: shows each mask, ``rails.plus * masks`` in 0 .. 1, for the
             given shares (m,) of the exposure time, floats that sum to 1 / K, and returns the counts
             of this look, shaped as for `classify`. The shares are (2, m) where each rail is a frame
             of its own. Where a device cannot show these, as frames have a shortest time, a pair:
@@ -284,7 +300,7 @@ class Design:
     def features_of(self, counts: Tensor) -> Tensor:
         """Features (..., k) of counts in the shape that `classify` takes."""
         every = counts.flatten(-2) if self.detection.count > 1 else counts
-        return self.detection.features(every if len(self.rails) == 2 else every.unsqueeze(-2))
+        return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
     def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
         """The design with the distribution of the readouts of training scenes.
@@ -317,8 +333,7 @@ class Design:
         ------
         InputError
             As for `classify`, or if the design has no `distribution`: one of patches, of several
-            looks, of less than 100 training scenes or 50 of a class, and one that was not learned
-            here.
+            looks, of less than 100 training scenes or 50 of a class, or not learned here.
         """
         if self.distribution is None:
             raise InputError(
@@ -329,12 +344,12 @@ class Design:
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
-        shape = (*budget.shape[:-1], len(self.rails), self.masks * self.detection.count)
+        shape = (*budget.shape[:-1], self.rails.count, self.masks * self.detection.count)
         return self.distribution.test(read.reshape(shape), budget[..., 0], dark.reshape(shape))
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
         """Counts (..., rails, m [, D]) of every rail, in the shape that `classify` takes."""
-        return rails if len(self.rails) == 2 else rails.squeeze(-1 - len(self.counts_shape))
+        return rails if self.rails.count == 2 else rails.squeeze(-1 - len(self.counts_shape))
 
     def to(self, device: str | torch.device) -> Self:
         """Move to a device; returns self."""
@@ -345,10 +360,10 @@ class Design:
     def quantised(self, levels: int) -> "Design":
         """The design as a device of that many grey levels shows it, dark included (paper: 769).
 
-        Classifier and statistics stay as they are; `TrainingSettings.levels` trains for such a
-        device.
+        Classifier and statistics stay; `TrainingSettings.levels` trains for such a device.
         """
-        return replace(self, rails=quantise(self.rails, self.light, levels), distribution=None)
+        shown = Rails.of(quantise(self.rails.stacked, self.light, levels))
+        return replace(self, rails=shown, distribution=None)
 
     def first(self, masks: int) -> "Design":
         """The first masks alone, with the light that the constraint gives to so many.
@@ -364,12 +379,12 @@ class Design:
                 f"{fewest} to {self.masks}"
                 + ("" if fewest < self.masks else ", or learn nested ones with `nested`")
             )
-        used = constraints.used(self.rails, self.light)
+        used = constraints.used(self.rails.stacked, self.light)
         share = float(used[masks - 1] / used[-1])
-        kept = masks * self.detection.width(len(self.rails))
+        kept = masks * self.detection.width(self.rails.count)
         return replace(
             self,
-            rails=self.rails[:, :masks] / share,
+            rails=Rails.of(self.rails.stacked[:, :masks] / share),
             mean=self.mean[:kept] / share,
             std=self.std[:kept] / share,
             shares=self.shares[:kept] / share,
@@ -398,15 +413,15 @@ class Design:
             If the patterns are of a design of another shape, or this one is of patches.
         """
         self.exposure.check_frames()
-        if rails.shape != tuple(self.rails.shape) or image_shape != self.image_shape:
+        if rails.shape != tuple(self.rails.stacked.shape) or image_shape != self.image_shape:
             raise InputError(
-                f"patterns of {rails.shape[1]} masks of {image_shape} cells and "
-                f"{len(rails)} rails are not of this design, with {self.masks} masks of "
-                f"{self.image_shape} and {len(self.rails)} rails: export it with `deepfsi dmd`"
+                f"patterns of {rails.shape[1]} masks of {image_shape} cells and {len(rails)} rails "
+                f"are not of this design, with {self.masks} masks of {self.image_shape} and "
+                f"{self.rails.count} rails: export it with `deepfsi dmd`"
             )
         return replace(
             self,
-            rails=torch.from_numpy(rails).to(self.rails),
+            rails=Rails.of(torch.from_numpy(rails).to(self.rails.difference)),
             light="free-dwell" if self.light == "column" else self.light,
             mean=self.mean * dimmed,
             std=self.std * dimmed,
@@ -438,7 +453,8 @@ class Design:
             readout=self.detection.readout,
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
-        tensors = {name: getattr(self, name) for name in artifact_file.TENSORS}
+        statistics = {name: getattr(self, name) for name in artifact_file.STATISTICS}
+        tensors = {"rails": self.rails.stacked, **statistics}
         if self.detection.labels is not None:
             tensors["detectors"] = self.detection.labels
         return artifact_file.pack(header, tensors, weights)

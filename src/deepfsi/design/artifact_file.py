@@ -22,9 +22,10 @@ from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
+from deepfsi.laws import Light, Readout
 from deepfsi.optics import constraints
-from deepfsi.optics.constraints import Light
-from deepfsi.optics.detection import Detection, Readout
+from deepfsi.optics.detection import Detection
+from deepfsi.optics.rails import Rails
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -34,9 +35,6 @@ WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info"
 
 STATISTICS = ("mean", "std", "shares")
 """Tensors of one number a feature."""
-
-TENSORS = ("rails", *STATISTICS)
-"""Fields of a design that are tensors."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -199,19 +197,21 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     ours = [key for key in tensors if not (own and key.startswith("classifier."))]
     if not all(bool(torch.isfinite(tensors[key]).all()) for key in ours):
         raise ValueError("tensors are not finite")
-    fields = {name: tensors[name] for name in TENSORS}
-    rails, masks = fields["rails"], fields["rails"].shape[1]
+    statistics = {name: tensors[name] for name in STATISTICS}
+    rails, (_, masks, pixels) = Rails.of(tensors["rails"]), tensors["rails"].shape
     detection = _detection(header, tensors.get("detectors"))
-    features = masks * detection.width(len(rails))
-    if {fields[name].shape for name in STATISTICS} != {(features,)} or (fields["std"] <= 0).any():
+    features = masks * detection.width(rails.count)
+    if {each.shape for each in statistics.values()} != {(features,)} or (
+        statistics["std"] <= 0
+    ).any():
         raise ValueError("statistics are not those of the masks")
-    constraints.check_light(header.light, {1: "single", 2: "dual"}[len(rails)])
-    constraints.check(rails, header.light)
+    constraints.check_light(header.light, rails.kind)
+    constraints.check(rails.stacked, header.light)
     exposure = header.exposure.restored(
         _weights(tensors, "exposure."), features, rails, header.light
     )
     exposure.check(rails, header.light, header.image_shape)
-    if math.prod(header.image_shape) != rails.shape[2] * header.classifier.patches:
+    if math.prod(header.image_shape) != pixels * header.classifier.patches:
         raise ValueError("images have other pixels than masks on all patches")
     weights, size = _weights(tensors, "classifier."), header.classifier
     classifier: nn.Module
@@ -228,15 +228,16 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     words = {name: getattr(header, name) for name in WORDS}
     known = _weights(tensors, "distribution.")
     distribution = (
-        ReadoutDistribution.restored(known, len(rails), masks * detection.count) if known else None
+        ReadoutDistribution.restored(known, rails.count, masks * detection.count) if known else None
     )
     parts = {
+        "rails": rails,
         "exposure": exposure,
         "detection": detection,
         "classifier": classifier,
         "distribution": distribution,
     }
-    return {**words, **fields, **parts}
+    return {**words, **statistics, **parts}
 
 
 def _detection(header: Header, labels: Tensor | None) -> Detection:

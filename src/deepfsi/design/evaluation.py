@@ -1,6 +1,5 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
-from deepfsi.optics.noise import OwnNoise
+from deepfsi.optics.camera import Camera, CameraSource
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
 
@@ -97,12 +96,11 @@ def evaluate(
     data: Source,
     photons: Sequence[float] | float,
     *,
-    noise: str | OwnNoise = "poisson",
-    sigma: float = 1.0,
-    dark: float = 0.0,
+    camera: CameraSource = None,
     draws: int = 3,
     seed: int = 0,
     report: Report | None = None,
+    **settings: Any,
 ) -> list[Result]:
     """Accuracy on the test scenes of a data set under noise, a `Result` for each budget.
 
@@ -113,18 +111,16 @@ def evaluate(
         Its test part is used; its pixels and classes must be the design's.
     photons : float or sequence of float
         Budgets Φ.
-    noise : {"poisson", "gaussian", "ml_gauss", "camera", "none"} or callable
-        Or one of your own, as for `Scanner`.
-    sigma : float
-        Read noise in counts rms per readout, for gaussian and camera noise.
-    dark : float
-        Expected dark counts of one detector in a whole exposure, for camera noise.
+    camera : Camera, str, path or mapping, optional
+        Whose noise, dark counts and read noise are in force; the design's own unless given.
     draws : int
         Noise draws of each scene (1 is enough without noise).
     seed : int
         Of the noise.
     report : Report, optional
         Where to say how far it is; a bar where a terminal is attached unless given.
+    settings
+        Fields of the camera in place of its own, such as ``noise="gaussian", sigma=2``.
 
     Raises
     ------
@@ -143,10 +139,10 @@ def evaluate(
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
     scenes = as_dataset(data)
     check_data(design, scenes)
-    if not (math.isfinite(sigma) and sigma >= 0):
-        raise InputError(f"sigma {sigma!r} is not allowed: give counts per readout, 0 or more")
     check_draws(draws, seed)
-    scanner = design.scanner(noise, sigma, dark)
+    tested = design.camera_with(**settings) if camera is None else Camera.load(camera, **settings)
+    dark = tested.dark_counts if tested.noise_name == "camera" else 0.0
+    scanner = design.scanner(tested.noise, tested.sigma, dark)
     design.exposure.check_noise(scanner.noise)
 
     def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Guess:

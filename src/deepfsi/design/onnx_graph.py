@@ -136,10 +136,10 @@ def _share_out(graph: "_Graph", asked: str, frames: int, shortest: float) -> str
 def _write_features(design: Design, graph: "_Graph") -> tuple[str, str]:
     """Write the nodes from counts to features over the budget; their name, and the budget's."""
     features = "counts"
-    if len(design.rails) == 2 and design.detection.readout == "both":
+    if design.rails.count == 2 and design.detection.readout == "both":
         order = [0, 2, 1, 3][: 1 + len(design.counts_shape)]
         features = graph.add("Transpose", "counts", to="by_mask", perm=order)
-    elif len(design.rails) == 2:
+    elif design.rails.count == 2:
         for place, rail in enumerate(("plus", "minus")):
             graph.add("Gather", "counts", graph.index(f"{rail}_at", place), to=rail, axis=1)
         features = graph.add("Sub", "plus", "minus", to="differences")
@@ -290,7 +290,7 @@ def _metadata(design: Design) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": design.name,
         "masks": design.masks,
-        "rails": len(design.rails),
+        "rails": design.rails.count,
         "detectors": design.detection.count,
         "readout": design.detection.readout,
         "light": design.light,

@@ -17,9 +17,8 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import check_data, evaluate
 from deepfsi.design.exposure.looks import LARGEST_SCORE
-from deepfsi.design.live import rule_of
 from deepfsi.design.memory import memory_of
-from deepfsi.design.stopping import StoppingRule, stop
+from deepfsi.design.stopping import rule_of, stop
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.progress import SILENT, Report
@@ -115,9 +114,10 @@ def _optics(design: Design) -> dict[str, Any]:
 
     Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|.
     """
-    difference, total = (each.cpu().numpy() for each in constraints.combine(design.rails))
+    rails = design.rails
+    difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
-    if len(design.rails) == 2 and not np.array_equal(total, np.abs(difference)):
+    if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < constraints.SLACK * total.max()
         sums = pack(total.mean(axis=1, keepdims=True) if flat else total)
     labels = design.detection.labels
@@ -125,7 +125,7 @@ def _optics(design: Design) -> dict[str, Any]:
         "image_shape": design.image_shape,
         "summed_reflectance": design.summed_reflectance,
         "light": design.light,
-        "rails": len(design.rails),
+        "rails": rails.count,
         "readout": design.detection.readout,
         "detectors": design.detection.count,
         "labels": None if labels is None else labels.tolist(),
@@ -152,13 +152,12 @@ def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dic
     training, where it can stop early and its training left scenes out.
     """
     try:
-        after, _ = design.exposure.stops(design.rails, design.light)
+        design.exposure.stops(design.rails, design.light)
     except InputError:
         return []
     held = rule_of(design)
     if held is not None:
-        own = StoppingRule(after, held.temperatures or (1.0,) * len(after), held.threshold)
-        return [{"photons": None, **asdict(own)}]
+        return [{"photons": None, **asdict(held)}]
     memory, trained = memory_of(design), _trained(design)
     if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
         return []

@@ -307,6 +307,11 @@ class Camera(BaseModel):
         return None if self.flux is None else self.flux * self.exposure
 
     @property
+    def rail_count(self) -> int:
+        """Rails of each mask, 2 or 1."""
+        return {"dual": 2, "single": 1}[self.rails]
+
+    @property
     def noise_name(self) -> str:
         """Name of the noise, or its import path."""
         return noise_name(self.noise)

@@ -5,24 +5,19 @@
     free-dwell   Σ_frames max_j(frame) ≤ 1       one DMD, one detector, each frame its own time
     two-arm      M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1  one DMD, a detector on each arm
 
-A set of masks is its *rails*: an array (..., 2, m, N) of M⁺ and M⁻ for signed masks, or
-(..., 1, m, N) where there is one rail. The physics needs two combinations of them, the difference
-M⁺ − M⁻ (which gives the mean of a feature) and the total M⁺ + M⁻ (which gives its photon noise).
+A law is one of frames: here the rails of masks are the tensor (..., 2, m, N) of M⁺ and M⁻ for
+signed masks, or (..., 1, m, N) where there is one rail, `Rails.stacked`.
 """
 
 import math
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor
 
 from deepfsi.errors import InputError, check_known
-
-Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
-"""Name of a light law."""
-
-Rails = Literal["dual", "single"]
-"""Rails of each mask: positive and negative part, or one non-negative frame."""
+from deepfsi.laws import Light, RailsKind
+from deepfsi.optics.rails import Rails
 
 SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `check` forgives."""
@@ -31,7 +26,7 @@ SLACK = 1e-5
 def check_light(light: str, rails: str) -> None:
     """Raise `InputError` unless the constraint exists and can be had with these rails."""
     check_known("light law", light, get_args(Light))
-    check_known("rails", rails, get_args(Rails))
+    check_known("rails", rails, get_args(RailsKind))
     if light == "two-arm" and rails == "single":
         raise InputError(
             "two-arm with a single rail is not allowed: each arm is a rail; use dual rails, and "
@@ -39,7 +34,7 @@ def check_light(light: str, rails: str) -> None:
         )
 
 
-def expand(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
+def expand(matrix: Tensor, light: Light, rails: RailsKind = "dual") -> Tensor:
     """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
 
     A single rail is the matrix itself. Two are its positive and its negative part; on two arms each
@@ -56,7 +51,7 @@ def expand(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
     if rails == "single":
         return matrix.unsqueeze(-3)
     if light == "two-arm":
-        return separate(matrix, matrix.abs().amax(dim=-1, keepdim=True))
+        return Rails(matrix, matrix.abs().amax(dim=-1, keepdim=True)).stacked
     return torch.stack([matrix.clamp(min=0), (-matrix).clamp(min=0)], dim=-3)
 
 
@@ -66,7 +61,7 @@ def frames(rails: Tensor) -> Tensor:
     return every[every.amax(dim=-1) > 0]
 
 
-def fit(matrix: Tensor, light: Light, rails: Rails = "dual") -> Tensor:
+def fit(matrix: Tensor, light: Light, rails: RailsKind = "dual") -> Tensor:
     """Rails (2 or 1, m, N) of a matrix at a light law, using as much light as it allows.
 
     `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
@@ -146,25 +141,6 @@ def _above(factor: float) -> float:
     """Least number of four digits that is at least the factor."""
     step = 10.0 ** (math.floor(math.log10(factor)) - 3)
     return math.ceil(factor / step) * step
-
-
-def combine(rails: Tensor) -> tuple[Tensor, Tensor]:
-    """Difference and total, each (..., m, N), of rails (..., 2 or 1, m, N)."""
-    if rails.shape[-3] == 1:
-        single = rails[..., 0, :, :]
-        return single, single
-    plus, minus = rails.unbind(dim=-3)
-    return plus - minus, plus + minus
-
-
-def separate(difference: Tensor, total: Tensor) -> Tensor:
-    """Rails (..., 2 or 1, m, N) of a difference and a total; inverse of `combine`.
-
-    A single rail is one tensor given as both.
-    """
-    if difference is total:
-        return difference.unsqueeze(-3)
-    return torch.stack([total + difference, total - difference], dim=-3) / 2
 
 
 def peak(parts: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -22,11 +22,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.errors import InputError, check_known
-from deepfsi.optics import constraints
+from deepfsi.laws import Readout
+from deepfsi.optics.rails import Rails
 from deepfsi.tables.array_files import read_npy
-
-Readout = Literal["difference", "both"]
-"""What a network reads of two rails."""
 
 Detectors = str | Sequence[int] | np.ndarray
 """ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
@@ -98,11 +96,6 @@ class Detection:
             return arranged
         return arranged.index_select(-1, self._places.to(arranged.device))
 
-    def arrange_both(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
-        """Difference and total of masks, arranged; one tensor for a single rail."""
-        arranged = self.arrange(difference)
-        return arranged, arranged if total is difference else self.arrange(total)
-
     def of_pixels(self, kept: Tensor) -> "Detection":
         """Detection of some of the pixels, those where (N,) is true."""
         if self.labels is None:
@@ -113,18 +106,9 @@ class Detection:
         """Numbers that a network reads of each mask of so many rails."""
         return self.count * (rails if self.readout == "both" else 1)
 
-    def masks_read(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
-        """Difference and total of what is read as one: for `both`, one rail of 2 m frames.
-
-        Parameters
-        ----------
-        difference, total : tensor, shape (..., m, N)
-            One tensor for a single rail.
-        """
-        if self.readout == "difference" or difference is total:
-            return difference, total
-        every = constraints.separate(difference, total).transpose(-3, -2).flatten(-3, -2)
-        return every, every
+    def read_of(self, rails: Rails) -> Rails:
+        """Masks whose counts a network reads as one: for `both` each rail is one, of 2 m frames."""
+        return rails if self.readout == "difference" else rails.apart
 
     def features(self, counts: Tensor) -> Tensor:
         """Features (..., k) of counts of rails (..., 2 or 1, m · D): k is `width` · m."""
@@ -142,14 +126,15 @@ class Detection:
         """Numbers (..., m · 2 · D) of rails (..., 2, m · D)."""
         return rails.unflatten(-1, (-1, self.count)).transpose(-3, -2).flatten(-3)
 
-    def readouts(self, difference: Tensor, total: Tensor) -> "Readouts":
-        """Readouts of masks of a difference and a total of rails, each (..., m, D · P) arranged."""
-        rails = torch.stack([total + difference, total - difference]) / 2
-        arms = (rails > 0).all(dim=0).any(dim=-1)
-        time = torch.where(arms, total.amax(dim=-1), rails.amax(dim=-1))
-        shown = (rails > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
+    def readouts(self, rails: Rails) -> "Readouts":
+        """Readouts of rails of masks (..., m, D · P), arranged."""
+        difference, total = rails.difference, rails.total
+        frames = torch.stack([total + difference, total - difference]) / 2  # M⁻ of one rail is dark
+        arms = (frames > 0).all(dim=0).any(dim=-1)
+        time = torch.where(arms, total.amax(dim=-1), frames.amax(dim=-1))
+        shown = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
         time = time.repeat_interleave(self.count, dim=-1)
-        if self.readout == "difference" or difference is total:
+        if self.readout == "difference" or rails.count == 1:
             return Readouts(shown, time)
         one = [self._mask_by_mask(each.movedim(0, -2)) for each in (shown, time)]
         return Readouts(*(torch.stack([each, torch.zeros_like(each)]) for each in one))

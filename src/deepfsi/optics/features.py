@@ -12,7 +12,8 @@ from deepfsi.laws import Scale
 from deepfsi.optics.detection import Detection, Readouts
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
-from deepfsi.optics.scanner import project, project_pair
+from deepfsi.optics.rails import Rails
+from deepfsi.optics.scanner import project, project_rails
 
 CHUNK = 4096
 """Scenes that are multiplied at once outside the steps."""
@@ -163,22 +164,24 @@ def feature_statistics(
 
     Shapes: scenes (n, N); means (n, R or 1, k).
     """
-    arranged = detection.arrange_both(*masks())
+    arranged = masks().each(detection.arrange)
     if noise.own is not None:
         return _sampled_statistics(scenes, arranged, noise, scale, detection)
-    difference, total = detection.masks_read(*arranged)
+    frames = detection.read_of(arranged)
     middle = detection.arrange(scenes.mean(dim=0))
-    mean, counts = (project(middle, rails, detection.count) for rails in (difference, total))
+    mean, counts = (
+        project(middle, sums, detection.count) for sums in (frames.difference, frames.total)
+    )
     power = torch.zeros_like(mean)
     for place, x in enumerate(scenes.split(CHUNK)):
         rows = slice(place * CHUNK, place * CHUNK + len(x))
         expected = (
-            project(detection.arrange(x), difference, detection.count)
+            project(detection.arrange(x), frames.difference, detection.count)
             if means is None
             else means[rows]
         )
         power += (expected - mean).square().sum(dim=0)
-    drawn = noise.variance(counts, detection.readouts(*arranged))
+    drawn = noise.variance(counts, detection.readouts(arranged))
     factor, often = exposures or (1.0, None)
     std = deviation(power / len(scenes) + drawn * factor, scale, often)
     return mean.expand_as(std), std, counts.expand_as(std)
@@ -186,25 +189,25 @@ def feature_statistics(
 
 def _sampled_statistics(
     scenes: Tensor,
-    arranged: tuple[Tensor, Tensor],
+    arranged: Rails,
     noise: FeatureNoise,
     scale: Scale,
     detection: Detection,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Statistics as `feature_statistics` gives them, of a draw of a user's own noise.
 
-    Parameters as there, but for the arranged difference and total of the masks.
+    Parameters as there, but for the arranged rails of the masks.
     """
-    read, moments = detection.readouts(*arranged), []
-    difference, total = detection.masks_read(*arranged)
+    read, moments = detection.readouts(arranged), []
+    frames = detection.read_of(arranged)
     for x in scenes.split(CHUNK):
         light = detection.arrange(x)
-        mean, counts = project_pair(light, difference, total, True, detection.count)
+        mean, counts = project_rails(light, frames, detection.count)
         drawn = noise.counted(mean, counts, read).double()
         moments.append(torch.stack([drawn.sum(dim=0), drawn.square().sum(dim=0)]))
     first, second = torch.stack(moments).sum(dim=0) / len(scenes)
     std = deviation((second - first.square()).clamp(min=0).to(scenes.dtype), scale)
-    counts = project(detection.arrange(scenes.mean(dim=0)), total, detection.count)
+    counts = project(detection.arrange(scenes.mean(dim=0)), frames.total, detection.count)
     return first.to(scenes.dtype), std, counts.expand_as(std)
 
 

@@ -4,7 +4,8 @@ import torch
 from torch import Tensor
 
 from deepfsi.errors import InputError
-from deepfsi.optics.constraints import Light, peak
+from deepfsi.laws import Light
+from deepfsi.optics.constraints import peak
 
 
 def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:

@@ -6,13 +6,15 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
-from deepfsi.optics.constraints import Light, Rails, check_light, combine, peak, separate
+from deepfsi.laws import Light, RailsKind
+from deepfsi.optics.constraints import check_light, peak
 from deepfsi.optics.dwells import share_out
 from deepfsi.optics.grey_levels import quantise
+from deepfsi.optics.rails import Rails
 
 
 class FixedMasks(nn.Module):
-    """Masks that do not learn; `forward` gives difference and total, each (..., m, N)."""
+    """Masks that do not learn; `forward` gives their rails."""
 
     difference: Tensor
     total: Tensor | None
@@ -20,15 +22,13 @@ class FixedMasks(nn.Module):
     def __init__(self, rails: Tensor) -> None:
         super().__init__()
         _check_tensor(rails, "rails", 3, "(2 or 1, masks, pixels)")
-        if rails.shape[-3] not in (1, 2):
-            raise InputError(f"{rails.shape[-3]} rails were given: give 2, or 1 of frames")
-        difference, total = combine(rails)
-        self.register_buffer("difference", difference)
-        self.register_buffer("total", None if total is difference else total)
+        given = Rails.of(rails)
+        self.register_buffer("difference", given.difference)
+        self.register_buffer("total", given.total if given.count == 2 else None)
 
-    def forward(self) -> tuple[Tensor, Tensor]:
-        """Difference M⁺ − M⁻ and total M⁺ + M⁻, one and the same tensor for a single rail."""
-        return self.difference, self.difference if self.total is None else self.total
+    def forward(self) -> Rails:
+        """Rails of the masks, (..., m, N)."""
+        return Rails(self.difference, self.total)
 
 
 class LearnedMasks(nn.Module):
@@ -64,7 +64,7 @@ class LearnedMasks(nn.Module):
         self,
         start: Tensor,
         light: Light,
-        rails: Rails = "dual",
+        rails: RailsKind = "dual",
         levels: int = 0,
         shortest: float = 0.0,
     ) -> None:
@@ -92,15 +92,14 @@ class LearnedMasks(nn.Module):
             per_mask = 2 if (light, rails) == ("free-dwell", "dual") else 1
             self.dwell = nn.Parameter(start.new_zeros(*replicas, per_mask, masks))
 
-    def forward(self) -> tuple[Tensor, Tensor]:
-        """Difference M⁺ − M⁻ and total M⁺ + M⁻, each (..., m, N)."""
+    def forward(self) -> Rails:
+        """Rails of the masks, (..., m, N)."""
         matrix = self.matrix()
         if self.rails == "single":
-            matrix = self._shown(matrix, matrix)[0]
-            return matrix, matrix
+            return self._shown(Rails(matrix))
         if self.light == "two-arm":
-            return self._shown(matrix, self._dwell()[..., 0, :, None].expand_as(matrix))
-        return self._shown(matrix, matrix.abs())
+            return self._shown(Rails(matrix, self._dwell()[..., 0, :, None].expand_as(matrix)))
+        return self._shown(Rails(matrix, matrix.abs()))
 
     @property
     def disjoint(self) -> bool:
@@ -125,12 +124,12 @@ class LearnedMasks(nn.Module):
         plus, minus = self._dwell(pattern).unbind(dim=-2)
         return pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
 
-    def _shown(self, difference: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:
+    def _shown(self, rails: Rails) -> Rails:
         if not self.levels:
-            return difference, total
+            return rails
         with torch.no_grad():
-            shown = combine(quantise(separate(difference, total), self.light, self.levels))
-        return through(difference, shown[0]), through(total, shown[1])
+            shown = Rails.of(quantise(rails.stacked, self.light, self.levels))
+        return rails.each(through, shown)
 
     def _dwell(self, pattern: Tensor | None = None) -> Tensor:
         """Dwells (..., 1 or 2, m); a frame is read for its peak's share of its dwell."""
@@ -159,11 +158,6 @@ def _check_tensor(given: Any, what: str, axes: int, shape: str) -> None:
             f"{what} of {'shape ' * bool(kind)}{found}{kind} cannot be used: give a tensor of real "
             f"numbers {shape}"
         )
-
-
-def pair(difference: Tensor, total: Tensor) -> Tensor:
-    """Difference and total as one tensor (2, ..., m, N), or for a single rail the difference."""
-    return difference if difference is total else torch.stack([difference, total])
 
 
 def through(continuous: Tensor, shown: Tensor) -> Tensor:

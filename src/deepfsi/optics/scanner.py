@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
-from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.noise import (
@@ -18,6 +17,7 @@ from deepfsi.optics.noise import (
     root,
     variance,
 )
+from deepfsi.optics.rails import Rails
 
 
 class Scanner(nn.Module):
@@ -28,7 +28,7 @@ class Scanner(nn.Module):
     Parameters
     ----------
     masks : FixedMasks or LearnedMasks
-        Gives the difference and the total of the rails, each ([replicas,] m, N).
+        Gives the rails of masks ([replicas,] m, N).
     noise : {"poisson", "gaussian", "ml_gauss", "camera", "none"} or callable
         Under photon noise `poisson` to test, and either it or `ml_gauss` to train; `camera` adds
         dark counts and read noise to it. Or a noise of your own: a function from expected counts
@@ -92,17 +92,20 @@ class Scanner(nn.Module):
         if self.noise in ("poisson", "camera"):
             rates = self.rates(photons)
             counts = seen.features(self.read(rates.detach(), generator))
-            shown = seen.readouts(*seen.arrange_both(*self.masks()))
+            shown = seen.readouts(self._arranged())
             dark = self.dark * shown.time.sum(dim=0)
             power = variance(seen.totals(rates), shown.lit, self.noise, self.sigma, dark)
             return attach_gradient(counts, seen.features(rates), power)
-        difference, total = seen.arrange_both(*self.masks())
+        arranged = self._arranged()
         x = self._light(photons)
-        pair = seen.masks_read(difference, total)
+        masks = seen.read_of(arranged)
+        if self.noise == "ml_gauss":
+            mean, counts = project_rails(x, masks, seen.count)
+        else:
+            mean = counts = project(x, masks.difference, seen.count)
         if self.noise == "none":
-            return project(x, pair[0], seen.count)
-        mean, counts = project_pair(x, *pair, self.noise == "ml_gauss", seen.count)
-        power = variance(counts, seen.readouts(difference, total).lit, self.noise, self.sigma)
+            return mean
+        power = variance(counts, seen.readouts(arranged).lit, self.noise, self.sigma)
         return mean + root(power) * torch.randn(
             mean.shape, generator=generator, device=mean.device, dtype=mean.dtype
         )
@@ -125,8 +128,7 @@ class Scanner(nn.Module):
 
         The dwells of their frames are `share` of the masks' own, for dark counts.
         """
-        arranged = self.detection.arrange_both(*self.masks())
-        every = Detection(count=self.detection.count).readouts(*arranged)
+        every = Detection(count=self.detection.count).readouts(self._arranged())
         shown, time = (each.movedim(0, -2)[..., : rates.shape[-2], :] for each in every)
         if self._own is not None:
             counts = self._own(torch.where(shown, rates, 1.0), generator)
@@ -137,12 +139,17 @@ class Scanner(nn.Module):
 
     def rates(self, photons: Tensor) -> Tensor:
         """Expected counts of each rail; shapes as `counts`."""
-        rails = constraints.separate(*self.masks())
-        return project(self._light(photons), self.detection.arrange(rails), self.detection.count)
+        frames = self.detection.arrange(self.masks().stacked)
+        return project(self._light(photons), frames, self.detection.count)
+
+    def _arranged(self) -> Rails:
+        """Rails with the pixels of each detector together."""
+        rails: Rails = self.masks()
+        return rails.each(self.detection.arrange)
 
     def _light(self, photons: Tensor) -> Tensor:
         """Photons with the pixels of each detector together, checked."""
-        _check_light(photons, self.masks()[0].shape[-1])
+        _check_light(photons, self.masks().difference.shape[-1])
         return self.detection.arrange(photons)
 
 
@@ -180,21 +187,19 @@ def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
     return product.to(wider).unflatten(-1, (*masks.shape[:-2], masks.shape[-2] * parts))
 
 
-def project_pair(
-    photons: Tensor, difference: Tensor, total: Tensor, both: bool, parts: int = 1
-) -> tuple[Tensor, Tensor]:
-    """Products (..., *lead, m · parts) of scenes with difference and total of rails.
+def project_rails(photons: Tensor, rails: Rails, parts: int = 1) -> tuple[Tensor, Tensor]:
+    """Products (..., *lead, m · parts) of scenes with difference and total of rails, as `project`.
 
-    A single rail's difference is its total, and so is their product.
+    Those of one rail are the same tensor.
 
-    Shapes: photons (..., N); difference, total (*lead, m, N).
+    Shapes: photons (..., N); rails (*lead, m, N).
     """
-    if difference is total or not both:
-        mean = project(photons, difference, parts)
+    if rails.count == 1:
+        mean = project(photons, rails.difference, parts)
         return mean, mean
-    pair = torch.stack([difference.to(photons.dtype), total.to(photons.dtype)])
-    wider = torch.promote_types(photons.dtype, difference.dtype)
-    mean, counts = project(photons, pair, parts).to(wider).unbind(-difference.ndim)
+    low = rails.each(lambda masks: masks.to(photons.dtype)).combined
+    wider = torch.promote_types(photons.dtype, rails.difference.dtype)
+    mean, counts = project(photons, low, parts).to(wider).unbind(-rails.difference.ndim)
     return mean, counts
 
 
@@ -206,7 +211,8 @@ def measure(
     With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
     less the constant x̄ D.
 
-    Shapes: scenes (B + 1, N); rails (*lead, m, N) or (2, *lead, m, N); epsilon (B, *lead, k).
+    Shapes: scenes (B + 1, N); rails (*lead, m, N) or (2, *lead, m, N), as `Rails.combined`, or
+    their difference alone if they are disjoint; epsilon (B, *lead, k).
     """
     return _Measure.apply(scenes, rails, epsilon, disjoint, parts)  # type: ignore[no-untyped-call]
 

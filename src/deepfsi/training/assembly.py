@@ -15,6 +15,7 @@ from deepfsi.optics.budget import check_budget, summed_reflectance
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
+from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
 from deepfsi.training.job import Job
 from deepfsi.training.learning import provenance
@@ -59,14 +60,13 @@ def design_of(
     5
     """
     budget, scenes = check_budget(photons), as_dataset(data)
-    rails = _rails(scanner, scenes)
     light = scanner.masks.light if isinstance(scanner.masks, LearnedMasks) else light
-    constraints.check_light(light, "dual" if len(rails) == 2 else "single")
+    rails = _rails(scanner, scenes, light)
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
-    read = rails.shape[1] * scanner.detection.width(len(rails))
+    read = rails.masks * scanner.detection.width(rails.count)
     design = Design(
         name="custom",
-        rails=constraints.check(rails, light),
+        rails=rails,
         classifier=_copy(classifier, read, len(scenes.classes)).to(rails.device),
         mean=torch.zeros(read, device=rails.device),
         std=torch.full((read,), 1 / budget, device=rails.device),
@@ -78,42 +78,44 @@ def design_of(
         classes=scenes.classes,
         info=_provenance(scanner, scenes, rails, budget, light),
     )
-    train = torch.from_numpy(scenes.x_train).to(rails), torch.from_numpy(scenes.y_train)
+    train = torch.from_numpy(scenes.x_train).to(rails.difference), torch.from_numpy(scenes.y_train)
     return design.calibrated(*train)
 
 
-def _counted(rails: Tensor, detection: Detection, photons: Tensor) -> Tensor:
+def _counted(rails: Rails, detection: Detection, photons: Tensor) -> Tensor:
     """Expected counts (k,) in what is read of photons (N,)."""
-    scanner = Scanner.from_rails(rails, "none", detection=detection)
-    return detection.totals(scanner.rates(photons.to(rails)))
+    scanner = Scanner.from_rails(rails.stacked, "none", detection=detection)
+    return detection.totals(scanner.rates(photons.to(rails.difference)))
 
 
 def _provenance(
-    scanner: Scanner, data: Dataset, rails: Tensor, photons: float, light: Light
+    scanner: Scanner, data: Dataset, rails: Rails, photons: float, light: Light
 ) -> dict[str, Any]:
     """Provenance without what is not known of a training elsewhere."""
     detection = scanner.detection
     told: dict[str, Any] = {"light": light, "noise": scanner.noise, "sigma": scanner.sigma}
-    told |= {"rails": "dual" if len(rails) == 2 else "single", "readout": detection.readout}
+    told |= {"rails": rails.kind, "readout": detection.readout}
     told["dark"] = scanner.dark
     if detection.labels is not None:
         told["detectors"] = detection.labels
     camera = Camera.load(**told)
-    job = Job(design="custom", masks=rails.shape[1], photons=photons, camera=camera)
+    job = Job(design="custom", masks=rails.masks, photons=photons, camera=camera)
     info = provenance(job, data, rails.device, 0.0)
     del info["job"]["training"], info["seconds"]
     return info
 
 
-def _rails(scanner: Scanner, data: Dataset) -> Tensor:
-    """Rails (2 or 1, m, N) of a scanner, or `InputError` if they do not fit the scenes."""
+def _rails(scanner: Scanner, data: Dataset, light: Light) -> Rails:
+    """Rails of the masks (m, N) of a scanner, or `InputError` if scenes or law forbid them."""
     with torch.no_grad():
-        rails = constraints.separate(*scanner.masks()).clone()
-    if rails.ndim != 3 or rails.shape[-1] != data.pixels:
+        rails = Rails.of(scanner.masks().stacked.clone())
+    shape = tuple(rails.difference.shape)
+    if len(shape) != 2 or shape[-1] != data.pixels:
         raise InputError(
-            f"masks of shape {tuple(rails.shape[1:])} do not fit {data.name}: give "
-            f"(masks, {data.pixels})"
+            f"masks of shape {shape} do not fit {data.name}: give (masks, {data.pixels})"
         )
+    constraints.check_light(light, rails.kind)
+    constraints.check(rails.stacked, light)
     return rails
 
 

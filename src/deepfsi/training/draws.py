@@ -70,6 +70,12 @@ class SeedStream:
         """Rows of these jobs in a tensor of all, (R or 1, m)."""
         return every[self.replicas] if len(every) > 1 else every
 
+    def masks(self, every: Tensor) -> Tensor:
+        """Masks of these jobs, (..., R_i or 1, m, N), among those of all, (..., R or 1, m, N)."""
+        if every.shape[-3] in (1, self.replicas.stop - self.replicas.start):
+            return every
+        return every[..., self.replicas, :, :]
+
     def readouts(self, every: Readouts) -> Readouts:
         """Readouts of the masks of these jobs among those of all, (2, R or 1, m)."""
         if every.time.shape[1] == 1:

@@ -24,9 +24,10 @@ from deepfsi.optics.features import (
     feature_statistics,
     standardise,
 )
-from deepfsi.optics.masks import FixedMasks, LearnedMasks, pair
+from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import root
-from deepfsi.optics.scanner import Scanner, measure, project, project_pair
+from deepfsi.optics.rails import Rails
+from deepfsi.optics.scanner import Scanner, measure, project, project_rails
 from deepfsi.training.draws import SeedStream, side_by_side
 from deepfsi.training.job import Job
 from deepfsi.training.precision import product_dtype
@@ -61,21 +62,23 @@ class FixedFeatures(Features):
         detection: Detection,
     ) -> None:
         self.streams = streams
-        arranged = detection.arrange_both(*masks())
-        difference, total = detection.masks_read(*arranged)
+        arranged = masks().each(detection.arrange)
+        frames = detection.read_of(arranged)
         photonic = noise.counting or noise.kind == "ml_gauss"
+        if not photonic:
+            frames = Rails(frames.difference)  # their total is not needed
         pairs = [
-            project_pair(detection.arrange(x), difference, total, photonic, detection.count)
+            project_rails(detection.arrange(x), frames, detection.count)
             for x in scenes.split(CHUNK)
         ]
         self.means = torch.cat([mean for mean, _ in pairs])
-        single = difference is total or not photonic
+        single = frames.count == 1
         totals = self.means if single else torch.cat([counts for _, counts in pairs])
         del pairs
         self.mean, self.std, _ = feature_statistics(
             scenes, masks, noise, scale, detection, means=self.means
         )
-        self.read = detection.readouts(*arranged)
+        self.read = detection.readouts(arranged)
         self.counting = noise.counting
         self.totals = totals if photonic else None
         if not self.counting:
@@ -142,12 +145,12 @@ class MlGaussFeatures(LearnedFeatures):
         both = self.detection.readout == "both"
         disjoint = self.masks.disjoint and not both
         parts = self.detection.count
-        rails = self.masks.matrix() if disjoint else pair(*self.detection.masks_read(*self.masks()))
+        masks = self.masks.matrix() if disjoint else self.detection.read_of(self.masks()).combined
         return [
             measure(
                 self.x.index_select(0, stream.with_mean[step]),
-                rails if len(self.streams) == 1 else rails[..., stream.replicas, :, :],
-                stream.normal(rails.shape[-2] * parts) * stream.noise.unit,
+                stream.masks(masks),
+                stream.normal(masks.shape[-2] * parts) * stream.noise.unit,
                 disjoint,
                 parts,
             )
@@ -164,15 +167,13 @@ class CountedFeatures(LearnedFeatures):
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step."""
-        masks = self.masks()
-        read = self.detection.readouts(*masks)
-        difference, total = self.detection.masks_read(*masks)
+        rails = self.masks()
+        read = self.detection.readouts(rails)
+        masks = self.detection.read_of(rails)
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
-            own = difference[stream.replicas]
-            sums = own if total is difference else total[stream.replicas]
-            mean, counts = project_pair(x, own, sums, True, self.detection.count)
+            mean, counts = project_rails(x, masks.each(stream.part), self.detection.count)
             expected = mean[:-1] + mean[-1], counts[:-1] + counts[-1]
             drawn = stream.noise.counted(*expected, stream.readouts(read))
             parts.append(drawn - (drawn.mean(dim=0) if stream.noise.own else mean[-1]))
@@ -184,10 +185,10 @@ class ReadNoiseFeatures(LearnedFeatures):
 
     def noisy(self, step: int) -> list[Tensor]:
         """Centred features of a step."""
-        masks = self.masks()
+        rails = self.masks()
         with torch.no_grad():
-            every = self.detection.readouts(*masks)
-        difference, _ = self.detection.masks_read(*masks)
+            every = self.detection.readouts(rails)
+        difference = self.detection.read_of(rails).difference
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.rows[step])
@@ -219,10 +220,10 @@ class ConditionedFeatures(Features):
 
     def at(self, step: int) -> Tensor:
         """Features and conditioning inputs (B, R, k + 2)."""
-        difference, total = self.masks()
-        rails = pair(*self.detection.masks_read(difference, total))
+        rails = self.masks()
+        masks = self.detection.read_of(rails).combined
         parts, width = self.detection.count, self.conditioning.width
-        used = constraints.used(constraints.separate(difference, total), self.light)
+        used = constraints.used(rails.stacked, self.light)
         whole = used[..., -1:]
         used = used if self.brightened else used / whole
         every, ratios, counts = [], [], []
@@ -232,8 +233,8 @@ class ConditionedFeatures(Features):
             every.append(
                 measure(
                     self.x.index_select(0, stream.with_mean[step]),
-                    rails[..., stream.replicas, :, :] if len(difference) > 1 else rails,
-                    stream.normal(rails.shape[-2] * parts) * stream.noise.unit / ratio.sqrt(),
+                    stream.masks(masks),
+                    stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt(),
                     False,
                     parts,
                 )
@@ -262,7 +263,7 @@ class LooksFeatures(Features):
     def at(self, step: int) -> Tensor:
         """Features and dwells (K · B, R, k + q) after each of K looks."""
         masks, detection, dwells = self.masks(), self.detection, self.exposure.dwells
-        rails, usual = constraints.separate(*masks), detection.readouts(*masks)
+        rails, usual = masks.stacked, detection.readouts(masks)
         parts = []
         for stream in self.streams:
             x = self.x.index_select(0, stream.with_mean[step])
@@ -312,7 +313,7 @@ class PatchFeatures(Features):
         photons = float(self.stream.noise.gain)
         scenes = self.x[self.stream.rows[step]] * photons
         counts = self.scanner(scenes, self.stream.generator) / photons
-        features = (counts - project(self.mean, self.masks()[0])).squeeze(2)
+        features = (counts - project(self.mean, self.masks().difference)).squeeze(2)
         over = (0, 1) if self.scale == "each" else (0, 1, 2)
         std = deviation(features.square().mean(dim=over), "each")
         return (features / std).unsqueeze(1)
@@ -340,7 +341,7 @@ def features_of(
     light: Light = job.optics.light if isinstance(masks, LearnedMasks) else "two-arm"
     x = training_set.centred(light, product_dtype(job, training_set.device), detection)
     if isinstance(masks, FixedMasks):
-        masks = FixedMasks(detection.arrange(constraints.separate(*masks())))
+        masks = FixedMasks(detection.arrange(masks().stacked))
     if isinstance(exposure, LooksExposure):
         return LooksFeatures(streams, masks, x, choose, exposure, noise.gain, scale, detection)
     if isinstance(exposure, ConditionedExposure):

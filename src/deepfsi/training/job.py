@@ -6,7 +6,7 @@ of the documents are made from these fields.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.design.exposure import AnyExposure, Exposure, Fixed, find_exposure
+from deepfsi.design.exposure import KINDS, AnyExposure, Exposure, Fixed, find_exposure
 from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import Scale
@@ -184,7 +184,10 @@ class Job(BaseModel):
     design: Annotated[str, AfterValidator(_design)] = Field("deepfsi", description="which design")
     masks: int = Field(ge=1, description="number of masks, m")
     photons: float = Field(
-        ge=BUDGETS[0], le=BUDGETS[1], description="budget Φ: expected photons on the coding device"
+        ge=BUDGETS[0],
+        le=BUDGETS[1],
+        description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
+        "budgets; flux times exposure of the camera unless given",
     )
     camera: Annotated[Camera, BeforeValidator(_camera)] = Field(
         Camera(), description="the camera: dmd, two-arm, paper, a TOML file, or its fields"
@@ -257,6 +260,10 @@ class Job(BaseModel):
         """Detectors of scenes of a shape, and what is read of two rails."""
         return self.optics.detection(image_shape)
 
+    def features(self, image_shape: tuple[int, ...]) -> int:
+        """Numbers that are read of the masks of scenes of a shape, k."""
+        return self.masks * self.detection(image_shape).width(self.optics.rail_count)
+
     def masks_from(self) -> "Job":
         """The job that makes the masks: of a design that learns them before, DeepFSI's."""
         under = self.code.learned_under
@@ -299,31 +306,36 @@ class Job(BaseModel):
         return faults
 
 
-EXPOSURE_FIELDS = ("nested", "looks", "patch", "span")
-"""Settings of exposures, by whose names an exposure is asked for."""
+ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
+"""Table and field of single settings whose field's name is taken by another."""
+
+
+def owner(setting: str) -> tuple[str, str]:
+    """Table of a job that holds a setting, "" for its own fields, and the setting's name there.
+
+    Three names have two owners. As single settings `dmd` is the camera's device, `train_noise` the
+    noise of the training, and `exposure` the camera's time.
+    """
+    if setting in ALIASES:
+        return ALIASES[setting]
+    tables: dict[str, Collection[str]] = {
+        "camera": Camera.model_fields,
+        "exposure": KINDS,
+        "training": Training.model_fields,
+    }
+    return next((table for table, fields in tables.items() if setting in fields), ""), setting
 
 
 def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a job of single settings: of the camera, the exposure, the training and its own.
-
-    Two names have two owners: `exposure` is here the camera's time, and `train_noise` the noise of
-    the training.
-    """
-    job: dict[str, Any] = {}
-    for name, value in flat.items():
-        if name == "train_noise":
-            job.setdefault("training", {})["noise"] = value
-        elif name in Camera.model_fields:
-            job.setdefault("camera_fields", {})[name] = value
-        elif name in EXPOSURE_FIELDS:
-            job.setdefault("exposure", {})[name] = value
-        elif name in Training.model_fields:
-            job.setdefault("training", {})[name] = value
-        else:
-            job[name] = value
-    if fields := job.pop("camera_fields", None):
+    """Fields of a job of single settings, each where it is declared."""
+    tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
+    for setting, value in flat.items():
+        table, name = owner(setting)
+        tables[table][name] = value
+    job = tables.pop("")
+    if fields := tables.pop("camera"):
         job["camera"] = Camera.load(job.get("camera"), **fields)
-    return job
+    return job | {name: table for name, table in tables.items() if table}
 
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
@@ -332,15 +344,9 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     Of counts the budget of the job is these, until a training says what it is.
     """
     for name in settings.keys() - Job.model_fields.keys():
-        owners: dict[str, type[BaseModel]] = {"camera": Camera, "training": Training}
-        owner = next((key for key, each in owners.items() if name in each.model_fields), None)
-        owner = "exposure" if name in EXPOSURE_FIELDS else owner
-        where = (
-            f"it is of the {owner}: give `{owner}={{{name!r}: ...}}`"
-            if owner
-            else (closest(name, Job.model_fields))
-        )
-        raise InputError(f"a job has no setting {name!r}; {where}")
+        table, field = owner(name)
+        where = f"give `{table}={{{field!r}: ...}}`" if table else closest(name, Job.model_fields)
+        raise InputError(f"a job has no setting {name!r}: {where}")
     camera, photons = Camera.load(settings.get("camera")), settings.get("photons")
     if photons is None and counts is None:
         photons = camera.budget

@@ -21,6 +21,7 @@ from deepfsi.optics.budget import brightness, check_budget
 from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import resolve, try_own
+from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.footprint import check_fits
@@ -156,7 +157,7 @@ def _optimised(
     if isinstance(masks, LearnedMasks):
         masks = final_masks(masks, training_set.seen(job.exposure), job, exposures[0])
     networks = [*classifiers, *(each.network for each in exposures if each.network is not None)]
-    numbers = [*masks(), *(part for network in networks for part in network.parameters())]
+    numbers = [masks().stacked, *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
         raise Diverged(f"training of {job.design} diverged: {REMEDY}")
     return masks, noise, classifiers, exposures
@@ -189,7 +190,7 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     masks = initial_masks(seen, [job], exposure, matrix)
     if isinstance(masks, LearnedMasks):
         masks = final_masks(masks, seen, job, exposure)
-    _, total = masks.to(training_set.device)()
+    total = masks.to(training_set.device)().total
     counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
     return counts / training_set.summed_reflectance
 
@@ -205,7 +206,7 @@ def _designs(
     """Designs of trained masks and networks, with the statistics of their features."""
     job, s = jobs[0], training_set.summed_reflectance
     light, shape = job.optics.light, training_set.data.image_shape
-    rails, detection = constraints.separate(*masks()), job.detection(shape)
+    rails, detection = masks().stacked, job.detection(shape)
     with torch.no_grad():
         mean, std, counts = feature_statistics(
             training_set.seen(job.exposure).full,
@@ -218,7 +219,7 @@ def _designs(
     designs = [
         Design(
             name=each.design,
-            rails=constraints.check(rails[r % len(rails)].clone(), light),
+            rails=Rails.of(constraints.check(rails[r % len(rails)].clone(), light)),
             classifier=classifiers[r],
             mean=mean[r] / s,
             std=std[r] / s,

@@ -88,7 +88,7 @@ def final_masks(
     """Masks after training, of all pixels: dark where they were not learned."""
     light, pixels = job.optics.light, seen.pixels(job.optics.light)
     with torch.no_grad():
-        learned = constraints.separate(*masks())
+        learned = masks().stacked
     rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
     detection = job.detection(seen.data.image_shape)
     rails[..., pixels] = detection.of_pixels(pixels).restore(learned)

@@ -29,18 +29,19 @@ from deepfsi.hardware.calibration.background import (
     subtract_background,
 )
 from deepfsi.hardware.calibration.scans import scan_rails
-from deepfsi.hardware.calibration.view import Calibration, view_dataset
+from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
-    Camera,
     RecordingSettings,
+    VirtualCamera,
     arrival_rates,
     draw_counts,
     record,
@@ -254,7 +255,7 @@ class MountedDesign:
     scene_rates: np.ndarray
     ambient_rates: np.ndarray
 
-    def arrivals(self, camera: Camera) -> np.ndarray:
+    def arrivals(self, camera: VirtualCamera) -> np.ndarray:
         """Arrivals/s (S, F, 1) at a camera's detector."""
         photons = self.scene_rates + camera.ambient * self.ambient_rates
         return camera.efficiency * photons + camera.dark
@@ -299,7 +300,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
     folder : Path
         Of the patterns.
     """
-    rails = design.rails.numpy()
+    rails = design.rails.stacked.numpy()
     frames = int((rails.max(axis=-1) > 0).sum())
     share = float(rails.max()) if design.light == "equal-dwell" else 1 / frames
     dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
@@ -311,7 +312,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
 
 
 def classify(
-    mounted: MountedDesign, camera: Camera, exposure_s: float, rng: np.random.Generator
+    mounted: MountedDesign, camera: VirtualCamera, exposure_s: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Classes (S, R) that a design gives to exposures of a camera.
 
@@ -321,7 +322,7 @@ def classify(
     Parameters
     ----------
     mounted : MountedDesign
-    camera : Camera
+    camera : VirtualCamera
     exposure_s : float
     rng : Generator
     """
@@ -455,13 +456,13 @@ def _mounted(
     design: Design, laboratory: Laboratory, known: dict[bytes, MountedDesign]
 ) -> MountedDesign:
     """A design on the device; what one with the same masks was mounted for before serves again."""
-    masks = design.rails.numpy().tobytes()
+    masks = design.rails.stacked.numpy().tobytes()
     if masks not in known:
         known[masks] = mount(design, laboratory.images)
     return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))
 
 
-def _conditions(assumed: float) -> Iterator[tuple[str, float, Camera, float]]:
+def _conditions(assumed: float) -> Iterator[tuple[str, float, VirtualCamera, float]]:
     """Effect, its value, camera and exposure; effects only at the laboratory's own budget."""
     yield from (("none", 0.0, LAB, exposure) for exposure in EXPOSURES)
     if assumed == ASSUMED:

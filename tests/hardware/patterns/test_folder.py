@@ -45,7 +45,7 @@ def hadamard_rails(order: int) -> np.ndarray:
 def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
     made, tmp_path, design, light, rails
 ):
-    given = made(design, light, rails).rails.double()
+    given = made(design, light, rails).rails.stacked.double()
     device = find_device("64x48")
     shown = export(
         tmp_path / "p", given.numpy(), light, image_shape=(8, 8), device=device, format="raw"

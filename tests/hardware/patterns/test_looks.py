@@ -7,10 +7,10 @@ import pytest
 
 from conftest import quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.live import loop_of
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.networks import read_loop
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.rails import loop_of
 
 LOOKS = 3
 OPTICS = {
@@ -78,8 +78,8 @@ def test_the_loop_stands_beside_them(patterns):
 def test_they_realise_the_design(patterns):
     design = Design.load(patterns / "looks.safetensors")
     shown = design.as_shown(*read_patterns(patterns / "patterns").realised)
-    peak = float(design.rails.max())
-    np.testing.assert_allclose(shown.rails, design.rails, atol=peak / 47)  # cells of 8 x 6 mirrors
+    step = float(design.rails.stacked.max()) / 47  # cells of 8 x 6 mirrors
+    np.testing.assert_allclose(shown.rails.stacked, design.rails.stacked, atol=step)
 
 
 def test_a_first_look_of_other_masks_is_refused(patterns):

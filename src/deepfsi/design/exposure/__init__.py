@@ -112,7 +112,7 @@ class Conditioned(Exposure):
         """One whose classifier has the budget and the number of masks as inputs."""
         from deepfsi.design.exposure.conditioned import ConditionedExposure
 
-        width = job.detection(image_shape).width({"dual": 2, "single": 1}[job.optics.rails])
+        width = job.features(image_shape) // job.masks
         fewest = getattr(self, "nested", 0)
         return ConditionedExposure(job.photons, self.span, job.masks, fewest, width)
 
@@ -211,10 +211,9 @@ class Looks(Exposure):
         from deepfsi.design.classifiers import Mlp
         from deepfsi.design.exposure.looks import Dwells, LooksExposure
 
-        camera, rails = job.optics, {"dual": 2, "single": 1}[job.optics.rails]
+        camera = job.optics
         dwells = Dwells.of(job.masks, camera.light, camera.rails)
-        features = job.masks * job.detection(image_shape).width(rails)
-        inputs = features + dwells.count + 1
+        inputs = job.features(image_shape) + dwells.count + 1
         network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
         return LooksExposure(dwells, network, self.looks, camera.shortest_share)
 
@@ -326,7 +325,10 @@ KINDS: dict[str, type[Exposure]] = {
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-NEUTRAL = {"looks": 1, "nested": 0, "span": 1, "patch": 0}
+EXPOSURE_FIELDS = ("nested", "looks", "patch")
+"""Settings that ask for an exposure by an option of their own; a range is one of budgets."""
+
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0"}
 """Values of these settings that ask for nothing."""
 
 
@@ -334,7 +336,11 @@ def find_exposure(given: Any) -> Any:
     """Exposure of its settings: none for `Fixed`, ``{"looks": 4}`` for `Looks`, and so on."""
     if not isinstance(given, Mapping):
         return given
-    asked = {name: value for name, value in given.items() if value != NEUTRAL.get(name, ...)}
+    asked = {
+        name: value
+        for name, value in given.items()
+        if str(value).removesuffix(".0") != NEUTRAL.get(name)
+    }
     for name, kind in KINDS.items():
         if name not in asked:
             continue

@@ -25,6 +25,7 @@ from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.features import mean_over_exposures
+from deepfsi.optics.rails import Rails
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""
@@ -58,9 +59,9 @@ class ConditionedExposure(TrainedExposure):
     used: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
     kind: Literal["conditioned"] = field(default="conditioned", kw_only=True)
 
-    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
-        if rails.shape[1] > self.masks:
+        if rails.masks > self.masks:
             raise ValueError("more masks than in the whole sequence")
 
     def final(self, rails: Tensor, light: Light) -> Tensor:
@@ -124,9 +125,9 @@ class ConditionedExposure(TrainedExposure):
         """The kind for masks that take another share of the light law, see `used`."""
         return replace(self, used=used)
 
-    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+    def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of masks after which an exposure may stop, and the share taken then."""
-        masks = rails.shape[1]
+        masks = rails.masks
         fewest = self.fewest_masks(masks)
         if fewest == masks:
             return super().stops(rails, light)
@@ -135,7 +136,7 @@ class ConditionedExposure(TrainedExposure):
                 "under the column constraint all masks see light at once, so that stopping saves "
                 'nothing: use a design for one device, `light="free-dwell"` or equal-dwell'
             )
-        used = constraints.used(rails, light)[fewest - 1 :]
+        used = constraints.used(rails.stacked, light)[fewest - 1 :]
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:

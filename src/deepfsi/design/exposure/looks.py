@@ -29,6 +29,7 @@ from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.dwells import share_out
 from deepfsi.optics.masks import LearnedMasks, through
+from deepfsi.optics.rails import Rails
 
 
 @dataclass(frozen=True)
@@ -130,12 +131,12 @@ class LooksExposure(TrainedExposure):
         """The kind on a device."""
         return replace(self, network=self.network.to(device))
 
-    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
         same: Light = "two-arm" if light == "two-arm" else "equal-dwell"
-        equal = constraints.excess(rails, same) < constraints.SLACK
+        equal = constraints.excess(rails.stacked, same) < constraints.SLACK
         if light == "two-arm":
-            equal &= float(rails.sum(dim=0).max()) * rails.shape[1] < 1 + constraints.SLACK
+            equal &= float(rails.total.max()) * rails.masks < 1 + constraints.SLACK
         if not (equal and light in LOOKING):
             raise ValueError("dwells are chosen for frames of one device that all have the same")
 
@@ -182,7 +183,13 @@ class LooksExposure(TrainedExposure):
         """Exposures after each look at a camera, parameters as for `TrainedExposure.expose`."""
         return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
-    def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+    @property
+    def dwell_words(self) -> str:
+        """What `mask_dwells` are: those of the first look."""
+        share = f"{1 / self.looks:.0%}"
+        return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
+
+    def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown in the first look."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
@@ -190,9 +197,9 @@ class LooksExposure(TrainedExposure):
 
         first = next(self.expose_live(show, mean, std)).dwell
         assert first is not None, "dwells are chosen"
-        return first.unflatten(-1, (rails.shape[-2], -1)).sum(dim=-1)
+        return first.unflatten(-1, (rails.masks, -1)).sum(dim=-1)
 
-    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+    def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
@@ -231,10 +238,10 @@ class LooksShape:
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 
     def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
+        self, weights: dict[str, Tensor], features: int, rails: Rails, light: Light
     ) -> LooksExposure:
         """The exposure; parameters as for `TrainedExposure.restored`."""
-        dwells = Dwells.of(rails.shape[1], light, {1: "single", 2: "dual"}[len(rails)])
+        dwells = Dwells.of(rails.masks, light, rails.kind)
         inputs = features + dwells.count + 1
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": self.hidden}
         network = restored(Mlp, weights, **sizes)

@@ -21,6 +21,7 @@ from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.masks import LearnedMasks
+from deepfsi.optics.rails import Rails
 
 STRICT = ConfigDict(extra="forbid", strict=True)
 """Configuration of what a design file's header holds: no further fields, no conversions."""
@@ -84,7 +85,7 @@ class TrainedExposure:
         return self
 
     def restored(
-        self, weights: dict[str, Tensor], features: int, rails: Tensor, light: Light
+        self, weights: dict[str, Tensor], features: int, rails: Rails, light: Light
     ) -> "TrainedExposure":
         """The kind with its network's weights from a design file."""
         return self
@@ -93,7 +94,7 @@ class TrainedExposure:
         """The kind on a device."""
         return self
 
-    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails can be exposed so; parameters as for `Design`."""
 
     def learned_masks(self, start: Tensor, camera: Camera, levels: int) -> LearnedMasks:
@@ -179,7 +180,7 @@ class TrainedExposure:
         """The kind for masks that take another share of the light law, see `used`."""
         return self
 
-    def stops(self, rails: Tensor, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
+    def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
         """Numbers of masks or looks after which an exposure may stop, and the share taken then.
 
         Raises `InputError` if it may stop nowhere before its end, or that saves nothing.
@@ -189,14 +190,19 @@ class TrainedExposure:
             "several looks with `looks`"
         )
 
-    def mask_dwells(self, rails: Tensor, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
+    @property
+    def dwell_words(self) -> str:
+        """What `mask_dwells` are."""
+        return "share of the exposure"
+
+    def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells.
 
         Of several looks those of the first, which are the same for every scene.
         """
         if light == "column":
             return None
-        shares = constraints.used(rails, light)
+        shares = constraints.used(rails.stacked, light)
         return torch.diff(shares, prepend=shares.new_zeros(1))
 
     def check_frames(self) -> None:
@@ -236,10 +242,10 @@ class PatchExposure(TrainedExposure):
     kind: Literal["patches"] = field(default="patches", kw_only=True)
     comparable: ClassVar[bool] = False
 
-    def check(self, rails: Tensor, light: Light, image_shape: tuple[int, ...]) -> None:
+    def check(self, rails: Rails, light: Light, image_shape: tuple[int, ...]) -> None:
         """Raise `ValueError` unless rails are of patches; parameters as for `Design`."""
         height, width = image_shape
-        if rails.shape[-1] != self.side**2 or height % self.side or width % self.side:
+        if rails.difference.shape[-1] != self.side**2 or height % self.side or width % self.side:
             raise ValueError("masks are not of a patch")
 
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.decisions import SENTINELS, Observer
-from deepfsi.hardware.live.networks import read_loop
-from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.laboratory.live.decisions import SENTINELS, Observer
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.run import plan_live
+from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 EXPOSURE_S, FLUX = 10e-3, 1e7
 
@@ -148,7 +148,7 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
             for arm, counts in enumerate(arms, int(frame.rail == "minus")):
                 rails[arm, frame.mask] = counts
             share[(int(frame.rail == "minus"), frame.mask)[2 - dwell.ndim :]] = gate_ns * 1e-9
-        counts = rails if len(design.rails) == 2 else rails[0]
+        counts = rails if design.rails.count == 2 else rails[0]
         return counts.reshape(design.counts_shape), share / EXPOSURE_S
 
     chances = design.classify_live(read, decided[-1].photons)

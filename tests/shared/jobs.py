@@ -1,0 +1,35 @@
+"""Jobs and trainings of single settings, as the command line has them, for tests of many of them.
+
+`noise` is here the noise of the training, and the camera's where that is no stand-in for photons.
+Light law and rails are the paper's unless others, or a camera, are given.
+"""
+
+from typing import Any
+
+import deepfsi
+from deepfsi.training.job import Job, sorted_settings
+
+OF_LEARN = ("counts", "matrix", "device", "report")
+
+
+def nested(**settings: Any) -> dict[str, Any]:
+    """Fields of a job of single settings."""
+    if "camera" not in settings:
+        settings = {"light": "column", "rails": "dual", **settings}
+    if "noise" in settings and "train_noise" not in settings:
+        noise = settings.pop("noise")
+        settings["train_noise"] = noise
+        if noise not in ("ml_gauss", "poisson"):
+            settings["noise"] = noise
+    return sorted_settings(settings)
+
+
+def job(**settings: Any) -> Job:
+    """Job of single settings."""
+    return Job(**nested(**settings))
+
+
+def learn(data: Any, **settings: Any) -> Any:
+    """Design of single settings, learned."""
+    own = {name: settings.pop(name) for name in OF_LEARN if name in settings}
+    return deepfsi.learn(data, **own, **nested(**settings))
