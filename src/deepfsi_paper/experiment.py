@@ -3,7 +3,7 @@
 import io
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -59,8 +59,8 @@ class Experiment:
         Data → data that designs are trained on and tested with.
     adapt : callable, optional
         Recipe → recipe for this machine, such as other data where those that it names are missing.
-    labels : mapping of str to str
-        Names of designs that have others here.
+    label : str
+        Of learned designs, where it is another here.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Experiment:
     measure: Measure | None = None
     prepare: Callable[[Dataset], Dataset] = lambda data: data
     adapt: Callable[[Recipe], Recipe] = lambda recipe: recipe
-    labels: Mapping[str, str] = field(default_factory=dict)
+    label: str = ""
 
     def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Recipe]:
         """The recipes, or their coarse versions, by part; a single one has the experiment's name.
@@ -148,8 +148,8 @@ class Experiment:
         return results
 
     def _label(self, point: Point) -> dict[str, str]:
-        own = self.labels.get(point.design)
-        return {"label": own, "title": own} if own else {}
+        own = self.label and point.learned
+        return {"label": self.label, "title": self.label} if own else {}
 
     def _data(self, recipes: Mapping[str, Recipe]) -> dict[str, Dataset]:
         """Prepared data of each recipe, loaded once where recipes share it."""

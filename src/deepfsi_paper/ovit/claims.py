@@ -239,9 +239,7 @@ def grows(
 
 def _experiment(name: str, title: str) -> Experiment:
     """The study at one size."""
-    return Experiment(
-        name, title, PAPER, show, measure, adapt=cifar10_here, labels={LEARNED: LABEL}
-    )
+    return Experiment(name, title, PAPER, show, measure, adapt=cifar10_here, label=LABEL)
 
 
 TITLE = "A vision transformer with an optical front end (OViT)"
