@@ -12,8 +12,10 @@ from conftest import synthetic
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.comparison_page import page_text
 from deepfsi.sweeps import context
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import plan
 from deepfsi.training.learning import Diverged, learn
 from deepfsi_paper import experiment, studies
@@ -180,6 +182,12 @@ def test_every_design_has_as_many_masks_as_a_patch_has_pixels(each, quick):
 def test_points_have_the_share_of_the_masks_in_the_pixels_of_a_patch(images, tmp_path):
     results = EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
     assert {(point.masks, point.ratio) for point in results.points} == {(16, 1.0)}
+
+
+def test_a_comparison_of_patches_has_a_page_with_their_masks(tmp_path):
+    results, _ = compare(TINY, synthetic((8, 8)), tmp_path, command="deepfsi", device="cpu")
+    page = page_text(results, tmp_path / "designs")
+    assert "all 16 masks" in page or "of 16 masks" in page
 
 
 def test_pixels_of_a_patch_that_never_vary_stay_dark():
