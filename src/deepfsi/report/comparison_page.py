@@ -33,11 +33,9 @@ Part = dict[str, Any]
 
 
 def build(folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html` into the output folder of a comparison, all or nothing.
-
-    The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
-    The accuracy figure is written beside it on its own, as `accuracy.png`.
-    """
+    """Write `report.html` into the output folder of a comparison, all or nothing."""
+    # The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
+    # The accuracy figure is written beside it on its own, as `accuracy.png`
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
@@ -162,10 +160,8 @@ def chosen(results: Results, noise: str) -> list[Point]:
 
 
 def ranking(points: list[Point], photons: float) -> list[Point]:
-    """Designs at a budget, most accurate first; impulse imaging only if alone.
-
-    Of a design that was trained in several ways on the same light, the one that validation chose.
-    """
+    """Designs at a budget, most accurate first; impulse imaging only if alone."""
+    # Of a design that was trained in several ways on the same light, the one that validation chose
     optics: dict[tuple[str, ...], Point] = {}
     here = [p for p in points if p.photons == photons]
     for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
