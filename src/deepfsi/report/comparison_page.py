@@ -48,11 +48,13 @@ def build(folder: str | os.PathLike[str]) -> Path:
 
 
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Rails (2 or 1, m, N) and image shape of a design file."""
+    """Rails (2 or 1, m, N) and the shape of a mask, which may be of a patch, in a design file."""
     try:
         with safe_open(path, framework="numpy") as file:
             header = json.loads(file.metadata()["deepfsi"])
-            return file.get_tensor("rails"), tuple(header["image_shape"])
+            patch = header.get("exposure", {}).get("side")
+            shape = (patch, patch) if patch else tuple(header["image_shape"])
+            return file.get_tensor("rails"), shape
     except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
 

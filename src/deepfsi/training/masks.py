@@ -1,7 +1,6 @@
 """Masks of a training: the matrix that they are or start from, and what they are at its end."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -27,8 +26,7 @@ def matrix_faults(job: Job, data: Dataset, matrix: np.ndarray | None) -> list[st
             codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
             own_rails(matrix, job.optics)
             return []
-        one = replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1])
-        scene = job.exposure.seen(one)
+        scene = job.exposure.scene(data)
         tiles.check_count(job.design, job.masks, scene, job.detection(scene.image_shape))
     except InputError as error:
         return [str(error)]

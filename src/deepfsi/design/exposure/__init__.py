@@ -110,6 +110,10 @@ class Exposure(BaseModel):
         """The data as the masks see it: whole scenes."""
         return data
 
+    def scene(self, data: "Dataset") -> "Dataset":
+        """One training scene as the masks see it: its shape, and the classes."""
+        return self.seen(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
+
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
         """The exposure of a design that is to be trained on scenes of a shape.
 
