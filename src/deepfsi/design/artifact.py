@@ -292,7 +292,7 @@ class Design:
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
     def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
-        """The design with the distribution of readouts of scenes (n, N) of classes (n,), 0 .. C-1."""
+        """The design with the distribution of readouts of scenes (n, N) of classes (n,)."""
         rows = sample_scenes(len(scenes), prod(self.counts_shape))
         with torch.no_grad():
             rates = self.rates(self.scanner(), scenes[rows])
