@@ -13,7 +13,7 @@ from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.training.job import Job, check_job, training_for
-from deepfsi.training.learning import learn
+from shared.jobs import learn
 
 SHORTEST = 0.06
 """Share of the exposure: five frames of a look of three, of ten masks."""

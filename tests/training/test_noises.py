@@ -44,7 +44,7 @@ def test_features_are_standardised_with_dark_counts_and_read_noise(digits, desig
 @pytest.mark.parametrize("design", ["pca", "deepfsi"])
 def test_features_are_standardised_under_a_noise_of_ones_own(digits, design, own):
     one = quick(digits, design, noise=own)
-    assert one.info["job"]["noise"] == f"shared.noises:{own.__name__}"
+    assert one.info["job"]["camera"]["noise"] == f"shared.noises:{own.__name__}"
     assert_standardised(one, digits, own, trained=len(digits.x_train))
 
 
@@ -98,7 +98,7 @@ def test_a_seed_repeats(digits):
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"noise": "poisson", "dark": 3.0}, "not of poisson noise"),
+        ({"noise": "poisson", "dark": 3.0, "light": "column"}, "features"),
         ({"noise": "camera", "span": 10.0}, "trained under ml_gauss"),
         ({"noise": photons, "nested": 3}, "trained under ml_gauss"),
         (

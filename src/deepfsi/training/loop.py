@@ -144,10 +144,7 @@ def _classifiers(
     rails = {"dual": 2, "single": 1}[job.optics.rails]
     inputs = exposure.input_count(job.masks * job.detection(data.image_shape).width(rails))
     if settings.own:
-        arguments = settings.classifier_arguments
-        if isinstance(settings.classifier, nn.Module):
-            arguments = {}
-        made = make(settings.classifier, arguments, inputs, classes, job.seed)
+        made = make(settings.classifier, settings.classifier_arguments, inputs, classes, job.seed)
         if not any(each.requires_grad for each in made.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
