@@ -97,7 +97,7 @@ def test_dwells_that_are_neither_learned_nor_chosen_stay_as_they_are(digits, set
 def test_a_look_is_longer_than_a_frame(digits):
     words = {**ONE_DMD, "photons": 1e3, "masks": 4}
     job(looks=16, shortest_dwell=SHORTEST, **words).check(digits)
-    with pytest.raises(InputError, match="a look 0.05: give fewer looks, or a longer exposure"):
+    with pytest.raises(InputError, match=r"a look 0\.05: give fewer looks, or a longer"):
         job(looks=20, shortest_dwell=SHORTEST, **words).check(digits)
     job(looks=20, shortest_dwell=SHORTEST, exposure=2.0, **words).check(digits)
 
