@@ -9,7 +9,6 @@ import typer
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
-from deepfsi.optics.camera import Camera
 from deepfsi.training.job import find_job
 
 if TYPE_CHECKING:
@@ -107,6 +106,7 @@ def evaluate(
     """
     paths.check_design(file)
     common.check_data(data, view)
+    from deepfsi.design.evaluation import camera_for
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.posterior import ideal_observer
     from deepfsi.laboratory.data import data_of
@@ -116,7 +116,7 @@ def evaluate(
     told = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
     made = common.open_design(file, trust).to(find_device(device))
-    camera = Camera.load(made.camera, **told)
+    camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
     if ideal and camera.noise_name != "poisson":
         raise InputError(

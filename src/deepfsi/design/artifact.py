@@ -138,12 +138,15 @@ class Design:
 
     @property
     def camera(self) -> Camera:
-        """The camera that it was trained for, as the file keeps it."""
+        """The camera that it was trained for, as the file keeps it; of older files its optics."""
         known = self.info.get("job", {}).get("camera")
         if known is None:
-            return Camera.load(light=self.light)
+            known = {"light": self.light, "rails": self.rails.kind}
+            known["readout"] = self.detection.readout
+            if self.detection.labels is not None and self.light != "column":
+                known["detectors"] = self.detection.labels.cpu()
         with as_input_error("the design's camera", "train it again"):
-            return Camera.model_validate(known)
+            return Camera.restored(known)
 
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0

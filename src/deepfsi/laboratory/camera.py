@@ -47,7 +47,7 @@ def _known(path: Path) -> Camera | None:
     except (SafetensorError, KeyError, TypeError, ValueError, AttributeError):
         return None  # whoever opens the design says what is wrong with it
     with as_input_error(str(file), "train it again"):
-        return None if known is None else Camera.model_validate(known)
+        return None if known is None else Camera.restored(known)
 
 
 def exposure_of(camera: Camera) -> float:

@@ -10,10 +10,9 @@ import torch
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
-from deepfsi.optics.camera import Camera
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import record_of
@@ -179,7 +178,7 @@ def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]
             design.quantised(levels) if levels else design,
             data,
             trial.test_photons,
-            camera=Camera.load(design.camera, noise=noise),
+            camera=camera_for(design, noise=noise),
             draws=trial.draws,
             seed=trial.job.seed,
             report=SILENT,
