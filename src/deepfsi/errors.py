@@ -56,7 +56,7 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
     except ValidationError as error:
         if not file:
             raise InputError("; ".join(faults(error))) from None
-        fault = error.errors()[0]
+        fault = _own_faults(error)[0]
         at, end = fault["loc"] and f" at {_place(fault)}", advice and f"; {advice}"
         raise InputError(f"{file} cannot be used{at or ''}: {_words(fault)}{end}") from None
 
@@ -65,8 +65,13 @@ def faults(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
         (f"{_place(fault)} = {fault['input']!r}: " if fault["loc"] else "") + _words(fault)
-        for fault in error.errors()
+        for fault in _own_faults(error)
     ]
+
+
+def _own_faults(error: "ValidationError") -> "list[ErrorDetails]":
+    """Faults but those of fields that were not given and follow from one that is bad."""
+    return [fault for fault in error.errors() if fault["type"] != "default_factory_not_called"]
 
 
 def _place(fault: "ErrorDetails") -> str:
