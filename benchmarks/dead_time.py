@@ -18,7 +18,6 @@ import numpy as np
 
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import export_patterns
@@ -26,6 +25,7 @@ from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.detector import Detector, draw
+from deepfsi.laboratory.rails import design_rails
 from deepfsi.tables.table_files import Table
 from deepfsi.training.learning import learn
 

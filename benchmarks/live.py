@@ -39,9 +39,6 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.devices import find_device
-from deepfsi.hardware.live.decisions import FrameList, Observer
-from deepfsi.hardware.live.networks import About, Loop, judge
-from deepfsi.hardware.live.run import Bench, plan_live, run_live
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.ptu.header import read_header
@@ -49,8 +46,11 @@ from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
-from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.laboratory.live.decisions import FrameList, Observer
+from deepfsi.laboratory.live.loop import Loop, LoopHeader, judge
+from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8
@@ -178,7 +178,7 @@ LOOKS, MASKS, EXPOSURE_S = 4, 60, 10e-3
 def made_loop(masks: int, hidden: Sequence[int]) -> Loop:
     """A loop of some size, whose weights are drawn."""
     rng = np.random.default_rng(0)
-    about = About(
+    header = LoopHeader(
         looks=LOOKS, masks=masks, rails=1, detectors=1, each_rail=False, readout="difference",
         classes=tuple("0123456789"), largest_score=4.0, shortest=0.0,
     )  # fmt: skip
@@ -193,9 +193,9 @@ def made_loop(masks: int, hidden: Sequence[int]) -> Loop:
         )
 
     mean = np.full(masks, 0.5 / masks, np.float32)
-    inputs = about.features + about.frames
+    inputs = header.features + header.frames
     return Loop(
-        about, mean, mean / 5, layers(inputs, *hidden, 10), layers(inputs + 1, *hidden, masks)
+        header, mean, mean / 5, layers(inputs, *hidden, 10), layers(inputs + 1, *hidden, masks)
     )
 
 
@@ -251,9 +251,9 @@ def marker_to_decision(
     design = DesignRails(rails, "free-dwell", (8, 8), 32.0, looks=loop.looks, loop=loop.to_bytes())
     export_patterns(design, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
     x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
-    rates = arrival_rates(folder / "patterns", x, Camera(), flux)
-    laboratory = Laboratory(rates, Camera(), Latencies())
-    devices = Bench(BenchProjector(laboratory), BenchCounter(laboratory, (0,)), laboratory.display)
+    rates = arrival_rates(folder / "patterns", x, VirtualCamera(), flux)
+    setup = VirtualSetup(rates, VirtualCamera(), Latencies())
+    devices = Bench(BenchProjector(setup), BenchCounter(setup, (0,)), setup.display)
     scenes = tuple(Scene(name=str(k)) for k in range(len(x)))
     acquisition = plan_live(folder / "patterns", scenes, EXPOSURE_S)
     wanted = [

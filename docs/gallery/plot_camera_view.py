@@ -13,13 +13,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record
+from deepfsi.laboratory.rails import design_rails
 from deepfsi.report.style import STYLE
 
 plt.rcParams.update(STYLE)

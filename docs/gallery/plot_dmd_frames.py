@@ -12,11 +12,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import deepfsi
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.laboratory.rails import design_rails
 from deepfsi.report.style import STYLE
 
 plt.rcParams.update(STYLE)

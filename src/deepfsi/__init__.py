@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from deepfsi.design.posterior import IdealObserver as IdealObserver
     from deepfsi.design.posterior import ideal_observer as ideal_observer
     from deepfsi.errors import InputError as InputError
+    from deepfsi.laboratory.classify import classify_run as classify_run
+    from deepfsi.laboratory.classify import classify_table as classify_table
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
     from deepfsi.optics.camera import Camera as Camera
     from deepfsi.optics.scanner import Scanner as Scanner
@@ -56,6 +58,8 @@ _HOMES = {
     "Result": "design.evaluation",
     "Scanner": "optics.scanner",
     "Training": "training.job",
+    "classify_run": "laboratory.classify",
+    "classify_table": "laboratory.classify",
     "design_of": "training.assembly",
     "evaluate": "design.evaluation",
     "from_arrays": "datasets",
@@ -82,6 +86,8 @@ __all__ = [
     "Result",
     "Scanner",
     "Training",
+    "classify_run",
+    "classify_table",
     "design_of",
     "evaluate",
     "from_arrays",

@@ -15,12 +15,12 @@ from scipy.io import savemat
 
 from conftest import quick
 from deepfsi.datasets import write_pictures
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
 from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.tables import column_names
-from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.laboratory.rails import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 
@@ -53,7 +53,7 @@ def lab(tmp_path_factory, digits) -> Lab:
     export_patterns(design_rails(design), FrameSettings(find_device("64x48"), DWELL), patterns)
     manifest = read_patterns(patterns).manifest
     images = digits.x_test[:SCENES].reshape(-1, 8, 8)
-    rates = arrival_rates(patterns, images, Camera(dark=1e3), FLUX)[..., 0]
+    rates = arrival_rates(patterns, images, VirtualCamera(dark=1e3), FLUX)[..., 0]
     values = np.random.default_rng(1).poisson(rates * manifest.picture_s)
     labels = [digits.classes[k] for k in digits.y_test[:SCENES]]
     found = Lab(folder, design, patterns, column_names(manifest), values, labels)

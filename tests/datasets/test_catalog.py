@@ -19,5 +19,5 @@ def test_unknown_name_to_check_or_download(action):
 
 
 def test_digits_need_no_download():
-    with refused("digits", "embedded"):
+    with refused("digits", "scikit-learn"):
         download("digits")

@@ -1,4 +1,4 @@
-"""CIFAR-10 in each of its forms gives the same scenes."""
+"""CIFAR-10 of its archive and of its copy in JPEG."""
 
 import gzip
 import hashlib
@@ -6,12 +6,13 @@ import io
 import os
 import tarfile
 import zipfile
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pooch
 import pytest
-from dataset_samples import BATCH, BINARY, PYTHON, RECORDS, refused
+from dataset_samples import BATCH, BINARY, RECORDS, refused
 from PIL import Image
 
 from deepfsi.datasets import check, cifar, download, list_datasets, load_dataset
@@ -19,11 +20,11 @@ from deepfsi.datasets import check, cifar, download, list_datasets, load_dataset
 DATA = Path(os.environ.get("DEEPFSI_DATA") or ".") / "cifar10"
 
 
-def archive(contents, folder):
+def archive():
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as file:
-        for name, content in {"readme.html": b"<html>", **contents}.items():
-            info = tarfile.TarInfo(f"{folder}/{name}")
+        for name, content in {"readme.html": b"<html>", **BINARY}.items():
+            info = tarfile.TarInfo(f"cifar-10-batches-bin/{name}")
             info.size = len(content)
             file.addfile(info, io.BytesIO(content))
     return packed.getvalue()
@@ -40,18 +41,10 @@ def home(tmp_path, monkeypatch):
     return tmp_path / "cifar10"
 
 
-def put(home, form, monkeypatch, **spoilt):
-    """Put CIFAR-10 there in one of its forms, with the hash that goes with it."""
-    binary = BINARY | {f"{name}.bin": content for name, content in spoilt.items()}
-    if form == "unpacked":
-        path = home / cifar.UNPACKED
-        path.mkdir()
-        for name, content in binary.items():
-            (path / name).write_bytes(content)
-        return path
-    contents = binary if form == "binary" else PYTHON
-    path = home / f"cifar-10-{form}.tar.gz"
-    path.write_bytes(archive(contents, f"cifar-10-batches-{form[:3]}"))
+def put(home, monkeypatch):
+    """Put the archive there, with the hash that goes with it."""
+    path = home / cifar.ARCHIVE
+    path.write_bytes(archive())
     known = hashlib.md5(path.read_bytes()).hexdigest()
     monkeypatch.setitem(cifar.HASHES, path.name, f"md5:{known}")
     return path
@@ -62,14 +55,15 @@ def luma(records):
     return (0.299 * red + 0.587 * green + 0.114 * blue) / 255
 
 
-@pytest.mark.parametrize("form", ["unpacked", "binary", "python"])
-def test_every_form_gives_the_same_grey_scenes(home, form, monkeypatch):
-    path = put(home, form, monkeypatch)
+def test_the_archive_gives_grey_scenes(home, monkeypatch):
+    put(home, monkeypatch)
     data = load_dataset("cifar10")
     assert data.name == "CIFAR-10"
     assert data.classes[6] == "frog"
     assert data.image_shape == (32, 32)
-    assert data.preprocessing == "Grey levels divided by 255."
+    told = "120 images of 32x32 pixels, 120 in colour, turned to grey; 8-bit values from "
+    assert data.preprocessing.startswith(told)
+    assert data.preprocessing.endswith(", divided by 255.")
     assert data.y_test.tolist() == RECORDS[5, :, 0].tolist()
     assert np.abs(data.x_test - luma(RECORDS[5])).max() < 0.51 / 255 + 1e-6
     train = RECORDS[:5].reshape(100, 3073)
@@ -79,19 +73,19 @@ def test_every_form_gives_the_same_grey_scenes(home, form, monkeypatch):
     assert sorted(order) == list(range(100)) != order.tolist(), "shuffled"
     assert data.y_train.tolist() == train[order, 0].tolist()
     assert all(result.ok for result in check("cifar10"))
-    assert download("cifar10") == path
-    assert list_datasets()[3].where == str(path)
+    assert download("cifar10") == home
+    assert list_datasets()[3].where == str(home)
 
 
 def test_size_is_bilinear_and_images_are_drawn_by_class(home, monkeypatch):
-    put(home, "unpacked", monkeypatch)
+    put(home, monkeypatch)
     data = load_dataset("cifar10", size=64, images=30)
     assert data.image_shape == (64, 64)
     assert np.bincount(data.y_train).tolist() == [3] * 10
     assert len(data.x_test) == 20
-    assert data.preprocessing == (
-        "30 training images drawn by class; grey levels, resized bilinearly to 64x64 pixels, "
-        "divided by 255."
+    assert data.preprocessing.startswith("30 training images drawn by class; 50 images of 32x32")
+    assert "in colour, turned to grey, resized bilinearly to 64x64 pixels; 8-bit" in (
+        data.preprocessing
     )
     x = data.x_test.reshape(-1, 64, 64)
     plain = load_dataset("cifar10").x_test.reshape(-1, 32, 32)
@@ -102,66 +96,31 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(home, monkeypatch):
     )
 
 
-def test_a_folder_of_batches_directly_in_deepfsi_data(home, monkeypatch):
-    path = put(home.parent, "unpacked", monkeypatch)
-    assert download("cifar10") == path
-
-
 def test_the_archive_is_downloaded_and_kept(home, monkeypatch):
-    whole = put(home, "binary", monkeypatch).read_bytes()
-    (home / "cifar-10-binary.tar.gz").unlink()
+    whole = put(home, monkeypatch).read_bytes()
+    (home / cifar.ARCHIVE).unlink()
 
     def retrieve(url, known, name, path, **_):
         assert url.endswith("/cifar-10-binary.tar.gz")
-        path.mkdir(parents=True)
+        path.mkdir(parents=True, exist_ok=True)
         (path / name).write_bytes(whole)
 
     monkeypatch.setattr(pooch, "retrieve", retrieve)
     assert load_dataset("cifar10").x_train.shape == (100, 1024)
-    kept = home.parent / "cache" / "cifar10" / "cifar-10-binary.tar.gz"
-    assert download("cifar10") == kept
+    assert download("cifar10") == home.parent / "cache" / "cifar10"
 
 
-def test_published_hashes():
-    assert cifar.HASHES == {
-        "cifar-10-binary.tar.gz": "md5:c32a1d4ab5d03f1284b67883e8d87530",
-        "cifar-10-python.tar.gz": "md5:c58f30108f718f92721af3b95e74349a",
-    }
+def test_published_hash():
+    known = "md5:c32a1d4ab5d03f1284b67883e8d87530"
+    assert {"cifar-10-binary.tar.gz": known} == cifar.HASHES
 
 
-@pytest.mark.parametrize("form", ["binary", "python"])
-def test_a_damaged_archive(home, form, monkeypatch):
-    path = put(home, form, monkeypatch)
+def test_a_damaged_archive(home, monkeypatch):
+    path = put(home, monkeypatch)
     path.write_bytes(path.read_bytes()[:-9])
     with refused(str(path), "md5 is", "replace it with the original"):
         load_dataset("cifar10")
     assert not check("cifar10")[0].ok
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with refused(str(path), "replace it with the original"):
-        cifar.read_batches(path)
-
-
-def test_an_archive_that_lacks_a_batch(home):
-    path = home / "cifar-10-binary.tar.gz"
-    path.write_bytes(archive({k: v for k, v in BINARY.items() if "5" not in k}, "a"))
-    with refused(str(path), "lacks data_batch_5"):
-        cifar.read_batches(path)
-
-
-def test_a_batch_of_another_size(home, monkeypatch):
-    put(home, "unpacked", monkeypatch, data_batch_2=BINARY["data_batch_2.bin"][:-1])
-    with refused("data_batch_2.bin", "61459 bytes, not 61460"):
-        load_dataset("cifar10")
-    assert [result.ok for result in check("cifar10")] == [True, False, True, True, True, True]
-    (home / cifar.UNPACKED / "data_batch_2.bin").unlink()
-    assert check("cifar10")[1].detail.startswith("missing")
-
-
-def test_a_label_that_is_none(home, monkeypatch):
-    wrong = b"\x0a" + BINARY["test_batch.bin"][1:]
-    put(home, "unpacked", monkeypatch, test_batch=wrong)
-    with refused("holds the label 10"):
-        load_dataset("cifar10")
 
 
 def put_jpegs(home, train, test):
@@ -213,11 +172,12 @@ LOSSLESS = DATA / "cifar-10-train-first4000-lossless.bin.gz"
 
 
 @pytest.mark.skipif(not LOSSLESS.is_file(), reason="needs $DEEPFSI_DATA/cifar10")
-def test_real_records(monkeypatch):
-    monkeypatch.setattr(cifar, "BATCH", 4000)
-    pixels, labels = cifar.decode_batch(gzip.decompress(LOSSLESS.read_bytes()), "first.bin")
-    assert labels[0] == 6
-    image = pixels[0].reshape(3, 32, 32)
-    assert image[:, 0, 0].tolist() == [59, 62, 63]
-    assert image[:, 31, 31].tolist() == [123, 92, 72]
-    assert np.bincount(labels)[:3].tolist() == [396, 366, 420]
+def test_real_records():
+    """The first training image, a frog, and the colours of its corners."""
+    pictures = cifar.list_records(gzip.decompress(LOSSLESS.read_bytes()), "first")
+    assert pictures[0].label == "frog"
+    image = np.asarray(Image.open(pictures[0].open()))
+    assert image[0, 0].tolist() == [59, 62, 63]
+    assert image[31, 31].tolist() == [123, 92, 72]
+    labels = Counter(picture.label for picture in pictures)
+    assert [labels[name] for name in cifar.CLASSES[:3]] == [396, 366, 420]

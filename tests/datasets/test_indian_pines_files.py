@@ -84,7 +84,7 @@ def test_what_is_missing_is_named(home):
 def test_files_of_something_else(home):
     cases: list[tuple[str, Any, str]] = [
         ("Indian_pines.mat", {"indian_pines": np.ones((145, 145, 5))}, "5 bands, not 220"),
-        ("Indian_pines.mat", {"salinas": np.ones((145, 145, 220))}, "variable indian_pines"),
+        ("Indian_pines.mat", {"salinas": np.ones((145, 145, 220))}, "variable 'indian_pines'"),
         ("Indian_pines_gt.mat", {"indian_pines_gt": np.ones((145, 144))}, "(145, 144)"),
         ("Indian_pines_gt.mat", {"indian_pines_gt": np.eye(145) + 1}, "labels 0 to 16"),
     ]

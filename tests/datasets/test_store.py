@@ -3,6 +3,7 @@
 import hashlib
 import http.server
 import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pooch
@@ -11,6 +12,7 @@ from dataset_samples import TINY, TINY_IMAGES, TINY_LABELS, idx_file, refused
 
 from deepfsi.datasets import check, download, idx, list_datasets, load_dataset, store
 from deepfsi.errors import InputError
+from deepfsi.progress import Report
 
 
 class Mirrors:
@@ -174,27 +176,22 @@ def test_check_and_list(mirrors, tmp_path, monkeypatch):
     assert not mirrors.requests
 
 
-def test_a_slow_download_shows_its_progress(capsys):
-    progress = store.DownloadBar("images.gz")
-    progress.due += 60  # however slow the machine
-    progress.total = 4_000_000
-    progress.update(1_000_000)
-    progress.close()
-    assert capsys.readouterr().err == ""
-    progress.due = 0
-    progress.update(1_000_000)
-    progress.close()
-    progress.close()
-    assert capsys.readouterr().err == "\rimages.gz: 2.0 of 4.0 MB\n"
+def test_a_download_says_how_far_it_is(monkeypatch):
+    shares = []
 
+    @contextmanager
+    def bar(what):
+        yield Report(lambda share, _: shares.append((what, share)))
 
-def test_progress_that_breaks_off_ends_its_line(monkeypatch, capsys):
-    def break_off(*_, progressbar):
-        progressbar.due = 0
+    def retrieve(*_, progressbar):
+        progressbar.update(10)  # before the size is known
+        progressbar.total = 40
         progressbar.update(10)
-        raise ConnectionError
+        progressbar.reset()
+        progressbar.update(40)
+        progressbar.close()
 
-    monkeypatch.setattr(pooch, "retrieve", break_off)
-    with pytest.raises(InputError):
-        store.retrieve("mnist", "images.gz", "sha256:0", ("http://here/",))
-    assert capsys.readouterr().err.endswith("MB\n")
+    monkeypatch.setattr(store, "terminal_bar", bar)
+    monkeypatch.setattr(pooch, "retrieve", retrieve)
+    store.retrieve("mnist", "images.gz", "sha256:0", ("http://here/",))
+    assert shares == [("images.gz", share) for share in (0, 0.5, 1)]

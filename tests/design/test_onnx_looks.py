@@ -5,8 +5,8 @@ import pytest
 
 from conftest import quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.live import loop_of
 from deepfsi.design.onnx_graph import to_onnx
+from deepfsi.laboratory.rails import loop_of
 from deepfsi.optics.dwells import share_out
 
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -33,7 +33,7 @@ def test_a_graph_says_and_chooses_what_the_loop_does(design, shortest):
     session = onnxruntime.InferenceSession(to_onnx(design), providers=["CPUExecutionProvider"])
     assert [each.name for each in session.get_outputs()] == ["probabilities", "next"]
     dwells, batch = design.exposure.dwells, 4
-    rails = (loop.about.rails, loop.about.masks, loop.about.detectors)
+    rails = (loop.header.rails, loop.header.masks, loop.header.detectors)
     counts = np.zeros((batch, *design.counts_shape), np.float32)
     dwell = np.zeros((batch, dwells.count))
     for look in range(LOOKS):

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -36,13 +37,17 @@ AS_WIDE = WIDE.reshape(3, 8) / 65535 / 3
     ],
     ids=["signed", "stack", "float32", "integers", "grey", "rows", "wide", "bool", "binary"],
 )
-@pytest.mark.parametrize("end", ["npy", "mat", "mat:own"])
+@pytest.mark.parametrize("end", ["npy", "mat", "mat:own", "h5", "h5:own"])
 def test_arrays(tmp_path, given, wanted, end):
     if end == "npy":
         np.save(tmp_path / "m.npy", given)
     else:
-        more = {"note": "of ours", "own": given}
-        savemat(tmp_path / "m.mat", more | ({"other": np.eye(2)} if ":" in end else {}))
+        more = {"note": "of ours", "own": given} | ({"other": np.eye(2)} if ":" in end else {})
+        if end.startswith("mat"):
+            savemat(tmp_path / "m.mat", more)
+        else:
+            with h5py.File(tmp_path / "m.h5", "w") as file:
+                file.update(more)
     np.testing.assert_allclose(read_matrix(f"{tmp_path}/m.{end}"), wanted, rtol=1e-12)
 
 
@@ -115,7 +120,7 @@ def write_bad(folder):
         ("several.npz", "real numbers"),
         ("cut.npy", "real numbers"),
         ("two.mat", "a, b: name one"),
-        ("two.mat:c", "no variable c.* a, b: name one"),
+        ("two.mat:c", "no variable 'c'.* a, b: name one"),
         ("text.mat", "but none"),
         ("complex.mat", "complex"),
         ("cut.mat", "save it again"),

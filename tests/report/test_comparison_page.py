@@ -7,7 +7,7 @@ import pytest
 from markupsafe import escape
 
 from deepfsi.errors import InputError
-from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import build, opened, summary
 from deepfsi.report.terms import DESIGNS, LAWS
 from deepfsi.sweeps.results import write_results
@@ -69,7 +69,7 @@ def test_masks_are_named_by_the_budget_that_they_learned_at(tmp_path):
 
 
 def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
-    """Where a design has several; the one detector of the others is not told."""
+    """Where a design has several; the grid of the others stands where it tells two apart."""
     results = make_results(tmp_path, designs=("impulse", "pca"))
     tiles = [
         p.model_copy(update={"detectors": detectors, "readout": readout, "light": "two-arm"})
@@ -82,12 +82,12 @@ def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
     write_results(tmp_path / "results.json", results.with_points([*whole, *tiles]))
     text = words_of(page_of(tmp_path))
     assert "is the most accurate design with one detector" not in text
-    assert "beside impulse imaging at" in text
+    assert "apart from impulse imaging at" in text
     for told in (
         "two-arm, dual, 2x2 detectors, both read",
         "two-arm, dual, both read",
         "FSI 2x2 detectors difference",
-        "FSI 1 detector both",
+        "FSI 1x1 detectors both",
     ):
         assert told in text
 
@@ -163,14 +163,37 @@ def test_summary_follows_the_numbers(tmp_path):
     results = make_results(tmp_path)
     text = summary(results, "poisson")
     assert (
-        "DeepFSI is the most accurate design with one detector at 100 and 10⁴ photons; chance"
-        in text
+        "DeepFSI is the most accurate design apart from impulse imaging at 100 and 10⁴ photons; "
+        "chance" in text
     )
     assert "At 100 photons DeepFSI with 4 masks reaches 0.706 (0.702–0.710)" in text
     assert "followed by PCA (FSI) with 0.616" in text
     assert "do not overlap" in text
     assert "Impulse imaging, with a detector for each pixel, reaches 0.796" in text
     assert "do not overlap" not in summary(with_all(results, low=0.0, high=1.0), "poisson")
+
+
+ONE = "one detector"
+
+
+@pytest.mark.parametrize(
+    ("light", "said"),
+    [
+        ("column", "with a detector for each readout, which no single mirror device does"),
+        ("free-dwell", "A camera with one detector: each mask in turn"),
+        ("two-arm", "Each mask sends a part of the scene’s Φ photons to a detector."),
+    ],
+)
+def test_one_detector_is_said_of_the_optics_that_have_one(tmp_path, light, said):
+    results = make_results(tmp_path, lights=(light,))
+    text = words_of(page_of(tmp_path))
+    assert said in text
+    assert (ONE in text) == (ONE in summary(results, "poisson")) == (light == "free-dwell")
+    tiles = with_all(results, detectors="2x2")
+    write_results(tmp_path / "results.json", tiles)
+    assert ONE not in words_of(page_of(tmp_path))
+    single = results.with_points(p for p in results.points if p.design != "impulse")
+    assert "impulse imaging" not in summary(single, "poisson")
 
 
 def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
@@ -188,8 +211,9 @@ def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
     assert [ax.get_title(loc="left") for ax in panels] == ["photon noise", "Gaussian read noise"]
     names = {text.get_text() for text in panels[0].texts} - {"", "chance"}
     assert names == {"impulse imaging", "DeepFSI column", "DeepFSI free-dwell"}
-    assert len(count_figure(results).axes) == 4
-    text = words_of(page_of(tmp_path))
+    page = page_of(tmp_path)
+    assert page.count("Accuracy against number of masks at") == 4
+    text = words_of(page)
     assert "DeepFSI free-dwell, Gaussian read noise" in text
 
 

@@ -14,9 +14,9 @@ from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
 from deepfsi.design.exposure.trained import PatchExposure
-from deepfsi.design.live import loop_of
 from deepfsi.design.payload import check_playable, playable
 from deepfsi.errors import InputError
+from deepfsi.laboratory.rails import loop_of
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
 from shared.playground import KINDS, VECTORS, ask, fits, large_design, read_counts
@@ -108,9 +108,9 @@ def test_dwells_are_those_of_a_live_run(opened, designs, digits, kind):
     loop = loop_of(design)
     _, photons, _, counts = read_counts(design, digits, kind)
     rng = np.random.default_rng(2)
-    dwell = rng.dirichlet(np.ones(loop.about.frames), VECTORS)
-    looks = rng.integers(0, loop.about.looks, VECTORS)
-    shape = (loop.about.rails, loop.about.masks, 1)
+    dwell = rng.dirichlet(np.ones(loop.header.frames), VECTORS)
+    looks = rng.integers(0, loop.header.looks, VECTORS)
+    shape = (loop.header.rails, loop.header.masks, 1)
     wanted = [
         loop.choose(loop.inputs(loop.features(c.reshape(shape)) / phi, d), look)
         for c, phi, d, look in zip(counts, photons, dwell, looks, strict=True)

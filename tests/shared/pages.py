@@ -168,7 +168,7 @@ def example(folder) -> list[Section]:
                 "Accuracy rises with photons; DeepFSI is above PCA.",
             ),
             Picture(
-                count_figure(one),
+                count_figure(one.with_points(p for p in one.points if p.photons == 1e4)),
                 "Accuracy against the number of masks; filled markers were chosen on validation "
                 "data.",
                 "Accuracy falls slowly with the number of masks.",

@@ -119,8 +119,8 @@ def test_files_that_are_no_table_are_one_line(tmp_path):
     for name, said in {
         "cube.npy": r"shape \(2, 2, 2\)",
         "nan.npy": "row 1, column 2 is not finite",
-        "two.mat": r"no table 'counts' .* a, b: name one as .*two\.mat:VARIABLE",
-        "two.mat:c": r"no table 'c'",
+        "two.mat": r"no variable 'counts' .* a, b: name one as .*two\.mat:VARIABLE",
+        "two.mat:c": r"no variable 'c'",
         "cut.h5": "cannot read .* as an HDF5 file",
         "cut.parquet": "as a table",
         "none.csv": "there is no file",

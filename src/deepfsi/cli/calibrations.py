@@ -23,17 +23,10 @@ def camera_spots(
     Example: deepfsi camera spots --size 32x32 -o spots
     """
     paths.check_new_folder(out)
-    import numpy as np
+    from deepfsi.laboratory.calibration import write_spots
 
-    from deepfsi.datasets import write_pictures
-    from deepfsi.hardware.calibration.fit import BLACK, WHITE, spot_scenes
-
-    shape = options.size_of(size) or (32, 32)
-    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
-    uniform = {WHITE: np.ones(shape), BLACK: np.zeros(shape)}
-    common.print_pictures(
-        "camera.spots", write_pictures({**pictures, **uniform}, out), out, as_json
-    )
+    pictures = write_spots(out, options.size_of(size) or (32, 32), side)
+    common.print_pictures("camera.spots", pictures, out, as_json)
 
 
 def camera_calibrate(
@@ -50,27 +43,9 @@ def camera_calibrate(
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
     paths.check_folder(out)
-    from deepfsi.datasets import read_display
-    from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
-    from deepfsi.hardware.calibration.fit import calibrate_run
-    from deepfsi.hardware.calibration.view import save_calibration
-    from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.counts import read_counts
-    from deepfsi.hardware.recording.picture import reconstruct
+    from deepfsi.laboratory.calibration import calibrate
 
-    acquisition, patterns = read_acquisition(folder)
-    shown, counts = read_display(spots), read_counts(folder)
-    found = calibrate_run(
-        dict(zip(shown.names, shown.x, strict=True)),
-        [scene.name for scene in acquisition.scenes],
-        reconstruct(folder),
-        counts,
-        patterns,
-    )
-    several = patterns.manifest.detectors
-    labels = find_detectors(counts, patterns) if several and several.cells is None else None
-    path = save_calibration(found, out)
-    where = None if labels is None else save_detectors(labels, out)
+    found, path, where = calibrate(folder, spots, out)
     if as_json:
         about = found.model_dump(mode="json", exclude={"flat"})
         common.print_json(

@@ -1,33 +1,23 @@
 """Classes of exposures from counts: of an acquisition's folder, or a table of any counter."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import common, options, paths, replays
+from deepfsi.cli import common, options, paths
+from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-
-    from deepfsi.design.artifact import Design
-    from deepfsi.hardware.recording.acquisition import Scene
-    from deepfsi.hardware.recording.counts import Counts
-    from deepfsi.hardware.recording.tables import TableSettings
+    from deepfsi.laboratory.results import ClassifiedRun, LiveScene, ReplayedRun
 
 
-class _Exposures(NamedTuple):
-    """Counted exposures, their scenes, and the design as it was shown."""
-
-    counts: "Counts"
-    scenes: "Sequence[Scene]"
-    made: "Design"
-
-
+@with_settings(laboratory_fields("dead_time", "dead_time_model"))
 def camera_classify(
+    settings: dict[str, Any],
     file: Annotated[
         Path,
         typer.Argument(help="design file whose patterns were shown, or the folder of its patterns"),
@@ -67,10 +57,6 @@ def camera_classify(
         float | None,
         typer.Option(help="table of an analogue detector: read noise of a value, counts rms"),
     ] = None,
-    dead_time: Annotated[
-        str | None, typer.Option(help="table: correct for this dead time of the counter")
-    ] = None,
-    dead_time_model: options.DeadTimeModel = None,
     trust: options.Trust = False,
     force: Annotated[
         bool,
@@ -88,165 +74,104 @@ def camera_classify(
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
     paths.check_design(file)
-    import numpy as np
-
-    from deepfsi.cli.consistency import check_counts
-    from deepfsi.optics.budget import check_budget
-
-    if photons is not None:
-        check_budget(photons)
     options_of_tables = {
         "background": background, "settle": settle, "exposures": exposures, "gain": gain,
-        "read-noise": read_noise, "dead-time": dead_time, "dead-time-model": dead_time_model,
-        "repeats": None if repeats == 1 else repeats,
+        "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,
+        **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
-    if _is_run(counted):
+    from deepfsi.laboratory.classify import classify_run, classify_table
+    from deepfsi.laboratory.live.replay import COUNTS, count_live, is_live
+    from deepfsi.laboratory.results import ClassifiedRun
+    from deepfsi.tables.table_files import SUFFIXES, is_table
+
+    found: ClassifiedRun | ReplayedRun
+    if counted.is_dir():
         given = [name for name, value in options_of_tables.items() if value is not None]
         if given:
             raise InputError(f"--{given[0]} is for tables, and {counted} is a folder: leave it out")
-        if replays.is_live(counted):
-            replays.print_live_classes(_design_file(file), counted, photons, as_json)
-            return
-        counts, listed, made = _of_run(file, counted, trust)
-    else:
+        if is_live(counted) and not (counted / COUNTS).exists():
+            with common.progress("counting", quiet=as_json) as report:
+                count_live(counted, report)
+        found = classify_run(file, counted, photons=photons, force=force, trust=trust)
+    elif is_table(counted):
         from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
         from deepfsi.hardware.recording.tables import TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
-        dead = options.dead_time(dead_time, dead_time_model) or NO_DEAD_TIME
-        settings = TableSettings(
-            photons, background, settle_s, exposures, repeats, gain, read_noise, dead
+        dead = options.dead_time(file, settings) if settings else None
+        table = TableSettings(
+            *(photons, background, settle_s, exposures, repeats, gain, read_noise),
+            dead or NO_DEAD_TIME,
         )
-        counts, listed, made = _of_table(file, counted, settings, trust)
-    usable = counts.valid & ~counts.spoilt[:, None]
-    if not usable.any():
-        raise InputError(
-            f"{counted} has no exposure that can be classified ({counts.faults[0]}): record again"
-        )
-    budgets = np.where(
-        np.isfinite(counts.photons), counts.photons if photons is None else photons, 1.0
-    )
-    tested = check_counts(made, counts, usable, budgets, force)
-    probabilities = made.classify(made.readouts(counts.signal()), budgets[:, None])
-    scenes = []
-    for place, scene in enumerate(listed):
-        about = {
-            "photons": float(budgets[place]) if usable[place].any() else None,
-            "faults": [str(fault) for fault in counts.faults_of(place)],
-            **tested.scenes[place],
-        }
-        guessed = _guessed(probabilities[place][usable[place]], made.classes)
-        scenes.append({"scene": scene.name, "label": scene.label, **guessed, **about})
-    if as_json:
-        common.print_json("camera.classify", {"consistency": tested.summary, "scenes": scenes})
-        return
-    _print_classes(f"{made.name}, {made.masks} masks", scenes, counts, made.classes)
-    for remark in tested.remarks:
-        print(remark)
-
-
-def _is_run(counted: Path) -> bool:
-    """True for a folder, False for a table, or `InputError`."""
-    from deepfsi.tables.table_files import SUFFIXES, is_table
-
-    if counted.is_dir():
-        return True
-    if is_table(counted):
-        return False
-    raise InputError(
-        f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu in "
-        f"it, or a table ending in {', '.join(SUFFIXES)}"
-    )
-
-
-def _of_run(file: Path, folder: Path, trust: bool) -> _Exposures:
-    """Exposures of an acquisition's folder."""
-    from deepfsi.hardware.recording.acquisition import read_acquisition
-    from deepfsi.hardware.recording.counts import load_counts
-
-    acquisition, patterns = read_acquisition(folder)
-    counts = load_counts(folder, acquisition, patterns.manifest)
-    made = _open(file, trust)
-    replays.check_shown(_design_file(file), patterns.manifest)
-    return _Exposures(counts, acquisition.scenes, made.as_shown(*patterns.realised))
-
-
-def _of_table(file: Path, table: Path, settings: "TableSettings", trust: bool) -> _Exposures:
-    """Exposures of a table of counts."""
-    from deepfsi.design.frames import design_rails
-    from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.patterns.nominal import nominal_manifest
-    from deepfsi.hardware.recording.tables import WORDS, count_table
-    from deepfsi.tables.table_files import read_table
-
-    made = _open(file, trust)
-    if file.is_dir():
-        patterns = read_patterns(file)
-        manifest = patterns.manifest
-        replays.check_shown(_design_file(file), manifest)
-        made = made.as_shown(*patterns.realised)
+        found = classify_table(file, counted, table, force=force, trust=trust)
     else:
-        if settings.settle_s or settings.dead_time.seconds:
-            raise InputError(
-                f"--settle and --dead-time need the times of the frames, and {file} has none: give "
-                "the folder of its patterns"
-            )
-        manifest = nominal_manifest(design_rails(file))
-    counts, scenes = count_table(read_table(table, WORDS), manifest, settings, str(table))
-    return _Exposures(counts, scenes, made)
+        raise InputError(
+            f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu "
+            f"in it, or a table ending in {', '.join(SUFFIXES)}"
+        )
+    if as_json:
+        common.print_json("camera.classify", found.as_dict())
+    elif isinstance(found, ClassifiedRun):
+        _print_classes(found)
+    else:
+        _print_replay(found)
 
 
-def _design_file(file: Path) -> Path:
-    """Design file of a design file, or of a folder of patterns."""
-    return file / "design.safetensors" if file.is_dir() else file
-
-
-def _open(file: Path, trust: bool) -> "Design":
-    """Design of a file or a folder of patterns, with dwells that are fixed."""
-    from deepfsi.design.artifact import Design
-
-    made = Design.load(_design_file(file), trust=trust)
-    if made.exposure.looks > 1:
-        raise InputError(f"{file} chooses dwells while the exposure runs: give a live run of it")
-    return made
-
-
-def _guessed(chances: "np.ndarray", classes: tuple[str, ...]) -> dict[str, Any]:
-    """Class of a scene from the probabilities (R, C) of its exposures, for JSON."""
-    mean = chances.mean(axis=0) if len(chances) else None
-    return {
-        "class": None if mean is None else classes[mean.argmax()],
-        "probability": None if mean is None else float(mean.max()),
-        "exposures": len(chances),
-        "guesses": [classes[k] for k in chances.argmax(axis=-1)],
-    }
-
-
-def _print_classes(
-    title: str, scenes: list[dict[str, Any]], counts: "Counts", classes: tuple[str, ...]
-) -> None:
+def _print_classes(found: "ClassifiedRun") -> None:
     rows = [
         (
-            str(s["scene"]),
-            str(s["class"] or "none"),
-            f"{s['probability']:.3f}" if s["probability"] is not None else "",
-            f"{s['guesses'].count(s['class'])} of {len(s['guesses'])}" if s["guesses"] else "",
-            str(s["label"] or ""),
+            scene.name,
+            scene.predicted or "none",
+            "" if scene.probability is None else f"{scene.probability:.3f}",
+            f"{scene.guesses.count(scene.predicted)} of {scene.exposures}"
+            if scene.predicted
+            else "",
+            scene.label or "",
             ", ".join(
-                sorted({fault.kind for fault in counts.faults_of(place)})
-                + ["unsure"] * bool(s["unsure"])
+                sorted({fault.kind for fault in scene.faults}) + ["unsure"] * bool(scene.unsure)
             ),
         )
-        for place, s in enumerate(scenes)
+        for scene in found.scenes
     ]
     heads = ("scene", "class", "mean probability", "of its exposures", "labelled", "remarks")
-    common.print_table(title, heads, rows)
-    for fault in counts.faults:
-        print(fault.line([str(s["scene"]) for s in scenes]))
-    labelled = [(g, s["label"]) for s in scenes if s["label"] for g in s["guesses"]]
-    known = [(guess, label) for guess, label in labelled if label in classes]
+    common.print_table(f"{found.design}, {found.masks} masks", heads, rows)
+    for fault in found.faults:
+        print(fault.line([scene.name for scene in found.scenes]))
+    labelled = [(g, scene.label) for scene in found.scenes if scene.label for g in scene.guesses]
+    known = [(guess, label) for guess, label in labelled if label in found.classes]
     if known:
         right = sum(guess == label for guess, label in known)
         print(f"right: {right} of {len(known)} exposures")
     if foreign := len(labelled) - len(known):
         print(f"{foreign} exposures have labels that are none of the design's classes: left out")
+    from deepfsi.cli import as_options
+
+    for remark in found.remarks:
+        print(as_options(remark))
+
+
+def _print_replay(found: "ReplayedRun") -> None:
+    heads = ("scene", "class", "confidence", "looks", "light", "labelled")
+    rows = [
+        (
+            scene.name,
+            scene.predicted or "none",
+            "" if scene.probability is None else f"{scene.probability:.3f}",
+            str(scene.looks),
+            f"{scene.light_s / found.exposure_s:.0%}",
+            scene.label or "",
+        )
+        for scene in found.scenes
+    ]
+    common.print_table("a live run, replayed from its counts", heads, rows)
+    print_right(found.scenes)
+    agree = sum(bool(scene.agrees) for scene in found.scenes)
+    print(f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes")
+
+
+def print_right(scenes: "Sequence[LiveScene]") -> None:
+    """Say how many of the labelled scenes of a live run are right."""
+    known = [scene for scene in scenes if scene.label is not None]
+    if known:
+        right = sum(scene.predicted == scene.label for scene in known)
+        print(f"right: {right} of {len(known)} scenes")

@@ -186,7 +186,7 @@ def worst_class(rate: float, name: str, width: int = NAME_WIDTH) -> str:
 def size(made: "Design") -> str:
     """Masks, looks and detectors of a design: 5 masks, 2 looks, 4 detectors, both rails read."""
     parts = [f"{made.masks} masks"]
-    if made.exposure.looks > 1:
+    if made.exposure.chooses:
         parts.append(f"{made.exposure.looks} looks")
     if made.detection.count > 1:
         parts.append(f"{made.detection.count} detectors")

@@ -35,8 +35,7 @@ def data_list(as_json: options.Json = False) -> None:
 
 
 def _shown(where: str) -> str:
-    """A folder, or that of a file, from $DEEPFSI_DATA or the home folder on, for a table."""
-    where = str(Path(where).parent) if Path(where).is_file() else where
+    """A folder from $DEEPFSI_DATA or the home folder on, for a table."""
     for folder, name in ((os.environ.get("DEEPFSI_DATA"), "$DEEPFSI_DATA"), (Path.home(), "~")):
         if folder and Path(where).is_relative_to(folder):
             return str(Path(name) / Path(where).relative_to(folder))

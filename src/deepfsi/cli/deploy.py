@@ -48,7 +48,7 @@ def export(
         common.print_json("export", {"graph": str(target), **sizes})
         return
     shape = ", ".join(map(str, ("batch", *design.counts_shape)))
-    looks = ", dwell, left, shortest" if design.exposure.looks > 1 else ""
+    looks = ", dwell, left, shortest" if design.exposure.chooses else ""
     print(
         f"in: counts ({shape}), photons (batch,){looks}\n"
         f"out: probabilities (batch, {len(design.classes)}){', next' if looks else ''}\n"

@@ -107,8 +107,8 @@ def evaluate(
     paths.check_design(file)
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
-    from deepfsi.design.memory import data_of
     from deepfsi.design.posterior import ideal_observer
+    from deepfsi.laboratory.data import data_of
     from deepfsi.training.training_set import find_device
 
     budgets = options.numbers("photons", photons) or []
@@ -182,9 +182,9 @@ def stop(
         paths.check_file(out, paths.DESIGNS)
     common.check_data(data)
     from deepfsi.design.artifact import Design
-    from deepfsi.design.live import looks_of, with_rule
-    from deepfsi.design.memory import data_of
+    from deepfsi.design.stopping import looks_of, with_rule
     from deepfsi.design.stopping import stop as run
+    from deepfsi.laboratory.data import data_of
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
@@ -288,10 +288,7 @@ def show(
         title += f"; the {count} that count most photons"
     dwells = made.exposure.mask_dwells(made.rails, made.light, made.mean, made.std)
     if dwells is not None:
-        looks = made.exposure.looks
-        title += "\ndwell: share of the exposure" + (
-            f" in the first of {looks} looks, {1 / looks:.0%} of it each" if looks > 1 else ""
-        )
+        title += f"\ndwell: {made.exposure.dwell_words}"
     labels = made.detection.labels
     if labels is not None:
         title += "\nlines: parts of the device that one detector sees"
@@ -328,8 +325,8 @@ def page(
     paths.check_design(file)
     paths.check_file(out, (".html",))
     common.check_data(data)
-    from deepfsi.design.memory import data_of
     from deepfsi.design.payload import check_playable, playable
+    from deepfsi.laboratory.data import data_of
     from deepfsi.report.playground.page import write_page
 
     made = common.open_design(file)

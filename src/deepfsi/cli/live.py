@@ -2,39 +2,43 @@
 
 import contextlib
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi.cli import camera, common, options, paths, replays
+from deepfsi.cli import camera, common, options, paths
+from deepfsi.cli.classify import print_right
+from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
-    from deepfsi.datasets.display import Display
-    from deepfsi.hardware.live.run import Bench, Decided
     from deepfsi.hardware.recording.acquisition import Acquisition
     from deepfsi.hardware.virtual.bench import Latencies
+    from deepfsi.laboratory.live.run import Bench
+    from deepfsi.laboratory.results import LiveScene
 
 PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed")
 """Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
 _OWN = {
     "counter_config": "--counter picoquant",
     "alp_version": "--projector vialux",
-    **dict.fromkeys(("flux", "settings", "latency", "seed", "yes"), "virtual devices"),
+    **dict.fromkeys(("flux", "dark", "virtual", "latency", "seed", "yes"), "virtual devices"),
 }
 """Parameters that only some devices take."""
 
 
+@with_settings(
+    laboratory_fields("exposure", "flux", "dark", "dead_time", "dead_time_model", "shortest_dwell")
+)
 def camera_live(
     context: typer.Context,
+    settings: dict[str, Any],
     source: Annotated[
         Path, typer.Argument(help="folder of patterns; or a design file, shown on a DLP7000")
     ],
     scene: options.Scenes,
-    exposure: Annotated[str, typer.Option(help="exposure of all looks, such as 0.01 or 10ms")],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
     projector: Annotated[str, typer.Option(help="virtual, or vialux")] = "virtual",
     counter: Annotated[
@@ -48,11 +52,7 @@ def camera_live(
     alp_version: Annotated[
         str | None, typer.Option(help="vialux: version of the ALP interface, 4.3 unless given")
     ] = None,
-    flux: Annotated[
-        float | None,
-        typer.Option(help="photons/s on the device, for the mean training scene; virtual"),
-    ] = None,
-    settings: options.CameraSettings = "pmt",
+    virtual: options.Virtual = None,
     latency: Annotated[
         list[str] | None,
         typer.Option(
@@ -66,13 +66,7 @@ def camera_live(
             help="confidence above which an exposure stops; that of the design's rule unless given"
         ),
     ] = None,
-    shortest_dwell: Annotated[
-        str | None,
-        typer.Option(help="shortest frame to show; at least that of the device and of the design"),
-    ] = None,
     photons: options.Budget = None,
-    dead_time: options.DeadTime = None,
-    dead_time_model: options.DeadTimeModel = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     seed: options.CameraSeed = 0,
@@ -86,44 +80,50 @@ def camera_live(
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """
     paths.check_new_folder(out)
-    virtual = _check_devices(context, projector, counter)
+    simulated = _check_devices(context, projector, counter, settings)
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
-    if virtual and not (flux or 0.0) > 0:
-        raise InputError("virtual devices need a flux above 0: give --flux, such as --flux 1e6")
-    times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
-    shortest_s = options.optional_seconds("shortest-dwell", shortest_dwell)
-    from deepfsi.hardware.live.run import plan_live, run_live
-    from deepfsi.hardware.recording.acquisition import Scene
+    times = _latencies(latency or [])
+    from deepfsi.laboratory.camera import camera_of, exposure_of, flux_of
+    from deepfsi.laboratory.live.bench import most_events, virtual_bench
+    from deepfsi.laboratory.live.run import plan_live, run_live
+    from deepfsi.laboratory.scenes import displayed, scenes_of
 
-    told: dict[str, Any] = {"flux": flux, **options.wiring(inputs, marker)}
-    if dead := options.dead_time(dead_time, dead_time_model):
+    known = camera_of(source, **settings)
+    exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
+    told: dict[str, Any] = {"flux": known.flux, **options.wiring(inputs, marker)}
+    if dead := options.dead_time(source, settings):
         told["dead_time"] = dead
-    if virtual:
-        told |= {"seed": seed, "camera": camera.find_camera(settings).model_dump(mode="json")}
+    if simulated:
+        flux_of(known)
+        seen = camera.find_camera(virtual, source, settings)
+        told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
     with _patterns(source, as_json) as patterns:
-        images = camera.read_scenes(scene, patterns, True)
-        labels: Sequence[str | None] = images.labels or [None] * len(images.names)
-        scenes = tuple(
-            Scene(name=name, label=label) for name, label in zip(images.names, labels, strict=True)
+        images = displayed(scene, patterns)
+        acquisition = plan_live(
+            patterns, scenes_of(images), exposure_s, shortest_s, photons, until, **told
         )
-        acquisition = plan_live(patterns, scenes, exposure_s, shortest_s, photons, until, **told)
-        if virtual:
+        if simulated:
             if not yes:
-                camera.ask_for_room(_events(patterns, images, acquisition))
-            bench = _virtual(patterns, images, acquisition, times, as_json)
+                camera.ask_for_room(most_events(patterns, images.x, acquisition))
+            with common.progress("light of the scenes", quiet=as_json) as report:
+                bench = virtual_bench(patterns, images.x, acquisition, times, report)
         else:
             bench = _real(counter, acquisition, images.names, counter_config, alp_version)
-        table = _Table(acquisition, patterns, as_json)
+        answers = []
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
-            for each in decided:
-                table.add(each)
+            for answer in (each.answer for each in decided if each.answer):
+                answers.append(answer)
+                if not as_json:
+                    print(_line(answer, exposure_s), flush=True)
         if counter == "followed":
             print("end the recording in the counter's software", file=sys.stderr)
-    table.finish(out, images.preprocessing)
+    _print_run(answers, out, images.preprocessing, exposure_s, as_json)
 
 
-def _check_devices(context: typer.Context, projector: str, counter: str) -> bool:
+def _check_devices(
+    context: typer.Context, projector: str, counter: str, settings: dict[str, Any]
+) -> bool:
     """True of virtual devices; `InputError` for devices or options that do not go together."""
     check_known("projector", projector, PROJECTORS)
     check_known("counter", counter, COUNTERS)
@@ -133,28 +133,23 @@ def _check_devices(context: typer.Context, projector: str, counter: str) -> bool
     chosen = f"--counter {counter}", "virtual devices" if virtual else f"--projector {projector}"
     words = {each.name: each.opts[0] for each in context.command.params}
     for parameter, owner in _OWN.items():
-        if owner not in chosen and common.is_given(context, parameter):
+        given = parameter in settings or common.is_given(context, parameter)
+        if owner not in chosen and given:
             raise InputError(f"{words[parameter]} is for {owner}: leave it out")
     return virtual
 
 
 @contextlib.contextmanager
 def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
-    """Folder of patterns, or those of a design file for a DLP7000 in a folder for the moment."""
+    """Folder of patterns, or those of a design file for the moment."""
     if source.is_dir():
         yield source
         return
-    from deepfsi.design.frames import design_rails
-    from deepfsi.devices import find_device
-    from deepfsi.hardware.patterns.folder import export_patterns
-    from deepfsi.hardware.patterns.sequence import FrameSettings
-
     paths.check_design(source)
-    with tempfile.TemporaryDirectory() as folder, common.progress("patterns", as_json) as report:
-        patterns = Path(folder) / "patterns"
-        frames = FrameSettings(find_device("dlp7000"), 1e-3)
-        export_patterns(design_rails(source), frames, patterns, report)
-        yield patterns
+    from deepfsi.laboratory.rails import patterns_for_now
+
+    with common.progress("patterns", as_json) as report, patterns_for_now(source, report) as made:
+        yield made
 
 
 def _latencies(given: list[str]) -> "Latencies":
@@ -170,43 +165,6 @@ def _latencies(given: list[str]) -> "Latencies":
         return Latencies(**times)
 
 
-def _events(patterns: Path, images: "Display", planned: "Acquisition") -> float:
-    """Photons and dark counts that a live run is expected to record, at most."""
-    from deepfsi.hardware.patterns.folder import read_patterns
-    from deepfsi.hardware.virtual.camera import Camera, expected_events
-
-    seen = Camera.model_validate(planned.camera)
-    known = read_patterns(patterns)
-    passes = planned.exposure_s / known.manifest.pass_s + 1
-    return expected_events(known, images.x, seen, planned.flux or 0.0) * passes
-
-
-def _virtual(
-    patterns: Path,
-    images: "Display",
-    acquisition: "Acquisition",
-    times: "Latencies",
-    as_json: bool,
-) -> "Bench":
-    """Virtual devices that see the scenes as a camera does."""
-    from deepfsi.hardware.live.run import Bench
-    from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory
-    from deepfsi.hardware.virtual.camera import Camera, arrival_rates
-
-    seen = Camera.model_validate(acquisition.camera)
-    with common.progress("light of the scenes", quiet=as_json) as report:
-        rates = arrival_rates(patterns, images.x, seen, acquisition.flux or 0.0, report)
-    laboratory = Laboratory(rates, seen, times, acquisition.seed or 0)
-    wiring = acquisition.inputs, acquisition.marker_bit
-    return Bench(
-        BenchProjector(laboratory),
-        BenchCounter(laboratory, *wiring),
-        laboratory.display,
-        lambda: laboratory.now_s,
-        times.model_dump(),
-    )
-
-
 def _real(
     counter: str,
     acquisition: "Acquisition",
@@ -218,7 +176,7 @@ def _real(
     from deepfsi.hardware.drivers.followed import FollowedCounter
     from deepfsi.hardware.drivers.picoquant import SnapiCounter
     from deepfsi.hardware.drivers.vialux import VialuxLooks
-    from deepfsi.hardware.live.run import Bench
+    from deepfsi.laboratory.live.run import Bench
 
     def display(scene: int) -> None:
         print(f"show {names[scene]}, then press Enter", file=sys.stderr, flush=True)
@@ -238,64 +196,37 @@ def _real(
     return Bench(projector, SnapiCounter(*wiring, config=config), display)
 
 
-class _Table:
-    """Decisions as they fall, one line for each scene, and their sum."""
-
-    def __init__(self, acquisition: "Acquisition", patterns: Path, as_json: bool) -> None:
-        from deepfsi.hardware.live.networks import read_loop
-        from deepfsi.hardware.patterns.folder import LOOP
-
-        self._about = read_loop(patterns / LOOP).about
-        self._acquisition, self._as_json = acquisition, as_json
-        self._rows: list[dict[str, Any]] = []
-
-    def add(self, each: "Decided") -> None:
-        """Print a scene's last decision."""
-        decision = each.decision
-        if decision is not None and not decision.final:
-            return
-        scene = self._acquisition.scenes[each.scene]
-        row = replays.describe(scene, decision, self._about.classes) | {"clock_s": each.clock_s}
-        self._rows.append(row)
-        if not self._as_json:
-            print(_line(row, self._acquisition.exposure_s), flush=True)
-
-    def finish(self, folder: Path, preprocessing: str) -> None:
-        """Print the sum of all, or all as JSON; `InputError` if no scene has light."""
-        if all(row["class"] is None for row in self._rows):
-            raise InputError(
-                f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
-                "ones; check the lamp, the inputs and the counter's trigger levels, or export "
-                "with a longer --dwell"
-            )
-        if self._as_json:
-            common.print_json(
-                "camera.live",
-                {
-                    "folder": str(folder),
-                    "preprocessing": preprocessing,
-                    "exposure_s": self._acquisition.exposure_s,
-                    "scenes": self._rows,
-                },
-            )
-            return
-        print(f"scenes: {preprocessing}")
-        replays.print_right(self._rows)
-        used = sum(row["light_s"] for row in self._rows) / len(self._rows)
-        clock = sum(row["clock_s"] for row in self._rows) / len(self._rows)
-        print(
-            f"light used {used / self._acquisition.exposure_s:.1%} of the exposures, clock time "
-            f"{clock * 1e3:.4g} ms a scene\nrun: {folder}"
+def _print_run(
+    scenes: "list[LiveScene]", folder: Path, preprocessing: str, exposure_s: float, as_json: bool
+) -> None:
+    """Print the sum of all scenes, or all as JSON; `InputError` if none has light."""
+    if all(scene.predicted is None for scene in scenes):
+        raise InputError(
+            f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
+            "ones; check the lamp, the inputs and the counter's trigger levels, or export "
+            "with a longer --dwell"
         )
+    if as_json:
+        about = {"folder": str(folder), "preprocessing": preprocessing, "exposure_s": exposure_s}
+        common.print_json("camera.live", {**about, "scenes": [each.as_dict() for each in scenes]})
+        return
+    print(f"scenes: {preprocessing}")
+    print_right(scenes)
+    used = sum(scene.light_s for scene in scenes) / len(scenes)
+    clock = sum(scene.clock_s for scene in scenes) / len(scenes)
+    print(
+        f"light used {used / exposure_s:.1%} of the exposures, clock time "
+        f"{clock * 1e3:.4g} ms a scene\nrun: {folder}"
+    )
 
 
-def _line(row: dict[str, Any], exposure_s: float) -> str:
+def _line(scene: "LiveScene", exposure_s: float) -> str:
     """Answer for a scene in one line."""
-    if row["class"] is None:
-        return f"{row['scene']}: no light"
-    looks = f"{row['looks']} look{'s' if row['looks'] > 1 else ''}"
+    if scene.predicted is None:
+        return f"{scene.name}: no light"
+    looks = f"{scene.looks} look{'s' if scene.looks > 1 else ''}"
     return (
-        f"{row['scene']}: {row['class']}, confidence {row['probability']:.3f}, {looks}, light "
-        f"{row['light_s'] * 1e3:.4g} ms ({row['light_s'] / exposure_s:.0%}), clock "
-        f"{row['clock_s'] * 1e3:.4g} ms"
+        f"{scene.name}: {scene.predicted}, confidence {scene.probability:.3f}, {looks}, light "
+        f"{scene.light_s * 1e3:.4g} ms ({scene.light_s / exposure_s:.0%}), clock "
+        f"{scene.clock_s * 1e3:.4g} ms"
     )

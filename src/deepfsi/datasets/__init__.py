@@ -9,7 +9,7 @@ last of them are a fair sample to validate on (`Dataset.hold_out`).
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.catalog import check, download, list_datasets
 from deepfsi.datasets.conditions import ambient, jitter
-from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import read_display, write_display, write_pictures
 from deepfsi.datasets.load import (
     Source,
@@ -20,7 +20,6 @@ from deepfsi.datasets.load import (
     load_spectra,
     takes,
 )
-from deepfsi.datasets.origin import Origin
 from deepfsi.datasets.spectra import SpectralImage
 
 __all__ = [

@@ -1,7 +1,5 @@
 """A `Dataset` of arrays in memory or in an ``.npz`` file; every other source ends here too."""
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +12,7 @@ from deepfsi.datasets.dataset import Dataset, Labels, Reflectance
 from deepfsi.datasets.values import Values, grey, measure, reflectance
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
+from deepfsi.tables.array_files import read_npz
 
 Range: TypeAlias = tuple[float, float]
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -90,27 +89,13 @@ def from_arrays(
     >>> data.classes, data.x_train.shape, data.x_test.shape
     (('bright', 'dark'), (16, 2), (4, 2))
     """
-    test = both_or_neither(x_test, y_test, name)
+    test = x_test, y_test
     return split_arrays((x, y), test, classes=classes, name=name, seed=seed, rescale=rescale)
-
-
-def both_or_neither(
-    x_test: npt.ArrayLike | None, y_test: npt.ArrayLike | None, name: str
-) -> Scenes | None:
-    """Test scenes and their labels, None for neither; `InputError` for one without the other.
-
-    Parameters as of `from_arrays`.
-    """
-    if x_test is not None and y_test is not None:
-        return x_test, y_test
-    if not (x_test is None and y_test is None):
-        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
-    return None
 
 
 def split_arrays(
     train: Scenes,
-    test: Scenes | None,
+    test: Sequence[npt.ArrayLike | None] = (None, None),
     *,
     classes: Sequence[str] | None = None,
     name: str,
@@ -125,13 +110,16 @@ def split_arrays(
     training part, and without a description the values are described as they are.
     """
     check_seed(seed)
-    given = [train[0]] if test is None else [train[0], test[0]]
+    x_test, y_test = test
+    if (x_test is None) != (y_test is None):
+        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
+    given = [train[0]] if x_test is None else [train[0], x_test]
     scenes, described, white = _scenes(given, name, white)
     x, y = scenes[0], _labels(train[1], len(scenes[0]), f"{name}: y")
     names, numbers = _classes(y, classes, name)
     labels = _class_numbers(y, numbers, f"{name}: y")
-    _check_counts(labels, names, name, drawn=test is None)
-    if test is None:
+    _check_counts(labels, names, name, drawn=y_test is None)
+    if y_test is None:
         from sklearn.model_selection import train_test_split
 
         order, drawn = train_test_split(
@@ -140,8 +128,8 @@ def split_arrays(
         tested = x[drawn], labels[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(labels))
-        y_test = _labels(test[1], len(scenes[1]), f"{name}: y_test")
-        tested = scenes[1], _class_numbers(y_test, numbers, f"{name}: y_test")
+        known = _labels(y_test, len(scenes[1]), f"{name}: y_test")
+        tested = scenes[1], _class_numbers(known, numbers, f"{name}: y_test")
     trained = x[order], labels[order]
     said = values or described
     data = assemble(name, trained, tested, classes=names, values=said, rescale=rescale)
@@ -303,39 +291,16 @@ def draw_stratified(
 
 def load_npz(path: Path, options: Options) -> Dataset:
     """Data set of the arrays `x` and `y`, and of a test part where it is there."""
-    if not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
-    try:
-        with zipfile.ZipFile(path) as members:
-            size = sum(member.file_size for member in members.infolist())
-        check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller scenes")
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except InputError:
-        raise
-    except (EOFError, MemoryError, OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"cannot read {path} ({error}); "
-            "write plain arrays of numbers or strings with numpy.savez"
-        ) from error
+    arrays = read_npz(path)
     if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test"}:
         raise InputError(
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
             "give x and y, optionally x_test and y_test, and no other names"
         )
-    return load_arrays(
-        (arrays["x"], arrays["y"], arrays.get("x_test"), arrays.get("y_test")), path.stem, options
-    )
-
-
-def load_arrays(arrays: Sequence[Any], name: str, options: Options) -> Dataset:
-    """Data set of (x, y) or (x, y, x_test, y_test); parameters as of `load_dataset`."""
-    x, y, *test = arrays
-    x_test, y_test = test or (None, None)
     return split_arrays(
-        (x, y),
-        both_or_neither(x_test, y_test, name),
-        name=name,
+        (arrays["x"], arrays["y"]),
+        (arrays.get("x_test"), arrays.get("y_test")),
+        name=path.stem,
         seed=options.seed,
         rescale=options.rescale,
         white=options.white,

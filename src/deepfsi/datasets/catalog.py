@@ -3,9 +3,8 @@
 - ``digits``: 8x8, embedded in scikit-learn;
 - ``mnist``, ``fashion-mnist``: padded to 32x32; the original files, found in
   ``$DEEPFSI_DATA/NAME/`` or else downloaded once;
-- ``cifar10``: 32x32, grey; the official binary or Python archive, or the unpacked
-  ``cifar-10-batches-bin/``, found in ``$DEEPFSI_DATA/cifar10/`` or ``$DEEPFSI_DATA``, or else
-  downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
+- ``cifar10``: 32x32, grey; the official binary archive, found in ``$DEEPFSI_DATA/cifar10/`` or
+  else downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
 - ``cifar10-jpeg``: its images decoded from lossy JPEG, in
   ``$DEEPFSI_DATA/cifar10/cifar10-jpeg.zip``;
 - ``indian-pines`` (220 bands), ``indian-pines-corrected`` (200 bands): the ``.mat`` files in
@@ -19,7 +18,7 @@ from typing import NamedTuple
 
 from deepfsi.datasets import cifar, idx, indian_pines
 from deepfsi.datasets.store import FileCheck
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known
 
 CIFAR = ("cifar10", "cifar10-jpeg")
 """Names whose files are CIFAR-10's."""
@@ -37,7 +36,7 @@ NAMES = ("digits", *FILES)
 class DatasetInfo(NamedTuple):
     """Numbers of images, pixels (N) and classes of a named data set, and where it is.
 
-    `where` is "embedded", the folder or file, or "not here".
+    `where` is "embedded", the folder, or "not here".
     """
 
     name: str
@@ -54,13 +53,11 @@ def list_datasets() -> list[DatasetInfo]:
         | dict.fromkeys(CIFAR, (60_000, 1024, 10))
         | dict.fromkeys(indian_pines.SOURCES, (10_249, indian_pines.BANDS, 16))
     )
-    return [
-        DatasetInfo("digits", 1797, 64, 10, "embedded"),
-        *(
-            DatasetInfo(name, *sizes[name], str(files.where(name) or "not here"))
-            for name, files in FILES.items()
-        ),
-    ]
+    listed = (
+        DatasetInfo(name, *sizes[name], str(files.where(name) or "not here"))
+        for name, files in FILES.items()
+    )
+    return [DatasetInfo("digits", 1797, 64, 10, "embedded"), *listed]
 
 
 def download(name: str) -> Path:
@@ -68,13 +65,11 @@ def download(name: str) -> Path:
 
     What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
     into it, each from the first mirror that gives it whole. Of names that cannot be downloaded,
-    this finds the files that are here. Gives the folder or file.
+    this finds the files that are here. Gives their folder.
     """
     if name == "digits":
-        raise InputError(
-            "digits is embedded in scikit-learn: there is nothing to download, load it"
-        )
-    _check_name(name)
+        raise InputError("digits is part of scikit-learn: there is nothing to download, load it")
+    check_known("data set", name, NAMES)
     return FILES[name].download(name)
 
 
@@ -84,12 +79,7 @@ def check(name: str) -> list[FileCheck]:
     They are in the folder where all are, or else where they belong. Where no hash is known, the
     content is looked at instead.
     """
-    _check_name(name)
+    check_known("data set", name, NAMES)
     if name == "digits":
         return [FileCheck("digits", True, "embedded in scikit-learn")]
     return FILES[name].check(name)
-
-
-def _check_name(name: str) -> None:
-    if name not in NAMES:
-        raise InputError(f"unknown data set '{name}': {closest(name, NAMES)}")

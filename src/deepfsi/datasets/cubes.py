@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError
-from deepfsi.tables.array_files import list_variables, read_npy, read_variable
+from deepfsi.tables.array_files import read_array
 
 SUFFIXES = (".mat", ".npy", ".hdr")
 """Ends of the names of files that hold cubes."""
@@ -31,7 +31,6 @@ def read_cube(
     variables: tuple[str | None, str | None] = (None, None),
     name: str | None = None,
     classes: Sequence[str] | None = None,
-    wavelengths: npt.NDArray[np.float64] | None = None,
     origin: str = "Spectra",
 ) -> SpectralImage:
     """Read a cube and its label map."""
@@ -44,7 +43,7 @@ def read_cube(
         cube=cube.values,
         labels=_integers(label_map.values),
         classes=names if classes is None else classes,
-        wavelengths=cube.wavelengths if wavelengths is None else wavelengths,
+        wavelengths=cube.wavelengths,
         origin=origin,
     )
 
@@ -79,26 +78,14 @@ def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
         raise InputError(f"there is no file {path}")
     if path.suffix == ".hdr":
         array = _read_envi(path)
-    elif path.suffix == ".npy":
-        array = _Array(read_npy(path))
     else:
-        array = _Array(_read_mat(path, dimensions, variable))
+        advice = f"save a {dimensions}-dimensional one alone"
+        array = _Array(
+            read_array(path, (dimensions,), variable or "", largest=MAX_VALUES, advice=advice)
+        )
     if dimensions == 2 and array.values.ndim == 3 and array.values.shape[2] == 1:
         array = array._replace(values=array.values[..., 0])
     return array
-
-
-def _read_mat(path: Path, dimensions: int, variable: str | None) -> npt.NDArray[Any]:
-    found = list_variables(path, [dimensions])
-    if variable is None and len(found) == 1:
-        (variable,) = found
-    if variable not in found:
-        wanted = f"the {dimensions}-dimensional variable " + (variable or "that is the only one")
-        raise InputError(
-            f"{path} lacks {wanted}: of that many dimensions it holds "
-            f"{', '.join(found) or 'nothing'}; save it as that"
-        )
-    return read_variable(path, variable, found[variable], MAX_VALUES)
 
 
 def _read_envi(path: Path) -> _Array:

@@ -1,4 +1,4 @@
-"""Labelled scenes in a training and a test part."""
+"""Labelled scenes in a training and a test part, and what loads them again."""
 
 import hashlib
 import json
@@ -8,12 +8,36 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict
 
-from deepfsi.datasets.origin import Origin
 from deepfsi.errors import InputError
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
+
+
+class Origin(BaseModel):
+    """Name or path of a data set, and the options it was loaded with."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    data: str  # name, or absolute path
+    # As in `load_dataset`; white is the one in force, where the type of the values has none
+    size: tuple[int, int] | None = None
+    seed: int = 0
+    rescale: tuple[float, float] | None = None
+    images: int | None = None
+    split: str | None = None
+    white: float | None = None
+    # Absolute path of the calibration folder of the camera that sees the scenes
+    view: str | None = None
+
+    @property
+    def words(self) -> str:
+        """Name or path, with size and camera."""
+        size = f" at {self.size[0]}x{self.size[1]}" if self.size else ""
+        view = f" as the camera of {self.view} sees it" if self.view else ""
+        return f"{self.data}{size}{view}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.datasets.pictures import Picture, is_image, list_folder, opener, read_all
+from deepfsi.datasets.pictures import is_image, list_folder, picture_file, read_all
 from deepfsi.datasets.values import Levels, reflectance
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
@@ -37,11 +37,11 @@ def read_display(path: str | os.PathLike[str], white: float | None = None) -> Di
     source = Path(path)
     labels: tuple[str, ...] | None = None
     if source.is_file():
-        pictures = [Picture("", str(source), opener(source))]
+        pictures = [picture_file(source)]
     elif not source.is_dir():
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
     elif found := sorted(file for file in source.iterdir() if is_image(file.name)):
-        pictures = [Picture("", str(file), opener(file)) for file in found]
+        pictures = [picture_file(file) for file in found]
     else:
         pictures = [picture for part in list_folder(source) for picture in part]
         labels = tuple(picture.label for picture in pictures)

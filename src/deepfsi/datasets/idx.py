@@ -1,8 +1,6 @@
 """MNIST and Fashion-MNIST: the original gzipped idx files, checked by their hashes."""
 
 import gzip
-import math
-import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.datasets.arrays import Range, assemble
-from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.store import FileCheck, cache, candidates, check_file, find_folder, retrieve
-from deepfsi.datasets.values import unit
-from deepfsi.errors import InputError
+from deepfsi.datasets.dataset import Dataset, Reflectance
+from deepfsi.datasets.store import FileCheck, check_files, find_folder, whole_files
 
 IDX_FILES = (
     "train-images-idx3-ubyte.gz",
@@ -73,36 +69,32 @@ ORIGINALS = {
 def load_idx(name: str, rescale: Range) -> Dataset:
     """Load the original in its own split and order, framed to 32x32."""
     folder = download(name)
-    images, labels, images_test, labels_test = (
-        read_idx(folder / file, dimensions)
-        for file, dimensions in zip(IDX_FILES, (3, 1, 3, 1), strict=True)
-    )
-    frame = ((0, 0), (2, 2), (2, 2))
+    images, labels, images_test, labels_test = (_read_idx(folder / file) for file in IDX_FILES)
     return assemble(
         name,
-        (unit(np.pad(images, frame)), labels.astype(np.int64)),
-        (unit(np.pad(images_test, frame)), labels_test.astype(np.int64)),
+        (_framed(images), labels.astype(np.int64)),
+        (_framed(images_test), labels_test.astype(np.int64)),
         classes=ORIGINALS[name].classes,
         values="Padded from 28x28 to 32x32 with black, divided by 255",
         rescale=rescale,
     )
 
 
-def read_idx(path: Path, dimensions: int) -> npt.NDArray[np.uint8]:
-    """Array of a gzipped idx file of unsigned bytes: magic, big-endian lengths, then the bytes."""
-    try:
-        content = gzip.decompress(path.read_bytes())
-    except (EOFError, OSError, zlib.error) as error:
-        raise InputError(f"cannot read {path} ({error}); replace it with the original") from error
-    start = 4 + 4 * dimensions
-    magic = bytes([0, 0, 8, dimensions])
-    lengths = [int.from_bytes(content[i : i + 4], "big") for i in range(4, start, 4)]
-    if content[:4] != magic or len(content) != start + math.prod(lengths):
-        raise InputError(
-            f"{path} is no idx file of {dimensions}-dimensional bytes, or not all of one; "
-            "replace it with the original"
-        )
+def _framed(images: npt.NDArray[np.uint8]) -> Reflectance:
+    """Images (n, 28, 28) as reflectance (n, 32, 32)."""
+    return np.divide(np.pad(images, ((0, 0), (2, 2), (2, 2))), 255, dtype=np.float32)
+
+
+def _read_idx(path: Path) -> npt.NDArray[np.uint8]:
+    """Bytes of a gzipped idx file: the fourth says how many lengths follow, then the array."""
+    content = gzip.decompress(path.read_bytes())
+    start = 4 + 4 * content[3]
+    lengths = np.frombuffer(content[4:start], ">u4")
     return np.frombuffer(content, np.uint8, offset=start).reshape(lengths)
+
+
+def _hashes(name: str) -> dict[str, str]:
+    return dict(zip(IDX_FILES, ORIGINALS[name].hashes, strict=True))
 
 
 def where(name: str) -> Path | None:
@@ -112,21 +104,9 @@ def where(name: str) -> Path | None:
 
 def check(name: str) -> list[FileCheck]:
     """Compare the four files with their hashes."""
-    folder = where(name) or candidates(name)[0]
-    return [
-        check_file(folder / file, known_hash)
-        for file, known_hash in zip(IDX_FILES, ORIGINALS[name].hashes, strict=True)
-    ]
+    return check_files(name, _hashes(name))
 
 
 def download(name: str) -> Path:
     """Folder of the four files, downloaded where they are missing, all whole."""
-    folder = where(name)
-    if folder is not None and folder != cache(name):
-        for file, ok, detail in check(name):
-            if not ok:
-                raise InputError(f"{folder / file}: {detail}; replace it with the original")
-        return folder
-    for file, known_hash in zip(IDX_FILES, ORIGINALS[name].hashes, strict=True):
-        retrieve(name, file, known_hash, ORIGINALS[name].mirrors)
-    return cache(name)
+    return whole_files(name, _hashes(name), ORIGINALS[name].mirrors)

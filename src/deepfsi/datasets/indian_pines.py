@@ -9,7 +9,6 @@ takes. Both are padded with darkness to 256, as the paper pads the 224 that it c
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,18 +44,12 @@ CLASSES = (
 """Names of the classes 1 to 16."""
 
 
-class Source(NamedTuple):
-    """Files that a name needs, and the number of their bands."""
-
-    files: tuple[str, ...]
-    bands: int
-
-
 SOURCES = {
-    "indian-pines": Source(("Indian_pines.mat", LABELS_FILE), 220),
-    "indian-pines-corrected": Source(("Indian_pines_corrected.mat", LABELS_FILE), 200),
-    SURROGATE: Source((BANDS_FILE, LABELS_FILE), 220),
+    "indian-pines": ("Indian_pines.mat", 220),
+    "indian-pines-corrected": ("Indian_pines_corrected.mat", 200),
+    SURROGATE: (BANDS_FILE, 220),
 }
+"""File that a name needs beside the labels, and the number of its bands."""
 
 
 def load_scene(name: str) -> SpectralImage:
@@ -64,7 +57,7 @@ def load_scene(name: str) -> SpectralImage:
     folder = download(name)
     if name == SURROGATE:
         return _simulated(folder)
-    file, bands = SOURCES[name].files[0], SOURCES[name].bands
+    file, bands = SOURCES[name]
     scene = read_cube(
         folder / file,
         folder / LABELS_FILE,
@@ -122,33 +115,29 @@ def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
 
 def where(name: str) -> Path | None:
     """First folder that has all files of a name."""
-    return find_folder(FOLDER, SOURCES[name].files)
+    return find_folder(FOLDER, (SOURCES[name][0], LABELS_FILE))
 
 
 def download(name: str) -> Path:
     """Folder of the files; they are not to be downloaded."""
     folder = where(name)
     if folder is None:
-        files = " and ".join(SOURCES[name].files)
         raise InputError(
-            f"{name} is not here, and not downloaded: put {files} into a folder {FOLDER}, and set "
-            "DEEPFSI_DATA to the folder that holds it (the .mat files are on UPV/EHU's page "
-            "'Hyperspectral Remote Sensing Scenes')"
+            f"{name} is not here, and not downloaded: put {SOURCES[name][0]} and {LABELS_FILE} "
+            f"into a folder {FOLDER}, and set DEEPFSI_DATA to the folder that holds it (the .mat "
+            "files are on UPV/EHU's page 'Hyperspectral Remote Sensing Scenes')"
         )
     return folder
 
 
 def check(name: str) -> list[FileCheck]:
     """Say of each file whether it is there, and of the scene whether it can be loaded."""
-    folder = where(name)
-    if folder is None:
+    files = (SOURCES[name][0], LABELS_FILE)
+    if where(name) is None:
         home = candidates(FOLDER)[0]
-        return [
-            FileCheck(file, (home / file).is_file(), f"looked for in {home}")
-            for file in SOURCES[name].files
-        ]
+        return [FileCheck(file, (home / file).is_file(), f"looked for in {home}") for file in files]
     try:
         load_scene(name)
     except InputError as error:
         return [FileCheck(name, False, str(error))]
-    return [FileCheck(file, True, "as expected; no hash is known") for file in SOURCES[name].files]
+    return [FileCheck(file, True, "as expected; no hash is known") for file in files]

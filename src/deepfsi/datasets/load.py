@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
-from deepfsi.datasets.arrays import Options, Range, load_arrays, load_npz, split_arrays
+from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
-from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.origin import Origin
+from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.pictures import load_pictures
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError, closest
@@ -159,7 +158,9 @@ def _load_arrays(arrays: tuple[Any, ...], options: Options) -> Dataset:
         raise InputError(
             f"a tuple of {len(arrays)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
         )
-    return load_arrays(arrays, "arrays", options)
+    x, y, *test = (*arrays, None, None)[:4]
+    seed, rescale, white = options.seed, options.rescale, options.white
+    return split_arrays((x, y), test, name="arrays", seed=seed, rescale=rescale, white=white)
 
 
 def _load_name(name: str, options: Options) -> Dataset:
@@ -175,7 +176,6 @@ def _load_name(name: str, options: Options) -> Dataset:
         digits = load_digits()
         return split_arrays(
             (digits.images / 16, digits.target),
-            None,
             name=name,
             seed=seed,
             rescale=rescale or DIM_BLACK,

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +23,6 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
-
-if TYPE_CHECKING:
-    from PIL.Image import Image as PillowImage
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
 """Ends of the names of image files."""
@@ -78,31 +75,17 @@ def from_listings(
     x, labels = reflectance(pixels, levels), np.array([picture.label for picture in wanted])
     n = len(train)
     drawn = "" if images is None else f"{images} training images drawn by class; "
+    how = "resized bilinearly" if bilinear else "averaged"
+    sized = f", {how} to {shape[0]}x{shape[1]} pixels" if shape else ""
     data = split_arrays(
         (x[:n], labels[:n]),
-        (x[n:], labels[n:]) if test else None,
+        (x[n:], labels[n:]) if test else (None, None),
         name=name,
         seed=options.seed,
         rescale=options.rescale,
-        values=f"{drawn}{tally.words}{_resizing(shape, bilinear)}; {levels.words}",
+        values=f"{drawn}{tally.words}{sized}; {levels.words}",
     )
     return replace(data, white=levels.white if levels.chosen else None)
-
-
-def describe(shape: Shape | None, bilinear: bool, images: int | None) -> str:
-    """Preprocessing of images, as the beginning of a sentence.
-
-    Parameters as of `read_all`; `images` is the number of training images that were drawn.
-    """
-    drawn = "" if images is None else f"{images} training images drawn by class; "
-    comma = "," if shape else ""
-    text = f"{drawn}grey levels{_resizing(shape, bilinear)}{comma} divided by 255"
-    return text[0].upper() + text[1:]
-
-
-def _resizing(shape: Shape | None, bilinear: bool) -> str:
-    how = "resized bilinearly" if bilinear else "averaged"
-    return "" if shape is None else f", {how} to {shape[0]}x{shape[1]} pixels"
 
 
 def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:
@@ -115,7 +98,7 @@ def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:
     return shape[0], shape[1]
 
 
-def check_total(images: int, shape: tuple[int, ...]) -> None:
+def _check_total(images: int, shape: tuple[int, ...]) -> None:
     """Raise `InputError` for more pixels than memory is likely to hold."""
     height, width = shape
     if images * height * width > MAX_PIXELS:
@@ -155,12 +138,12 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
         if part.is_dir():
             yield (part.name,), None
             for path in part.iterdir():
-                yield (part.name, path.name), Picture(part.name, str(path), opener(path))
+                yield (part.name, path.name), picture_file(path, part.name)
 
 
-def opener(path: Path) -> Callable[[], IO[bytes]]:
-    """Function that opens a file."""
-    return lambda: path.open("rb")
+def picture_file(path: Path, label: str = "") -> Picture:
+    """Picture of a file."""
+    return Picture(label, str(path), lambda: path.open("rb"))
 
 
 def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
@@ -256,12 +239,12 @@ def read_all(
     from PIL import Image
 
     if shape is not None:
-        check_total(len(pictures), shape)
+        _check_total(len(pictures), shape)
     tally = Tally()
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         first = _read(pictures[0], tally, shape, bilinear)
-        check_total(len(pictures), first.shape)
+        _check_total(len(pictures), first.shape)
         grey = np.empty((len(pictures), *first.shape), first.dtype)
         grey[0] = first
         for i, picture in enumerate(pictures[1:], 1):
@@ -289,13 +272,6 @@ def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -
         raise InputError(
             f"cannot read the image {picture.where} ({reason}); replace or remove it"
         ) from error
-    return resized(grey, shape, bilinear)
-
-
-def resized(grey: "PillowImage", shape: Shape | None, bilinear: bool) -> npt.NDArray[Any]:
-    """Levels of one of Pillow's grey images, (H, W); parameters as of `read_all`."""
-    from PIL import Image
-
     if shape is not None:
         how = Image.Resampling.BILINEAR if bilinear else Image.Resampling.BOX
         grey = grey.resize(shape[::-1], how)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from deepfsi.datasets.arrays import Range, assemble, check_seed
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.errors import InputError, closest
+from deepfsi.errors import InputError, check_known
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
@@ -121,8 +121,7 @@ class SpectralImage:
         are too small for it.
         """
         check_seed(seed)
-        if split not in SPLITS:
-            raise InputError(f"unknown split '{split}': {closest(split, SPLITS)}")
+        check_known("split", split, SPLITS)
         counts = np.unique(self.labels[self.labels != 0], return_counts=True)[1]
         if counts.min() < TEST_SHARE:
             raise InputError(

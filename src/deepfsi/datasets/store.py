@@ -2,13 +2,13 @@
 
 import hashlib
 import os
-import sys
-import time
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from deepfsi.errors import InputError
+from deepfsi.progress import Report, terminal_bar
 
 
 class FileCheck(NamedTuple):
@@ -26,30 +26,42 @@ def cache(name: str) -> Path:
     return Path(pooch.os_cache("deepfsi")) / name
 
 
-def data_root() -> Path | None:
-    """The folder that ``$DEEPFSI_DATA`` names, if it is set."""
-    root = os.environ.get("DEEPFSI_DATA")
-    if not root:
-        return None
-    if not Path(root).is_dir():
-        raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
-    return Path(root)
-
-
 def candidates(name: str) -> list[Path]:
     """Folders where the files of a data set may be, the first before the second."""
-    root = data_root()
-    return [cache(name)] if root is None else [root / name, cache(name)]
+    root = os.environ.get("DEEPFSI_DATA")
+    if not root:
+        return [cache(name)]
+    if not Path(root).is_dir():
+        raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
+    return [Path(root) / name, cache(name)]
 
 
-def find_folder(name: str, files: tuple[str, ...]) -> Path | None:
+def find_folder(name: str, files: Iterable[str]) -> Path | None:
     """First of the `candidates` that has all the files."""
     whole = (each for each in candidates(name) if all((each / f).is_file() for f in files))
     return next(whole, None)
 
 
-def check_file(path: Path, known_hash: str) -> FileCheck:
-    """Compare a file with its hash, "algorithm:hex"."""
+def check_files(name: str, hashes: Mapping[str, str]) -> list[FileCheck]:
+    """Compare the files of a data set with their hashes, "algorithm:hex"."""
+    folder = find_folder(name, hashes) or candidates(name)[0]
+    return [_check_file(folder / file, known_hash) for file, known_hash in hashes.items()]
+
+
+def whole_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
+    """Folder of the files of a data set, downloaded where they are missing, all whole."""
+    folder = find_folder(name, hashes)
+    if folder is None or folder == cache(name):
+        for file, known_hash in hashes.items():
+            retrieve(name, file, known_hash, mirrors)
+        return cache(name)
+    for file, ok, detail in check_files(name, hashes):
+        if not ok:
+            raise InputError(f"{folder / file}: {detail}; replace it with the original")
+    return folder
+
+
+def _check_file(path: Path, known_hash: str) -> FileCheck:
     algorithm, _, expected = known_hash.partition(":")
     try:
         with path.open("rb") as file:
@@ -68,49 +80,35 @@ def retrieve(name: str, file: str, known_hash: str, mirrors: tuple[str, ...]) ->
     pooch.get_logger().setLevel("WARNING")
     failures = []
     for mirror in mirrors:
-        progress = DownloadBar(file)
         try:
-            pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=progress)
+            with terminal_bar(file) as report:
+                shown = _Download(report)
+                pooch.retrieve(mirror + file, known_hash, file, cache(name), progressbar=shown)
             return
         except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
             reason = "wrong hash" if isinstance(error, ValueError) else type(error).__name__
             failures.append(f"{urlsplit(mirror).netloc} ({reason})")
-        finally:
-            progress.close()
     raise InputError(
         f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put the "
         f"original files into a folder {name} and set DEEPFSI_DATA to the folder that holds it"
     )
 
 
-class DownloadBar:
-    """Progress bar of pooch: a line on stderr, from the third second on."""
+class _Download:
+    """Progress of a download, as pooch tells it."""
 
-    def __init__(self, file: str) -> None:
-        self.file = file
-        self.total = self.done = 0
-        self.due = time.monotonic() + 2
-        self.shown = False
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.total = self.done = 0  # bytes; the total stays 0 where the server does not tell it
 
     def update(self, size: int) -> None:
         """Count that many bytes more."""
         self.done += size
-        if time.monotonic() >= self.due:
-            print(
-                f"\r{self.file}: {self.done / 1e6:.1f} of {self.total / 1e6:.1f} MB",
-                end="",
-                file=sys.stderr,
-                flush=True,
-            )
-            self.due = time.monotonic() + 0.2
-            self.shown = True
+        self.report(self.done / self.total if self.total else 0.0)
 
     def reset(self) -> None:
         """Count from 0 again."""
         self.done = 0
 
     def close(self) -> None:
-        """End the line, if there is one."""
-        if self.shown:
-            print(file=sys.stderr)
-            self.shown = False
+        """The bar ends with its block."""

@@ -115,11 +115,6 @@ def reflectance(values: Values, levels: Levels) -> npt.NDArray[np.float32]:
     return np.divide(values, levels.white, dtype=np.float32)
 
 
-def unit(values: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    """Reflectance of bytes: a 255th of them."""
-    return np.divide(values, 255, dtype=np.float32)
-
-
 def grey(values: Values, what: str) -> Values:
     """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out.
 

@@ -12,6 +12,7 @@ Scenes whose patterns do not differ by more than photon noise, where those of tw
 would, are *alike*: then they count as one.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -71,6 +72,39 @@ class Consistency:
     def refused(self) -> bool:
         """True if all together are less consistent than all but a share `REFUSED` of sound ones."""
         return self.whole < REFUSED
+
+    @property
+    def refusal(self) -> str:
+        """Words on what to look at where all together are refused."""
+        return (
+            "these counts do not look like what this design was trained for (p = "
+            f"{self.whole:.1g}; {self.brightness:.2f} times the counts of its mean scene at this "
+            "budget): check the design, the order of frames, the scenes and their scale, and "
+            "`photons`"
+        )
+
+    @property
+    def remarks(self) -> Iterator[str]:
+        """Lines for a reader on what is not as in the training."""
+        if self.refused:
+            yield self.refusal
+        if unsure := int(self.unsure.sum()):
+            yield (
+                f"unsure: {unsure} of {self.unsure.size} scenes do not look like those of the "
+                f"training, where about {UNSURE * 100:.0f} in 100 is expected"
+            )
+        if self.alike < REFUSED:
+            yield "the scenes are alike: but for brightness, only photon noise differs between them"
+
+    def as_dict(self) -> dict[str, float]:
+        """Results for all together, and the rates of false alarms; JSON types only."""
+        return {
+            "whole": self.whole,
+            "alike": self.alike,
+            "brightness": self.brightness,
+            "false_alarms": REFUSED,
+            "false_alarms_unsure": UNSURE,
+        }
 
 
 @dataclass(frozen=True)

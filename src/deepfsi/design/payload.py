@@ -17,9 +17,8 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import check_data, evaluate
 from deepfsi.design.exposure.looks import LARGEST_SCORE
-from deepfsi.design.live import rule_of
 from deepfsi.design.memory import memory_of
-from deepfsi.design.stopping import StoppingRule, stop
+from deepfsi.design.stopping import rule_of, stop
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.progress import SILENT, Report
@@ -153,13 +152,12 @@ def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dic
     training, where it can stop early and its training left scenes out.
     """
     try:
-        after, _ = design.exposure.stops(design.rails, design.light)
+        design.exposure.stops(design.rails, design.light)
     except InputError:
         return []
     held = rule_of(design)
     if held is not None:
-        own = StoppingRule(after, held.temperatures or (1.0,) * len(after), held.threshold)
-        return [{"photons": None, **asdict(own)}]
+        return [{"photons": None, **asdict(held)}]
     memory, trained = memory_of(design), _trained(design)
     if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
         return []

@@ -166,7 +166,7 @@ def _front_end(
         scanner, s = Scanner.from_rails(design), summed_reflectance(data.x_train)
         return scanner, lambda x: scanner.rates(x.to(design) / s)
     check_data(design, data)
-    if design.exposure.looks > 1:
+    if design.exposure.chooses:
         raise InputError(
             "the dwells of this design follow the counts: give one of fixed dwells, learned with "
             "1 look"

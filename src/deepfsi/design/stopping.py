@@ -13,7 +13,7 @@ used once.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from scipy.special import log_softmax, logsumexp
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import check_data, check_draws
+from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.memory import memory_of
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
@@ -119,6 +120,33 @@ class StoppingRule:
         log = np.log(np.maximum(chances, np.finfo(np.float32).tiny).astype(float))
         calibrated = np.exp(log_softmax(log / self.temperatures[self.after.index(shown)]))
         return calibrated, bool(shown == self.after[-1] or calibrated.max() > self.threshold)
+
+
+def looks_of(design: Design) -> LooksExposure:
+    """Exposure of a design of several looks, or `InputError` where it is of one."""
+    if not isinstance(design.exposure, LooksExposure):
+        raise InputError("this design has one look: learn one of several with `looks`")
+    return design.exposure
+
+
+def with_rule(design: Design, rule: StoppingRule) -> Design:
+    """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
+    looks_of(design)
+    held = {
+        "temperatures": [float(t) for t in rule.temperatures],
+        "threshold": float(rule.threshold),
+    }
+    return replace(design, info={**design.info, "stopping": held})
+
+
+def rule_of(design: Design) -> StoppingRule | None:
+    """Rule that a design holds, if it holds one."""
+    held = design.info.get("stopping")
+    if held is None:
+        return None
+    after, _ = design.exposure.stops(design.rails, design.light)
+    temperatures = tuple(held["temperatures"]) or (1.0,) * len(after)
+    return StoppingRule(after, temperatures, held["threshold"])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.tables.array_files import list_variables, read_npy, read_variable
+from deepfsi.tables.array_files import read_array, split_variable
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
@@ -16,8 +16,8 @@ LARGEST = 2**28
 """Values of a matrix at most: a small file may claim more than memory holds."""
 
 WAYS = (
-    "a .npy file or a .mat file with one numeric variable (or FILE.mat:VARIABLE), of shape (m, N) "
-    "or (m, H, W), a folder of images, or a TIFF of m pages"
+    "a .npy file, or a .mat or HDF5 file with one numeric variable (or FILE:VARIABLE), of shape "
+    "(m, N) or (m, H, W), a folder of images, or a TIFF of m pages"
 )
 """All that can be read, as the end of an error message."""
 
@@ -31,8 +31,8 @@ def read_matrix(source: str) -> np.ndarray:
         Path of one of
 
         - a ``.npy`` file of shape (m, N) or (m, H, W);
-        - a ``.mat`` file up to version 7 with one numeric variable of such a shape; of one with
-          several, its path, a colon and the variable's name;
+        - a ``.mat`` or HDF5 file with one numeric variable of such a shape; of one with several,
+          its path, a colon and the variable's name;
         - an image of m pages, such as a TIFF, or a folder of images, in the order of their names.
 
     Returns
@@ -47,19 +47,13 @@ def read_matrix(source: str) -> np.ndarray:
     InputError
         If there is no such file, it is damaged, or it holds something else.
     """
-    path, variable = Path(source), ""
-    if not path.exists() and ".mat:" in source:
-        name, _, variable = source.rpartition(":")
-        path = Path(name)
+    path, variable = split_variable(source)
     if not path.exists():
         raise InputError(f"no matrix at {path}: give {WAYS}")
-    end = path.suffix.lower()
-    if path.is_dir() or end in IMAGES:
+    if path.is_dir() or path.suffix.lower() in IMAGES:
         masks = _read_images(path)
-    elif end == ".mat":
-        masks = _read_mat(path, variable)
     else:
-        masks = read_npy(path)
+        masks = read_array(path, (2, 3), variable, largest=LARGEST)
     if masks.ndim not in (2, 3) or not masks.size:
         raise InputError(f"{path} holds an array of shape {masks.shape}: give {WAYS}")
     full = _full_scale(masks)
@@ -71,19 +65,6 @@ def _full_scale(values: np.ndarray) -> int:
     if values.dtype.kind not in "bu" or values.dtype.itemsize > 2:
         return 0
     return 1 if values.max() <= 1 else int(np.iinfo(values.dtype).max)
-
-
-def _read_mat(path: Path, variable: str) -> np.ndarray:
-    found = list_variables(path, (2, 3))
-    if not variable and len(found) == 1:
-        (variable,) = found
-    if variable not in found:
-        raise InputError(
-            f"{path} has {'no variable ' + variable if variable else 'not one variable alone'} "
-            "that is numeric and of two or three dimensions, but "
-            f"{', '.join(found) or 'none'}: name one as {path}:VARIABLE"
-        )
-    return read_variable(path, variable, found[variable], LARGEST)
 
 
 def _read_images(path: Path) -> np.ndarray:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,47 +14,17 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleL
 from deepfsi.report import style
 from deepfsi.sweeps.results import Results
 
-T = TypeVar("T")
-M = TypeVar("M", bound="Measured")
-
-
-class Measured(Protocol):
-    """Accuracy of a design, with its interval."""
-
-    @property
-    def design(self) -> str:
-        """Name of the design."""
-
-    @property
-    def label(self) -> str:
-        """Its short name."""
-
-    @property
-    def title(self) -> str:
-        """Its name, written out."""
-
-    @property
-    def specific(self) -> bool:
-        """True for a feature-specific design."""
-
-    @property
-    def accuracy(self) -> float:
-        """Mean over trials."""
-
-    @property
-    def low(self) -> float:
-        """Lower end of its interval."""
-
-    @property
-    def high(self) -> float:
-        """Upper end of its interval."""
-
+Measured: TypeAlias = Any
+"""Accuracy of a design with its interval: a `Point`, or what has its names, as other cameras do."""
 
 LINE_HEIGHT = 0.06
 """Height of a name at the right edge, in parts of the axis."""
 
 LONGEST = 32
 """Letters of the longest name in a figure; where one is longer, all are the designs' short ones."""
+
+CHANCE: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+"""Line of the accuracy that chance gives."""
 
 Fields = tuple[str, ...]
 
@@ -85,26 +55,30 @@ def axis_text(axis: str, value: Any) -> str:
     if axis == "trained_at":
         return f"from {style.photons_text(value)}"
     if axis == "detectors":
-        return "1 detector" if value == "1x1" else f"{value} detectors"
+        return f"{value} detectors"
     return f"from {value}" if axis == "trained_under" else str(value)
 
 
-def series(points: Iterable[T], axes: Fields) -> dict[tuple[str, ...], list[T]]:
+def series(points: Iterable[Measured], axes: Fields) -> dict[tuple[str, ...], list[Measured]]:
     """Points by the fields `axes`, the design first, in the order in which they appear."""
-    found: dict[tuple[str, ...], list[T]] = {}
+    found: dict[tuple[str, ...], list[Measured]] = {}
     for point in points:
-        found.setdefault(tuple(str(getattr(point, axis)) for axis in axes), []).append(point)
+        found.setdefault(key_of(point, axes), []).append(point)
     return found
+
+
+def key_of(point: Measured, axes: Fields) -> tuple[str, ...]:
+    """Values of a point's fields, which tell its series."""
+    return tuple(str(getattr(point, axis)) for axis in axes)
 
 
 def series_names(
     points: Iterable[Measured], axes: Fields, field: str = "label"
 ) -> dict[tuple[str, ...], str]:
     """Name of each series: the design's, and the other axes where these tell two apart."""
-    rows = list(series(points, axes).items())
-    names = {}
-    for key, members in rows:
-        kin = [other for other, _ in rows if other[0] == key[0]]
+    groups, names = series(points, axes), {}
+    for key, members in groups.items():
+        kin = [other for other in groups if other[0] == key[0]]
         apart = [
             axis_text(axes[i], getattr(members[0], axes[i]))
             for i in range(1, len(axes))
@@ -159,7 +133,7 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
 def _hollow(points: Iterable[Measured]) -> str:
     """Words for hollow markers of series beside a design's first; empty where there are none."""
     rows = list(points)
-    kinds = {tuple(str(getattr(p, axis)) for axis in CHOSEN) for p in rows}
+    kinds = {key_of(p, CHOSEN) for p in rows}
     several = len(kinds) > len({p.design for p in rows})
     return "hollow: further light laws, rails or detectors" if several else ""
 
@@ -167,23 +141,18 @@ def _hollow(points: Iterable[Measured]) -> str:
 def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
     """Say below a figure what circles, squares and bars are, and what else its words say."""
     looks: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
-    kinds = {point.specific for point in points}
-    keys = [
-        (Line2D([], [], marker=marker, **looks), name)
-        for marker, name, specific in (
-            ("o", "masks made from training data", True),
-            ("s", "other masks", False),
-        )
-        if specific in kinds
-    ]
-    bar = Line2D([], [], color=style.MUTED, markersize=9, linestyle="none", marker="|")
-    keys.append((bar, "95 % interval"))
-    keys += [(Line2D([], [], linestyle="none"), word) for word in words if word]
-    names = [name for _, name in keys]
+    kinds = {point.specific: _marker(point) for point in points}
+    told = {True: "masks made from training data", False: "other masks"}
+    keys = [Line2D([], [], marker=kinds[kind], **looks) for kind in told if kind in kinds]
+    keys += [Line2D([], [], marker="|", markersize=9, **looks)]
+    names = [*(told[kind] for kind in told if kind in kinds), "95 % interval"]
+    names += filter(None, words)
+    keys += [Line2D([], [], linestyle="none")] * (len(names) - len(keys))
     room = figure.get_figwidth()
     in_a_row = sum(style.inches(name, 9) for name in names) < room
     figure.legend(
-        *zip(*keys, strict=True),
+        keys,
+        names,
         loc="outside lower center",
         ncols=len(keys) if in_a_row else style.columns(names, room, 9),
         frameon=False,
@@ -208,11 +177,9 @@ def _ranking_figure(
             ax.errorbar(
                 point.accuracy,
                 place,
-                xerr=np.clip(
-                    [[point.accuracy - point.low], [point.high - point.accuracy]], 0, None
-                ),
+                xerr=_reach([point]),
                 color=style.COLOURS.get(point.design, style.INK),
-                marker="o" if point.specific else "s",
+                marker=_marker(point),
                 capsize=2,
                 elinewidth=1,
             )
@@ -222,7 +189,7 @@ def _ranking_figure(
         ax.xaxis.set_major_locator(MultipleLocator(top / 4))
         ax.set_xlabel(style.ACCURACY_AXIS)
         ax.grid(axis="x")
-        ax.axvline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)))
+        ax.axvline(chance, **CHANCE)
         ax.annotate(
             "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
             textcoords="offset points", color=style.MUTED,
@@ -235,47 +202,31 @@ def _ranking_figure(
 
 @style.styled
 def count_figure(results: Results) -> Figure:
-    """Accuracy against the number of masks, one panel for each noise and budget.
+    """Accuracy against the number of masks, of results under one noise at one budget.
 
     Filled markers are the mask counts that were chosen; designs whose count is fixed have one.
     """
-    panels = [
-        (noise, photons)
-        for noise in noises(results)
-        for photons in sorted({p.photons for p in results.points if p.noise == noise})
-    ]
-    columns = min(3, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.9 * columns, style.PANEL_HEIGHT * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).flat
-    several = len(noises(results)) > 1
-    for ax, (noise, photons) in zip(axes, panels, strict=False):
-        points = [p for p in results.points if (p.noise, p.photons) == (noise, photons)]
-        apart = tuple(axis for axis in series_axes(results) if axis != "masks")
-        chance = results.data.commonest
-        accuracy_axes(ax, points, apart, attrgetter("masks"), chance, filled=attrgetter("best"))
-        ax.set_xlabel("number of masks m")
-        ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        if len(panels) > 1:
-            heading = f"{style.photons_text(photons)} photons"
-            ax.set_title(f"{heading}, {style.noise_text(noise)}" if several else heading)
-    for ax in list(figure.axes)[len(panels) :]:
-        ax.remove()
-    words = ("filled: number of masks chosen on validation data",) if results.had_choice else ()
-    marker_key(figure, results.points, *words)
+    figure = Figure(figsize=(4.9, style.PANEL_HEIGHT), layout="constrained")
+    ax, axes = figure.subplots(), tuple(a for a in series_axes(results) if a != "masks")
+    chance, masks, best = results.data.commonest, attrgetter("masks"), attrgetter("best")
+    accuracy_axes(ax, results.points, axes, masks, chance, filled=best)
+    ax.set_xlabel("number of masks m")
+    ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    words = "filled: number of masks chosen on validation data" if results.had_choice else ""
+    marker_key(figure, results.points, words)
     return figure
 
 
 def accuracy_axes(
     ax: Axes,
-    points: Iterable[M],
+    points: Iterable[Measured],
     axes: Fields,
-    across: Callable[[M], float],
+    across: Callable[[Measured], float],
     chance: float,
     *,
     span: tuple[float, float] | None = None,
-    filled: Callable[[M], bool] | None = None,
+    filled: Callable[[Measured], bool] | None = None,
     top: float = 1.0,
 ) -> None:
     """Draw accuracies over a quantity, one line for each series, named at the right edge."""
@@ -291,7 +242,7 @@ def accuracy_axes(
         rows = sorted(members, key=across, reverse=left > right)
         x = np.array([across(p) for p in rows]) * apart ** (place - (len(groups) - 1) / 2)
         full = np.array([filled(p) if filled else variant == 0 for p in rows])
-        _draw_series(ax, rows, x, full, variant=variant, place=place, name=names[key])
+        _draw_series(ax, rows, x, full, variant, place, names[key])
         ends.append(
             (names[key], style.COLOURS.get(key[0], style.INK), float(x[-1]), rows[-1].accuracy)
         )
@@ -299,7 +250,7 @@ def accuracy_axes(
     margin = 10 ** (0.06 * decades)
     edges = min(left, right) / margin, max(left, right) * margin
     ax.set_xlim(edges[::-1] if left > right else edges)
-    ax.axhline(chance, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)), zorder=2)
+    ax.axhline(chance, zorder=2, **CHANCE)
     ax.set_ylim(0, top)
     ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
@@ -311,38 +262,32 @@ def _draw_series(
     ax: Axes,
     rows: Sequence[Measured],
     x: np.ndarray,
-    filled: np.ndarray,
-    *,
+    full: np.ndarray,
     variant: int,
     place: int,
     name: str,
 ) -> None:
     """Draw one line with intervals, and its markers, filled or hollow."""
-    design = rows[0].design
+    design, y = rows[0].design, np.array([p.accuracy for p in rows])
     colour = style.COLOURS.get(design, style.INK)
-    y = np.array([p.accuracy for p in rows])
-    reach = [[p.accuracy - p.low for p in rows], [p.high - p.accuracy for p in rows]]
-    ax.errorbar(
-        x,
-        y,
-        yerr=np.clip(reach, 0, None),
-        color=colour,
-        linestyle=style.LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant)),
-        elinewidth=1,
-        capsize=2,
-        zorder=3 + place / 100,
-    )
-    for full in set(filled.tolist()):
-        ax.plot(
-            x[filled == full],
-            y[filled == full],
-            linestyle="none",
-            marker="o" if rows[0].specific else "s",
-            color=colour,
-            markerfacecolor=colour if full else style.PAPER,
-            zorder=4 + place / 100,
-            label=name,
-        )
+    line = style.LINES.get(design, "-") if variant == 0 else (0, (1 + variant, 1 + variant))
+    looks: dict[str, Any] = {"color": colour, "elinewidth": 1, "capsize": 2}
+    ax.errorbar(x, y, yerr=_reach(rows), linestyle=line, zorder=3 + place / 100, **looks)
+    for filled in set(full.tolist()):
+        face = colour if filled else style.PAPER
+        looks = {"color": colour, "markerfacecolor": face, "zorder": 4 + place / 100}
+        at = full == filled
+        ax.plot(x[at], y[at], linestyle="none", marker=_marker(rows[0]), label=name, **looks)
+
+
+def _reach(points: Sequence[Measured]) -> np.ndarray:
+    """Lengths (2, n) of the bars below and above each point."""
+    ends = [(p.accuracy - p.low, p.high - p.accuracy) for p in points]
+    return np.clip(np.transpose(ends), 0, None)
+
+
+def _marker(point: Measured) -> str:
+    return "o" if point.specific else "s"
 
 
 def _name_ends(ax: Axes, ends: list[tuple[str, str, float, float]]) -> None:

@@ -4,9 +4,9 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -18,38 +18,18 @@ from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
-from deepfsi.report.terms import DESIGNS
+from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
 from deepfsi.sweeps.results import Point, Results, read_results
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One picture and what is written above it."""
+COUNTED = ("noise", *accuracy.CHOSEN)
+"""Fields of points that differ in their number of masks alone."""
 
-    heading: str
-    note: str
-    pictures: tuple[Markup, ...]
-
-
-@dataclass(frozen=True)
-class LearnedMasks:
-    """The masks of one learned design under one noise, a panel for each budget."""
-
-    heading: str
-    panels: list[Panel]
-
-
-@dataclass(frozen=True)
-class Best:
-    """Each design at its chosen mask count under one noise: a row a design, a column a budget."""
-
-    heading: str
-    budgets: list[float]
-    rows: list[tuple[str, Point, list[Point | None]]]
-    leaders: dict[float, list[Point]]
+Part = dict[str, Any]
+"""Part of a page by the names that its template uses."""
 
 
 def build(folder: str | os.PathLike[str]) -> Path:
@@ -88,6 +68,8 @@ def page_text(results: Results, designs: Path) -> str:
         "page.html.jinja",
         results=results,
         opened=opened(results),
+        camera=camera_text(points),
+        impulse=any(p.design == "impulse" for p in points),
         summary=[summary(results, noise) for noise in accuracy.noises(results)],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
@@ -132,6 +114,29 @@ def opened(results: Results) -> str:
     return text + "."
 
 
+def with_one_detector(points: Iterable[Point]) -> bool:
+    """True if one detector does for every design but impulse imaging."""
+    return all(
+        p.light in ONE_DETECTOR and p.detectors == "1x1" for p in points if p.design != "impulse"
+    )
+
+
+def camera_text(points: Iterable[Point]) -> str:
+    """Say how the designs' masks share the light, and what counts it."""
+    rows = [p for p in points if p.design != "impulse"]
+    if rows and {p.light for p in rows} == {"column"}:
+        return (
+            "Under the light law column, optics split the scene’s Φ photons among all masks at "
+            "once, with a detector for each readout, which no single mirror device does."
+        )
+    if rows and with_one_detector(rows):
+        return (
+            "A camera with one detector: each mask in turn sends it a part of the scene’s Φ "
+            "photons."
+        )
+    return "Each mask sends a part of the scene’s Φ photons to a detector."
+
+
 def optics_text(point: Point) -> str:
     """Light law and rails of a point, with several detectors and both rails read where it has."""
     parts = [point.light, point.rails]
@@ -155,14 +160,14 @@ def chosen(results: Results, noise: str) -> list[Point]:
 
 
 def ranking(points: list[Point], photons: float) -> list[Point]:
-    """Designs that one device shows at a budget, most accurate first; impulse imaging if alone.
+    """Designs at a budget, most accurate first; impulse imaging only if alone.
 
     Of a design that was trained in several ways on the same light, the one that validation chose.
     """
     optics: dict[tuple[str, ...], Point] = {}
     here = [p for p in points if p.photons == photons]
     for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
-        optics[tuple(str(getattr(p, axis)) for axis in (*accuracy.CHOSEN, "levels", "masks"))] = p
+        optics[accuracy.key_of(p, (*accuracy.CHOSEN, "levels", "masks"))] = p
     single = [p for p in optics.values() if p.design != "impulse"]
     return sorted(single or optics.values(), key=lambda p: -p.accuracy)
 
@@ -181,12 +186,12 @@ def summary(results: Results, noise: str) -> str:
     budgets = sorted({p.photons for p in points})
 
     def name(point: Point) -> str:
-        return names[tuple(str(getattr(point, axis)) for axis in axes)]
+        return names[accuracy.key_of(point, axes)]
 
     text = f"Under {noise_text(noise)}, "
     if len(names) > 1:
-        one = all(p.detectors == "1x1" for p in points)
-        where = "with one detector" if one else "beside impulse imaging"
+        where = " apart from impulse imaging" if any(p.design == "impulse" for p in points) else ""
+        where = " with one detector" if with_one_detector(points) else where
         text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets}, where)
     text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
     for photons in dict.fromkeys([budgets[0], budgets[-1]]):
@@ -233,7 +238,7 @@ def _winners(names: dict[float, list[str]], among: str) -> str:
         for who, where in rest
     ]
     where = f"at {listed(first_wins)} photons{''.join(then)}"
-    return f"{listed([*first])} {verb} {among} {where}; "
+    return f"{listed([*first])} {verb}{among} {where}; "
 
 
 def listed(words: list[str]) -> str:
@@ -241,21 +246,21 @@ def listed(words: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def accuracy_panels(results: Results) -> Iterator[Panel]:
+def accuracy_panels(results: Results) -> Iterator[Part]:
     """Accuracy against photons, a picture for each noise."""
     for i, noise in enumerate(accuracy.noises(results)):
         part = results.with_points(chosen(results, noise))
         words = f"Accuracy against photon budget under {noise_text(noise)}; numbers in the table."
         picture = svg(accuracy.accuracy_figure(part), f"accuracy{i}", words)
-        yield Panel(noise_text(noise).capitalize(), "", (Markup(picture),))
+        yield {"heading": noise_text(noise).capitalize(), "picture": Markup(picture)}
 
 
-def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
+def count_panels(results: Results) -> Iterator[tuple[str, list[Part]]]:
     """Accuracy against mask count for each noise and budget, if any design has several counts."""
-    counts: dict[tuple[str, ...], set[int]] = {}
-    for p in results.points:
-        counts.setdefault((p.noise, p.design, p.light, p.rails, p.detectors), set()).add(p.masks)
-    if max(map(len, counts.values())) < 2:
+    if all(
+        len({p.masks for p in rows}) < 2
+        for rows in accuracy.series(results.points, COUNTED).values()
+    ):
         return
     for i, noise in enumerate(accuracy.noises(results)):
         points = [p for p in results.points if p.noise == noise]
@@ -265,61 +270,57 @@ def count_panels(results: Results) -> Iterator[tuple[str, list[Panel]]]:
             where = f"{photons_text(photons)} photons"
             words = f"Accuracy against number of masks at {where}; numbers in the last table."
             picture = svg(accuracy.count_figure(part), f"count{i}-{j}", words)
-            panels.append(Panel(where, "", (Markup(picture),)))
+            panels.append({"heading": where, "picture": Markup(picture)})
         yield noise_text(noise).capitalize(), panels
 
 
-def best_table(results: Results, noise: str) -> Best:
-    """Table of the chosen mask counts under a noise."""
-    points = chosen(results, noise)
-    axes = accuracy.series_axes(results)
-    names = accuracy.series_names(points, axes, "label")
+def best_table(results: Results, noise: str) -> Part:
+    """Chosen mask counts under a noise: a row for each series, a column for each budget."""
+    points, axes = chosen(results, noise), accuracy.series_axes(results)
+    names = accuracy.series_names(points, axes)
     budgets = sorted({p.photons for p in points})
-    rows: list[tuple[str, Point, list[Point | None]]] = []
+    rows = []
     for key, members in accuracy.series(points, axes).items():
         at = {p.photons: p for p in members}
         rows.append((names[key], members[0], [at.get(photons) for photons in budgets]))
-    leaders = {photons: leading(points, photons) for photons in budgets}
-    return Best(noise_text(noise).capitalize(), budgets, rows, leaders)
+    return {
+        "heading": noise_text(noise).capitalize(),
+        "budgets": budgets,
+        "rows": rows,
+        "leaders": {photons: leading(points, photons) for photons in budgets},
+    }
 
 
-def learned_masks(results: Results, designs: Path) -> Iterator[LearnedMasks]:
-    """Masks and value distributions of every learned design whose files are there."""
+def learned_masks(results: Results, designs: Path) -> Iterator[Part]:
+    """Masks and value distributions of every learned design whose files are there, by budget."""
+    axes = accuracy.series_axes(results)
     for i, noise in enumerate(accuracy.noises(results)):
         points = [p for p in chosen(results, noise) if p.learned]
-        axes = accuracy.series_axes(results)
         names = accuracy.series_names(points, axes, "title")
         for j, (key, members) in enumerate(accuracy.series(points, axes).items()):
-            panels: list[Panel] = []
             # the files hold masks before they are quantised for a test
-            files = {p.keys[0]: p for p in members if not p.levels}
-            for point in sorted(files.values(), key=lambda p: p.trained_at):
-                path = designs / f"{point.keys[0]}.safetensors"
-                if path.is_file():
-                    name = f"masks{i}-{j}-{len(panels)}"
-                    panels.append(_mask_panel(point, *read_masks(path), name))
+            files = {designs / f"{p.keys[0]}.safetensors": p for p in members if not p.levels}
+            there = sorted((p.trained_at, path) for path, p in files.items() if path.is_file())
+            panels = [
+                _mask_panel(files[path], *read_masks(path), f"masks{i}-{j}-{place}")
+                for place, (_, path) in enumerate(there)
+            ]
             if panels:
-                yield LearnedMasks(f"{names[key]}, {noise_text(noise)}", panels)
+                yield {"heading": f"{names[key]}, {noise_text(noise)}", "panels": panels}
 
 
-def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Panel:
+def _mask_panel(point: Point, rails: np.ndarray, shape: tuple[int, ...], name: str) -> Part:
     """Masks of one design at one budget, and the distribution of their values."""
-    masks, photons = rails.shape[1], photons_text(point.trained_at)
+    masks, where = rails.shape[1], f"{photons_text(point.trained_at)} photons"
     shown = f"the brightest {MASKS_SHOWN} of {masks} masks"
     if masks <= MASKS_SHOWN:
         shown = f"all {masks} masks" if masks > 1 else "its one mask"
-    pictures = (
-        svg(
-            masks_figure(rails, shape, count=MASKS_SHOWN),
-            f"{name}-masks",
-            f"Masks learned at {photons} photons, {shown}.",
-        ),
-        svg(
-            values_figure(rails),
-            f"{name}-values",
-            f"Histogram of the mask values learned at {photons} photons.",
-        ),
-    )
+    drawn, words = masks_figure(rails, shape, count=MASKS_SHOWN), f"Masks learned at {where}"
+    values, said = values_figure(rails), f"Histogram of the mask values learned at {where}."
     end, counted = peak(signed(rails)), share_text(point.throughput)
-    note = f"{shown}, peak {end:.2g}, {counted} of the budget counted"
-    return Panel(f"{photons} photons", note, tuple(map(Markup, pictures)))
+    return {
+        "heading": where,
+        "note": f"{shown}, peak {end:.2g}, {counted} of the budget counted",
+        "drawn": Markup(svg(drawn, f"{name}-masks", f"{words}, {shown}.")),
+        "spread": Markup(svg(values, f"{name}-values", said)),
+    }

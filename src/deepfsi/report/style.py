@@ -21,50 +21,27 @@ DIVERGING = "RdBu_r"
 PANEL_HEIGHT = 3.5
 """Inches."""
 
-# Okabe and Ito's palette, yellow left out; every design also has a line of its own.
-COLOURS = {
-    "impulse": "#1b1f25",
-    "raster": "#7a838d",
-    "hadamard": "#e69f00",
-    "truncated-hadamard": "#009e73",
-    "pca": "#0072b2",
-    "deepfsi": "#d55e00",
-    "control": "#cc79a7",
-    "random": "#8a7a00",
-    "lda": "#56b4e9",
-    "class-pairs": "#b3446c",
-    "s-matrix": "#9a6a3a",
-    "custom": "#6a51a3",
+LOOKS: dict[str, tuple[str, str, Any]] = {
+    "impulse": ("#1b1f25", "#f2f4f6", (0, (7, 2, 1.2, 2))),
+    "raster": ("#7a838d", "#97a1ac", (0, (1.2, 1.6))),
+    "hadamard": ("#e69f00", "#f2b430", (0, (3, 1.6))),
+    "truncated-hadamard": ("#009e73", "#2cc295", (0, (6, 2))),
+    "pca": ("#0072b2", "#4fa8e8", "-"),
+    "deepfsi": ("#d55e00", "#ff7d3b", "-"),
+    "control": ("#cc79a7", "#e8a3c8", (0, (4, 1.4, 1.2, 1.4, 1.2, 1.4))),
+    "random": ("#8a7a00", "#c9b83a", (0, (2, 3))),
+    "lda": ("#56b4e9", "#8fd3ff", (0, (8, 2, 2, 2))),
+    "class-pairs": ("#b3446c", "#e07a9f", (0, (8, 2, 1.2, 2, 1.2, 2))),
+    "s-matrix": ("#9a6a3a", "#cf9a62", (0, (1, 3))),
+    "custom": ("#6a51a3", "#b39bff", "-"),
 }
+"""Colour of each design on a light and a dark page (Okabe and Ito's, but yellow), and its line."""
 
-DARK_COLOURS = {
-    "impulse": "#f2f4f6",
-    "raster": "#97a1ac",
-    "hadamard": "#f2b430",
-    "truncated-hadamard": "#2cc295",
-    "pca": "#4fa8e8",
-    "deepfsi": "#ff7d3b",
-    "control": "#e8a3c8",
-    "random": "#c9b83a",
-    "lda": "#8fd3ff",
-    "class-pairs": "#e07a9f",
-    "s-matrix": "#cf9a62",
-    "custom": "#b39bff",
-}
+COLOURS = {design: look[0] for design, look in LOOKS.items()}
+DARK_COLOURS = {design: look[1] for design, look in LOOKS.items()}
+LINES = {design: look[2] for design, look in LOOKS.items()}
 
 NOISES = {"poisson": "photon noise", "gaussian": "Gaussian read noise", "camera": "camera noise"}
-
-LINES: dict[str, Any] = {
-    "impulse": (0, (7, 2, 1.2, 2)),
-    "raster": (0, (1.2, 1.6)),
-    "hadamard": (0, (3, 1.6)),
-    "truncated-hadamard": (0, (6, 2)),
-    "control": (0, (4, 1.4, 1.2, 1.4, 1.2, 1.4)),
-    "random": (0, (2, 3)),
-    "lda": (0, (8, 2, 2, 2)),
-    "class-pairs": (0, (8, 2, 1.2, 2, 1.2, 2)),
-    "s-matrix": (0, (1, 3)),
-}
 
 CSS_NAMES = {
     INK: "ink",

@@ -6,8 +6,8 @@ from markupsafe import Markup, escape
 
 DESIGNS = {
     "impulse": "a detector for each pixel, exposed all the time, and no masks: the most that the "
-    "photons allow under photon noise, but no camera with one detector",
-    "raster": "one pixel after the other is shown to the detector, each for 1/N of the time",
+    "photons allow under photon noise, but no single-pixel camera",
+    "raster": "one pixel after the other is shown, each for 1/N of the time",
     "hadamard": "all patterns of the Hadamard basis, of ±1, half of the pixels lit in each",
     "truncated-hadamard": "the Hadamard patterns of lowest spatial frequency",
     "pca": "the leading principal components of the training scenes as masks "
@@ -24,14 +24,17 @@ DESIGNS = {
 """What each design is."""
 
 LAWS = {
-    "column": "optics split the light of each pixel among all masks at once, which no single "
-    "mirror device does",
+    "column": "optics split the light of each pixel among all masks at once, with a detector for "
+    "each readout, which no single mirror device does",
     "equal-dwell": "one device shows one pattern after another, all for the same time",
     "free-dwell": "one device shows one pattern after another, each for a time of its own",
     "two-arm": "one device shows one mask after another; each mirror sends its light in one of two "
     "directions, both with detectors, so that none is lost",
 }
 """What each light law allows, and with which optics."""
+
+ONE_DETECTOR = ("equal-dwell", "free-dwell")
+"""Light laws of one device and one detector, or one for each part of the device."""
 
 WORDS = {
     "photon budget Φ": "mean number of photons that reach the coding device in one exposure, over "

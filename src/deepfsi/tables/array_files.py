@@ -1,9 +1,11 @@
-"""Arrays of real numbers in ``.npy``, ``.mat`` and HDF5 files.
+"""Arrays in ``.npy``, ``.npz``, ``.mat`` and HDF5 files.
 
 A ``.mat`` file of version 7.3 is an HDF5 file, in which MATLAB turns the order of axes around; it
 is turned back here. Either needs h5py, an extra of the package.
 """
 
+import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.errors import InputError
+from deepfsi.memory import check_memory, free_memory
+
+HDF5 = (".h5", ".hdf5")
+"""Ends of the names of HDF5 files."""
+
+VARIABLES = (".mat", *HDF5)
+"""Ends of the names of files that may hold several arrays, each with a name."""
 
 NUMBERS = (
     *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
@@ -22,6 +31,61 @@ NUMBERS = (
 
 MATLAB_HDF5 = b"MATLAB 7.3"
 """Beginning of a ``.mat`` file that is an HDF5 file."""
+
+
+def split_variable(source: str) -> tuple[Path, str]:
+    """Path and variable of FILE or FILE:VARIABLE."""
+    for suffix in VARIABLES:
+        name, found, variable = source.rpartition(f"{suffix}:")
+        if found and not Path(source).exists():
+            return Path(name + suffix), variable
+    return Path(source), ""
+
+
+def read_array(
+    path: Path,
+    dimensions: Sequence[int],
+    variable: str = "",
+    *,
+    largest: int,
+    usual: str = "",
+    advice: str = "",
+) -> npt.NDArray[Any]:
+    """Array of a ``.npy`` file, or a variable of so many dimensions of a ``.mat`` or HDF5 file.
+
+    Of several it is the one of the name `variable`, or else `usual`.
+    """
+    if path.suffix.lower() not in VARIABLES:
+        return read_npy(path)
+    found = list_variables(path, dimensions)
+    if not variable:
+        variable = next(iter(found)) if len(found) == 1 else usual
+    if variable not in found:
+        raise InputError(
+            f"{path} has {f'no variable {variable!r}' if variable else 'not one variable alone'} "
+            f"of real numbers in {' or '.join(map(str, dimensions))} dimensions, but "
+            f"{', '.join(found) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
+        )
+    return read_variable(path, variable, found[variable], largest)
+
+
+def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of a ``.npz`` file by their names, all of them in memory."""
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
+    try:
+        with zipfile.ZipFile(path) as members:
+            size = sum(member.file_size for member in members.infolist())
+        check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller ones")
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except InputError:
+        raise
+    except (EOFError, MemoryError, OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"cannot read {path} ({error}); "
+            "write plain arrays of numbers or strings with numpy.savez"
+        ) from error
 
 
 def read_npy(path: Path) -> npt.NDArray[Any]:

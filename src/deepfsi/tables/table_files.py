@@ -8,19 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.tables.array_files import list_variables, read_npy, read_variable
+from deepfsi.tables.array_files import VARIABLES, read_array, split_variable
 
 if TYPE_CHECKING:
     import polars as pl
 
 TEXTS = (".csv", ".txt", ".tsv", ".dat")
 """Ends of the names of text files."""
-
-HDF5 = (".h5", ".hdf5")
-"""Ends of the names of HDF5 files."""
-
-VARIABLES = (".mat", *HDF5)
-"""Ends of the names of files that may hold several tables, each with a name."""
 
 SUFFIXES = (*TEXTS, ".parquet", ".npy", *VARIABLES)
 """Ends of the names of files that hold tables."""
@@ -47,12 +41,12 @@ class Table:
 
 def is_table(source: str | Path) -> bool:
     """True if a path, or FILE:VARIABLE, ends like the name of a file that holds a table."""
-    return _split(str(source))[0].suffix.lower() in SUFFIXES
+    return split_variable(str(source))[0].suffix.lower() in SUFFIXES
 
 
 def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
     """Read a table."""
-    path, variable = _split(str(source))
+    path, variable = split_variable(str(source))
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path} is no table: give a file ending in {', '.join(SUFFIXES)}")
@@ -60,33 +54,13 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> Table:
         raise InputError(f"there is no file {path}: give one ending in {', '.join(SUFFIXES)}")
     if suffix in (*TEXTS, ".parquet"):
         return _of_columns(path, words)
-    values = read_npy(path) if suffix == ".npy" else _read_variable(path, variable)
+    dimensions = (2,) if suffix == ".mat" else (1, 2)
+    values = read_array(path, dimensions, variable, largest=LARGEST, usual=USUAL_VARIABLE)
     if values.ndim == 1:
         values = values[None]
     if values.ndim != 2 or not values.size:
         raise InputError(f"{path} holds an array of shape {values.shape}: give rows and columns")
     return Table(_finite(values.astype(np.float64), path))
-
-
-def _split(source: str) -> tuple[Path, str]:
-    """Path and variable of FILE or FILE:VARIABLE."""
-    for suffix in VARIABLES:
-        name, found, variable = source.rpartition(f"{suffix}:")
-        if found and not Path(source).exists():
-            return Path(name + suffix), variable
-    return Path(source), ""
-
-
-def _read_variable(path: Path, variable: str) -> np.ndarray:
-    found = list_variables(path, (2,) if path.suffix.lower() == ".mat" else (1, 2))
-    if not variable:
-        variable = next(iter(found)) if len(found) == 1 else USUAL_VARIABLE
-    if variable not in found:
-        raise InputError(
-            f"{path} has no table {variable!r} of numbers, but {', '.join(found) or 'none'}: name "
-            f"one as {path}:VARIABLE"
-        )
-    return read_variable(path, variable, found[variable], LARGEST)
 
 
 def _of_columns(path: Path, words: Sequence[str]) -> Table:

@@ -260,6 +260,10 @@ class Job(BaseModel):
         """Detectors of scenes of a shape, and what is read of two rails."""
         return self.optics.detection(image_shape)
 
+    def features(self, image_shape: tuple[int, ...]) -> int:
+        """Numbers that are read of the masks of scenes of a shape, k."""
+        return self.masks * self.detection(image_shape).width(self.optics.rail_count)
+
     def masks_from(self) -> "Job":
         """The job that makes the masks: of a design that learns them before, DeepFSI's."""
         under = self.code.learned_under

@@ -141,8 +141,7 @@ def _classifiers(
 ) -> list[Classifier]:
     """Classifiers of jobs, untrained."""
     job, settings, classes = jobs[0], jobs[0].training, len(data.classes)
-    rails = {"dual": 2, "single": 1}[job.optics.rails]
-    inputs = exposure.input_count(job.masks * job.detection(data.image_shape).width(rails))
+    inputs = exposure.input_count(job.features(data.image_shape))
     if settings.own:
         arguments = settings.classifier_arguments
         if isinstance(settings.classifier, nn.Module):
@@ -159,17 +158,20 @@ def _classifiers(
 
 
 def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
-    """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K looks.
+    """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K answers.
 
     Scenes have the weights (C,) of their classes, if there are any.
     """
-    looks = len(logits) // len(labels)
+    answers = len(logits) // len(labels)
     # sums over few classes are many times faster along a leading axis
-    by_class, truth = logits.flatten(0, 1).T.contiguous()[None], labels.repeat(looks, 1).view(1, -1)
-    if looks == 1:
+    by_class, truth = (
+        logits.flatten(0, 1).T.contiguous()[None],
+        labels.repeat(answers, 1).view(1, -1),
+    )
+    if answers == 1:
         return functional.cross_entropy(by_class, truth, weights, reduction="sum")
     each = functional.cross_entropy(by_class, truth, weights, reduction="none")
-    *early, last = each.view(looks, -1).sum(dim=1)
+    *early, last = each.view(answers, -1).sum(dim=1)
     return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 
 

@@ -11,13 +11,13 @@ from deepfsi.grid import Grid, find_grid
 from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.report.style import photons_text
-from deepfsi.statistics.bootstrap import (
+from deepfsi.statistics.differences import Difference, above, of_trials
+from deepfsi.sweeps.results import Results
+from deepfsi_paper.bootstrap import (
     cluster_bootstrap,
     studentised_bootstrap,
     wilcoxon_signed_rank,
 )
-from deepfsi.statistics.differences import Difference, above, of_trials
-from deepfsi.sweeps.results import Results
 from deepfsi_paper.camera.figures import (
     Accuracy,
     digits_figure,

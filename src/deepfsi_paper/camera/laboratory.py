@@ -29,18 +29,19 @@ from deepfsi.hardware.calibration.background import (
     subtract_background,
 )
 from deepfsi.hardware.calibration.scans import scan_rails
-from deepfsi.hardware.calibration.view import Calibration, view_dataset
+from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import make_frames
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
-    Camera,
     RecordingSettings,
+    VirtualCamera,
     arrival_rates,
     draw_counts,
     record,
@@ -254,7 +255,7 @@ class MountedDesign:
     scene_rates: np.ndarray
     ambient_rates: np.ndarray
 
-    def arrivals(self, camera: Camera) -> np.ndarray:
+    def arrivals(self, camera: VirtualCamera) -> np.ndarray:
         """Arrivals/s (S, F, 1) at a camera's detector."""
         photons = self.scene_rates + camera.ambient * self.ambient_rates
         return camera.efficiency * photons + camera.dark
@@ -311,7 +312,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
 
 
 def classify(
-    mounted: MountedDesign, camera: Camera, exposure_s: float, rng: np.random.Generator
+    mounted: MountedDesign, camera: VirtualCamera, exposure_s: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Classes (S, R) that a design gives to exposures of a camera.
 
@@ -321,7 +322,7 @@ def classify(
     Parameters
     ----------
     mounted : MountedDesign
-    camera : Camera
+    camera : VirtualCamera
     exposure_s : float
     rng : Generator
     """
@@ -461,7 +462,7 @@ def _mounted(
     return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))
 
 
-def _conditions(assumed: float) -> Iterator[tuple[str, float, Camera, float]]:
+def _conditions(assumed: float) -> Iterator[tuple[str, float, VirtualCamera, float]]:
     """Effect, its value, camera and exposure; effects only at the laboratory's own budget."""
     yield from (("none", 0.0, LAB, exposure) for exposure in EXPOSURES)
     if assumed == ASSUMED:

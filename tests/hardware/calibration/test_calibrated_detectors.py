@@ -12,14 +12,14 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import Counts
-from deepfsi.hardware.virtual.camera import Camera, RecordingSettings, record
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record
 
 DEVICE = Device(name="d", columns=48, rows=48)
 CELLS = (8, 6)
 PARTS = ((2, 2, 0), (1, 3, 0), (1, 3, 3), (1, 1, 3))
 """Parts of an area of 4 x 3 that the cells divide by two each way."""
 
-EYES = Camera(blur=1.0, vignetting=0.3, dark=300.0, ambient=1e4, detectors=PARTS)
+EYES = VirtualCamera(blur=1.0, vignetting=0.3, dark=300.0, ambient=1e4, detectors=PARTS)
 
 
 def scanned(folder, scan="hadamard", camera=EYES, flux=1e7, detectors=4) -> tuple[Counts, Patterns]:
@@ -72,11 +72,11 @@ def test_a_detector_without_cells_is_named(tmp_path):
 
 def test_nothing_is_simulated_of_detectors_that_see_nobody_knows_what(tmp_path):
     with pytest.raises(InputError, match="nothing says which part of the device each sees"):
-        scanned(tmp_path, camera=Camera())
+        scanned(tmp_path, camera=VirtualCamera())
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("parts", [((0, 1), (2,)), ((0, 2),), ((),)])
 def test_parts_that_are_none_are_refused(parts):
     with pytest.raises(ValueError, match="detectors"):
-        Camera(detectors=parts)
+        VirtualCamera(detectors=parts)

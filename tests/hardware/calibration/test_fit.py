@@ -9,14 +9,10 @@ from deepfsi.errors import InputError
 from deepfsi.grid import find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import black_rates
-from deepfsi.hardware.calibration.view import (
-    camera_view,
-    load_calibration,
-    save_calibration,
-    view_matrix,
-)
+from deepfsi.hardware.calibration.view import camera_view, view_matrix
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.virtual import camera
 
@@ -225,7 +221,7 @@ def test_the_virtual_camera_is_calibrated():
     """Spots, white and black shown to it, counted, and found again."""
     device = Device(name="d", columns=512, rows=384)
     grid = find_grid(device, (32, 32))
-    eyes = camera.Camera(view=tuple(map(tuple, VIEW.tolist())), blur=7.0, vignetting=0.3)
+    eyes = camera.VirtualCamera(view=tuple(map(tuple, VIEW.tolist())), blur=7.0, vignetting=0.3)
     spots = fit.spot_scenes((32, 32))
     shown = np.concatenate([spots, np.ones((1, 32, 32), np.float32)])
     mirrors = camera.irradiance(shown, eyes, device, grid)
@@ -244,7 +240,7 @@ def test_a_recorded_run_is_calibrated_end_to_end(tmp_path):
     """Spots, white and black: pattern folder, photon file, counts, calibration, view."""
     device, shape = Device(name="d", columns=128, rows=128), (16, 16)
     grid = find_grid(device, shape)
-    eyes = camera.Camera(
+    eyes = camera.VirtualCamera(
         view=tuple(map(tuple, VIEW.tolist())), blur=3.0, vignetting=0.2, dark=1e3, ambient=2e4
     )
     raster = np.eye(256)[None] / 256

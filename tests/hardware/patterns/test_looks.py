@@ -7,10 +7,10 @@ import pytest
 
 from conftest import quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.live import loop_of
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.networks import read_loop
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.rails import loop_of
 
 LOOKS = 3
 OPTICS = {

@@ -1,7 +1,7 @@
 """PTU files to test with, written and decoded record by record as the format's words say."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -148,23 +148,23 @@ class Streamed:
         stream = StreamReader(path)
         for _ in self.parts(path, stream):
             pass
-        return stream.end()
+        return self.header(path, stream)
 
     def inspect(self, path: Path) -> Contents:
         stream, tally = StreamReader(path), None
         for part in self.parts(path, stream):
             tally = tally or Tally(stream.header.kind)
             tally.add(part)
-        header = stream.end()
+        header = self.header(path, stream)
         return (tally or Tally(header.kind)).contents(header)
 
     def read_markers(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
-        stream = StreamReader(path, ordered=False)
+        stream = StreamReader(path)
         found = [(np.zeros(0, np.int64), np.zeros(0, np.uint8))]
         for part in self.parts(path, stream):
             part.check(path)
             found.append(part.markers)
-        stream.end()
+        self.header(path, stream)
         times, bits = zip(*found, strict=True)
         return np.concatenate(times), np.concatenate(bits)
 
@@ -179,11 +179,17 @@ class Streamed:
                 counter.expect(starts, stops)
             counter.add(part)
             counts.append(counter.take())
-        header = stream.end()
+        header = self.header(path, stream)
         if counter is None:
             counter = GateCounter(header.kind, inputs, path)
             counter.expect(starts, stops)
         return np.concatenate([*counts, counter.finish(header)])
+
+    def header(self, path: Path, stream: StreamReader) -> Header:
+        """Header of a stream that ended; one that ended within its header is refused as a file."""
+        if stream.header is None:
+            return reader.read_header(path)
+        return replace(stream.header, size=path.stat().st_size)
 
     def parts(self, path: Path, stream: StreamReader) -> Iterator[Part]:
         content, first = path.read_bytes(), 0

@@ -109,7 +109,6 @@ def test_real_files_hold_what_their_description_says(name, wanted, read):
     assert (contents.markers, contents.syncs, contents.problems) == ({}, 0, ())
     assert contents.span_s == pytest.approx(last * tick, rel=1e-5)
     header = read.read_header(path)
-    assert header.delay_s == (pytest.approx(64e-12) if header.kind.mode == "T3" else None)
 
     with ptufile.PtuFile(path) as theirs:
         events = theirs.decode_records()

@@ -69,17 +69,9 @@ def test_memory_does_not_grow_with_the_stream():
     assert peak < 12e6 < 30 * len(block)
 
 
-def test_the_end_of_a_stream_within_its_header_is_named():
-    stream = StreamReader("pipe")
-    assert list(stream.feed(tags_of(T2, 5))) == []
-    with pytest.raises(InputError, match="pipe has a header without an end"):
-        stream.end()
-
-
 def test_a_stream_after_damage_is_not_read(tmp_path):
     stream = StreamReader("pipe")
     (part,) = stream.feed(tags_of(T2, 0) + END + np.array([9, 5, 10], "<u4").tobytes())
     with pytest.raises(InputError, match="pipe is damaged: record 2 has a time before"):
         part.check("pipe")
     assert list(stream.feed(bytes(8))) == []
-    assert stream.end().records == 5

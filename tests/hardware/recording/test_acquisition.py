@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from recording_samples import made, many, named
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.recording import acquisition
 from deepfsi.hardware.recording.acquisition import prepare
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
@@ -64,7 +65,7 @@ def test_acquisitions_that_do_not_fit_are_refused(run, changes, match):
     run.refused(match)
 
 
-def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path):
+def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path, monkeypatch):
     held = sorted(p.name for p in run.folder.iterdir())
     assert held == ["acquisition.json", "calibration", "counts.npz", "patterns", "photons.ptu"]
     assert (run.folder / "patterns" / "design.safetensors").read_bytes() == b"not read"
@@ -77,6 +78,9 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path):
         prepare(tmp_path / "other", source, named(1, inputs=(0, 1)))
     with pytest.raises(InputError, match="no patterns"):
         prepare(tmp_path / "other", tmp_path / "none", named(1))
+    monkeypatch.setattr(acquisition, "MOST_FRAMES", 30)
+    with pytest.raises(InputError, match=r"4 scenes of .* at most 30 frames are allowed: split it"):
+        prepare(tmp_path / "other", source, named(4))
     assert not (tmp_path / "other").exists()
     assert list(tmp_path.iterdir()) == [run.folder]
 

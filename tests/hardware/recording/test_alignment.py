@@ -157,7 +157,6 @@ def test_a_clock_that_warms_up_is_followed():
         (train(EQUAL, 3).ravel(), 2, "20 markers follow the last of 2"),
         (np.random.default_rng(0).random(1000), 5, "follow the schedule"),
         (train(FREE, 3).ravel(), 3, "follow the schedule"),
-        (train(EQUAL, 1).ravel(), 10**6, "split"),
     ],
 )
 def test_markers_of_other_patterns_are_refused(markers, scenes, match):

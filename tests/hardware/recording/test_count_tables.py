@@ -14,7 +14,7 @@ from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, column_names, count_table
-from deepfsi.hardware.virtual.camera import Camera, arrival_rates
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.optics import constraints
 from deepfsi.tables.table_files import Table
 
@@ -65,7 +65,7 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     """So much light that noise is left out, whatever a picture lasts beyond its share."""
     patterns = exported(tmp_path / "p", light, rails, cells)
     manifest = patterns.manifest
-    rates = arrival_rates(tmp_path / "p", SCENES, Camera(dark=DARK), FLUX)
+    rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
     assert values.shape[1] == len(column_names(manifest))
     counts, scenes = count_table(Table(values), manifest, TableSettings())
@@ -122,7 +122,7 @@ def counted(tmp_path_factory):
     """Manifest of one detector, and values (3, F) of its frames."""
     folder = tmp_path_factory.mktemp("p") / "p"
     manifest = exported(folder).manifest
-    rates = arrival_rates(folder, SCENES, Camera(), 1e9)[..., 0]
+    rates = arrival_rates(folder, SCENES, VirtualCamera(), 1e9)[..., 0]
     return manifest, np.rint(rates * manifest.picture_s)
 
 
@@ -217,7 +217,7 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
     """Mean and variance of what `--gain` and `--read-noise` say, in gates of other lengths."""
     patterns = exported(tmp_path / "p")
     manifest, draws, gain, noise = patterns.manifest, 4000, 2.5e4, 30.0
-    rates = arrival_rates(tmp_path / "p", SCENES[:1], Camera(dark=1e7), 1e8)[0, :, 0]
+    rates = arrival_rates(tmp_path / "p", SCENES[:1], VirtualCamera(dark=1e7), 1e8)[0, :, 0]
     rng = np.random.default_rng(6)
     photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))
     values = (photons + noise * rng.standard_normal(photons.shape)) / gain

@@ -5,12 +5,12 @@ import pytest
 from recording_samples import SHAPE, patterns_of
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import Calibration, save_calibration
+from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.dead_time import MOST_BLIND, DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
-from deepfsi.hardware.virtual.camera import Camera, RecordingSettings, arrival_rates, record
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, arrival_rates, record
 from deepfsi.hardware.virtual.detector import Detector, draw
 from deepfsi.tables.table_files import Table
 
@@ -62,7 +62,7 @@ def run(request, tmp_path_factory):
     """A recording of seven scenes at some 10⁷ counts/s, and what would be counted without loss."""
     folder = tmp_path_factory.mktemp("run")
     shown = patterns_of(folder / "p", "free-dwell")
-    camera = Camera(dead_time_s=TAU, paralysable=request.param, dark=1e4, jitter_s=1e-10)
+    camera = VirtualCamera(dead_time_s=TAU, paralysable=request.param, dark=1e4, jitter_s=1e-10)
     images = scenes(7)
     settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=REPEATS)
     record(folder / "p", images, list("abcdefg"), None, folder / "run", settings)
@@ -129,7 +129,7 @@ def test_a_table_is_corrected_by_the_same_law(run):
 def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
     """All tests of a recording may raise one false alarm in a thousand: here of forty, none."""
     shown = patterns_of(tmp_path / "p", "free-dwell").manifest
-    rates = arrival_rates(tmp_path / "p", scenes(20), Camera(), 1.4e7)[..., 0]
+    rates = arrival_rates(tmp_path / "p", scenes(20), VirtualCamera(), 1.4e7)[..., 0]
     detector = Detector(dead_time_s=TAU, paralysable=paralysable)
     settings = TableSettings(dead_time=DeadTime(seconds=TAU, paralysable=paralysable))
     for seed in range(20):

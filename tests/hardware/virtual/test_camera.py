@@ -22,8 +22,8 @@ from deepfsi.hardware.virtual import camera as module
 from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
-    Camera,
     RecordingSettings,
+    VirtualCamera,
     arrival_rates,
     draw_counts,
     expected_events,
@@ -92,7 +92,7 @@ def test_images_need_not_be_a_multiple_of_the_cells():
 def test_a_shifted_view_moves_the_image_by_whole_cells_and_loses_what_leaves():
     view = ((1, 0, 1 / 4), (0, 1, -1 / 3), (0, 0, 1))
     x = scenes(1)
-    moved = irradiance(x, Camera(view=view), DEVICE, GRID)[0][AREA]
+    moved = irradiance(x, VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
     expected = np.zeros((24, 36), np.float32)
     expected[:16, 9:] = irradiance(x, IDEAL, DEVICE, GRID)[0][AREA][8:, :27]
     assert np.array_equal(moved, expected)
@@ -100,7 +100,7 @@ def test_a_shifted_view_moves_the_image_by_whole_cells_and_loses_what_leaves():
 
 def test_a_larger_image_is_as_bright():
     view = ((2, 0, -0.5), (0, 2, -0.5), (0, 0, 1))
-    light = irradiance(np.ones((1, 4, 4)), Camera(view=view), DEVICE, GRID)[0][AREA]
+    light = irradiance(np.ones((1, 4, 4)), VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
     assert light == pytest.approx(np.full((24, 36), 1 / MIRRORS))
 
 
@@ -109,7 +109,7 @@ def test_perspective_puts_a_spot_where_the_homography_does():
     device = Device(name="large", columns=400, rows=300)
     spot = np.zeros((1, 50, 50))
     spot[0, 10, 35] = 1  # at (0.71, 0.21)
-    light = irradiance(spot, Camera(view=view), device, find_grid(device, (30, 40)))[0]
+    light = irradiance(spot, VirtualCamera(view=view), device, find_grid(device, (30, 40)))[0]
     x, y, depth = np.array(view) @ (0.71, 0.21, 1)
     rows, columns = np.nonzero(light)
     assert columns.mean() + 0.5 == pytest.approx(400 * x / depth, abs=1)
@@ -119,7 +119,7 @@ def test_perspective_puts_a_spot_where_the_homography_does():
 def test_nothing_is_seen_behind_the_camera():
     """Of a display that crosses the horizon only one side is seen, that of the area's centre."""
     view = ((-0.8, -0.6, 0.6), (-0.7, -0.6, 0.6), (1, -0.7, -0.2))
-    light = irradiance(np.ones((1, 3, 4)), Camera(view=view), DEVICE, GRID)[0][AREA]
+    light = irradiance(np.ones((1, 3, 4)), VirtualCamera(view=view), DEVICE, GRID)[0][AREA]
     x, y = np.meshgrid((np.arange(36) + 0.5) / 36, (np.arange(24) + 0.5) / 24)
     back = np.linalg.inv(view)
     across, down, depth = (row[0] * x + row[1] * y + row[2] for row in back)
@@ -133,7 +133,7 @@ def test_nothing_is_seen_behind_the_camera():
 def test_blur_keeps_the_light_and_has_its_width():
     x = np.zeros((1, 24, 36))
     x[0, 12, 18] = 1
-    light = irradiance(x, Camera(blur=2.0), DEVICE, GRID)[0].astype(float)
+    light = irradiance(x, VirtualCamera(blur=2.0), DEVICE, GRID)[0].astype(float)
     assert light.sum() == pytest.approx(1 / MIRRORS, rel=1e-5)
     for axis, width in ((0, 36), (1, 26)):
         profile = light.sum(axis=axis) / light.sum()
@@ -144,14 +144,19 @@ def test_blur_keeps_the_light_and_has_its_width():
 def test_blur_brings_in_light_from_beside_the_area():
     """A uniform image that reaches far beyond the area stays uniform on it."""
     view = ((5, 0, -2), (0, 5, -2), (0, 0, 1))
-    light = irradiance(np.ones((1, 3, 4)), Camera(view=view, blur=3.0), DEVICE, GRID)[0][AREA]
+    light = irradiance(np.ones((1, 3, 4)), VirtualCamera(view=view, blur=3.0), DEVICE, GRID)[0][
+        AREA
+    ]
     assert light == pytest.approx(np.full((24, 36), 1 / MIRRORS), rel=1e-5)
 
 
 def test_vignetting_dims_the_corners():
     device = Device(name="large", columns=200, rows=200)
     grid = find_grid(device, (2, 2))
-    light = irradiance(np.ones((1, 2, 2)), Camera(vignetting=0.3), device, grid)[0] * grid.mirrors
+    light = (
+        irradiance(np.ones((1, 2, 2)), VirtualCamera(vignetting=0.3), device, grid)[0]
+        * grid.mirrors
+    )
     assert light[100, 100] == pytest.approx(1, abs=1e-3)
     assert light[0, 0] == pytest.approx(0.7, abs=0.01)
     assert light[100, 0] == pytest.approx(0.85, abs=0.01)
@@ -179,7 +184,7 @@ def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, lig
 @pytest.mark.parametrize(("light", "rails"), [("free-dwell", "dual"), ("two-arm", "dual")])
 def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
     shown = patterns(tmp_path / "p", light, rails)
-    camera = Camera(efficiency=0.3, dark=1e3, ambient=2e4)
+    camera = VirtualCamera(efficiency=0.3, dark=1e3, ambient=2e4)
     grey = np.full((2, *SHAPE), 0.4)
     rates = arrival_rates(tmp_path / "p", grey, camera, 1e5)
     events = (rates.sum(axis=2) * shown.manifest.picture_s).sum()
@@ -188,7 +193,7 @@ def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
 
 def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monkeypatch):
     patterns(tmp_path / "p", "two-arm")
-    camera, x = Camera(vignetting=0.5, ambient=1e5), scenes(5)
+    camera, x = VirtualCamera(vignetting=0.5, ambient=1e5), scenes(5)
     at_once = arrival_rates(tmp_path / "p", x, camera, 1e6)
     monkeypatch.setattr(module, "SCENES_AT_ONCE", 2)
     monkeypatch.setattr(module, "FRAMES_AT_ONCE", 3)
@@ -203,7 +208,7 @@ def test_rates_do_not_depend_on_how_scenes_and_frames_are_grouped(tmp_path, monk
 @pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
 def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
     shown, x = patterns(tmp_path / "p", light), scenes()
-    camera = Camera(ambient=4e5, dark=123.0, efficiency=0.4)
+    camera = VirtualCamera(ambient=4e5, dark=123.0, efficiency=0.4)
     signal = arrival_rates(tmp_path / "p", x, IDEAL, 1e6)
     stray = arrival_rates(tmp_path / "p", x, camera, 1e6) - 0.4 * signal
     part = shown.fractions.mean(axis=1) * 24 * 36 / (26 * 36)  # of the whole device
@@ -256,13 +261,13 @@ def test_scenes_and_fluxes_that_are_none_are_refused(tmp_path, given, flux, mess
 )
 def test_cameras_that_cannot_be_are_refused(settings):
     with pytest.raises(ValidationError):
-        Camera(**settings)
+        VirtualCamera(**settings)
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_cameras_survive_json(name):
     camera = CAMERAS[name]
-    assert Camera.model_validate_json(camera.model_dump_json()) == camera
+    assert VirtualCamera.model_validate_json(camera.model_dump_json()) == camera
 
 
 # Counts in memory
@@ -355,7 +360,7 @@ def test_the_file_has_a_marker_at_the_start_of_each_frame_and_the_budget(tmp_pat
 
 def test_dark_and_ambient_rates_are_found_in_the_sentinels(tmp_path):
     shown = patterns(tmp_path / "p", dwell=0.05)
-    camera = Camera(dark=5e4, ambient=3e5, efficiency=0.5)
+    camera = VirtualCamera(dark=5e4, ambient=3e5, efficiency=0.5)
     shoot(tmp_path, camera=camera, flux=0.0)
     counted = count(tmp_path / "run")
     manifest = shown.manifest
@@ -384,7 +389,7 @@ def test_the_acquisition_says_how_it_was_made(tmp_path):
     assert [(scene.name, scene.label) for scene in read.scenes] == [
         *zip("abc", labels, strict=True)
     ]
-    assert Camera.model_validate(read.camera) == camera
+    assert VirtualCamera.model_validate(read.camera) == camera
     assert (read.flux, read.seed, read.inputs) == (1e6, 3, (0, 1))
     assert read.repeats == find_gates(shown.manifest, 1e-3).repeats
     assert np.array_equal(patterns_read.on, shown.on)
@@ -455,7 +460,7 @@ def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeyp
     """The writer refuses times that run back."""
     monkeypatch.setattr(detector, "EVENTS_AT_ONCE", 10)
     shown = patterns(tmp_path / "p", "two-arm", dwell=1e-4)
-    camera = Camera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
+    camera = VirtualCamera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
     flow = arrival_rates(tmp_path / "p", scenes(), camera, 1e6)
     module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
     contents = ptu.inspect(tmp_path / "a.ptu")

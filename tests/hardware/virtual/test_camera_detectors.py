@@ -20,8 +20,8 @@ from deepfsi.hardware.recording.counts import Counts, read_counts
 from deepfsi.hardware.recording.picture import reconstruct
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
-    Camera,
     RecordingSettings,
+    VirtualCamera,
     arrival_rates,
     draw_counts,
     record,
@@ -36,7 +36,7 @@ CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)
 
 D = 4
 FLUX, EXPOSURE = 2e7, 1e-3
-STRAY = Camera(ambient=3e5)
+STRAY = VirtualCamera(ambient=3e5)
 OPTICS = [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
 every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
 
@@ -108,7 +108,7 @@ def test_counts_of_each_detector_are_poisson_with_the_scanners_mean(tmp_path, li
 
 def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
     """So several lose less than one: each is as blind as its own light makes it."""
-    slow, x = Camera(dead_time_s=2e-7), scenes(1)
+    slow, x = VirtualCamera(dead_time_s=2e-7), scenes(1)
     totals = []
     for folder, cells in ((tmp_path / "one", None), (tmp_path / "several", CELLS)):
         manifest = patterns(folder, "free-dwell", "single", cells).manifest
@@ -129,7 +129,7 @@ def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
     """From scenes to a file and back, wired in another order; the budget is all detectors'."""
     shown, x = patterns(tmp_path / "p", light, rails), scenes(4)
     inputs = tuple(reversed(range(3, 3 + shown.manifest.inputs)))
-    camera = Camera(dark=2000.0)
+    camera = VirtualCamera(dark=2000.0)
     settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=2, inputs=inputs)
     made = record(tmp_path / "p", x, list("abcd"), None, tmp_path / "run", settings)
     assert made.inputs == inputs

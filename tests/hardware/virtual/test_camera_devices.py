@@ -9,7 +9,7 @@ from deepfsi.devices import DEVICES
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
-from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates, irradiance
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates, irradiance
 
 IDEAL = CAMERAS["ideal"]
 DIAMOND = DEVICES["dlp4500"].model_copy(update={"columns": 58, "rows": 119})
@@ -59,7 +59,7 @@ def test_blur_is_as_wide_in_both_directions_of_a_diamond_lattice():
     x, y = places()
     spot = np.zeros((1, 58, 56))
     spot[0, 29, 28] = 1
-    light = irradiance(spot, Camera(blur=3.0), DIAMOND, grid)[0].astype(float)
+    light = irradiance(spot, VirtualCamera(blur=3.0), DIAMOND, grid)[0].astype(float)
     assert light.sum() == pytest.approx(grid.down * grid.across / spot.size, rel=1e-3)
     for place in (x, y):
         mean = (light * place).sum() / light.sum()

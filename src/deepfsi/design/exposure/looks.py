@@ -183,6 +183,12 @@ class LooksExposure(TrainedExposure):
         """Exposures after each look at a camera, parameters as for `TrainedExposure.expose`."""
         return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
 
+    @property
+    def dwell_words(self) -> str:
+        """What `mask_dwells` are: those of the first look."""
+        share = f"{1 / self.looks:.0%}"
+        return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
+
     def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown in the first look."""
 

@@ -190,6 +190,11 @@ class TrainedExposure:
             "several looks with `looks`"
         )
 
+    @property
+    def dwell_words(self) -> str:
+        """What `mask_dwells` are."""
+        return "share of the exposure"
+
     def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells.
 

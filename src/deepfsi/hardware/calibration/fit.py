@@ -17,8 +17,9 @@ from deepfsi.errors import InputError
 from deepfsi.grid import Grid
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.refine import fit_view
-from deepfsi.hardware.calibration.view import Calibration, geometry_matrix
+from deepfsi.hardware.calibration.view import geometry_matrix
 from deepfsi.hardware.patterns.sequence import Patterns
+from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.recording.counts import Counts
 
 WHITE, BLACK = "white.png", "black.png"
@@ -176,9 +177,9 @@ def calibrate_run(
     if BLACK in measured:
         place = list(names).index(BLACK)
         exposures = counts.signal()[place][counts.valid[place]]
-        seen = exposures.sum() / max(len(exposures), 1)
+        mean = exposures.sum() / max(len(exposures), 1)
         lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
-        ambient = max(0.0, float(seen / lit))
+        ambient = max(0.0, float(mean / lit))
     fitted = calibrate(
         np.array([shown[name] for name in spots]),
         np.array([measured[name] for name in spots]),
@@ -229,14 +230,14 @@ def find_homography(
 
     Shapes: display, device (n, 2).
     """
-    seen = np.isfinite(device).all(axis=1)
+    found = np.isfinite(device).all(axis=1)
     scale = np.array(cells[::-1], dtype=float)
-    source, target = np.asarray(display)[seen], np.asarray(device)[seen] * scale
+    source, target = np.asarray(display)[found], np.asarray(device)[found] * scale
     trouble = (
-        f"{seen.sum()} of {len(seen)} spots are seen, or too few agree on one perspective: four "
+        f"{found.sum()} of {len(found)} spots are seen, or too few agree on one perspective: four "
         "that do not lie on a line are needed; show larger spots, expose longer or aim the camera"
     )
-    if seen.sum() < 4:
+    if found.sum() < 4:
         raise InputError(trouble)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "No inliers found")
@@ -255,8 +256,8 @@ def find_homography(
     if not model or not np.isfinite(model.params).all():
         raise InputError(trouble)
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
-    agreed = np.zeros(len(seen), dtype=bool)
-    agreed[np.flatnonzero(seen)[inliers]] = True
+    agreed = np.zeros(len(found), dtype=bool)
+    agreed[np.flatnonzero(found)[inliers]] = True
     return Homography(matrix / matrix[2, 2], agreed)
 
 
@@ -279,20 +280,20 @@ def find_flat(
     white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
-    seen = filled > LEAST_FILLED
-    if not (seen.any() and white[seen].mean() > 0):
+    lit = filled > LEAST_FILLED
+    if not (lit.any() and white[lit].mean() > 0):
         raise InputError(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
     terms = [(i, n - i) for n in range(FLAT_DEGREE + 1) for i in range(n + 1)]
-    terms = terms[: max(1, int(seen.sum()) // CELLS_PER_TERM)]
+    terms = terms[: max(1, int(lit.sum()) // CELLS_PER_TERM)]
     down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
     basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
-    scaled = (basis * filled)[:, seen].T
-    weights, *_ = np.linalg.lstsq(scaled, white[seen], rcond=None)
+    scaled = (basis * filled)[:, lit].T
+    weights, *_ = np.linalg.lstsq(scaled, white[lit], rcond=None)
     flat = np.tensordot(weights, basis, 1).clip(0)
-    nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    nearest = ndimage.distance_transform_edt(~lit, return_distances=False, return_indices=True)
     flat = flat[tuple(nearest)]
     return np.asarray(flat / flat.max())
 

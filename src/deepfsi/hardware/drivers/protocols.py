@@ -1,11 +1,8 @@
-"""Protocols of pattern projectors and photon counters, so that a laboratory can bring its own.
+"""Protocols of the projector and the counter of a live run, so that a laboratory can bring its own.
 
-Both are context managers that let go of their device on every way out, Ctrl-C included. A lab
-whose counter has its own software needs a `PatternProjector` only: its PTU file and the pattern
-folder are all that `hardware.recording` reads. `scan` records scene after scene with both.
+Both are context managers that let go of their device on every way out, Ctrl-C included.
 """
 
-from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
@@ -14,39 +11,6 @@ import numpy as np
 
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
 from deepfsi.progress import SILENT, Report
-
-
-class PatternProjector(AbstractContextManager["PatternProjector"], Protocol):
-    """Micromirror device that shows a folder of patterns and marks the start of each frame.
-
-    Entering takes hold of the device; leaving stops the pass and lets go of it.
-    """
-
-    def load(self, folder: Path, report: Report = SILENT) -> None:
-        """Bring the frames of a pattern folder into the device, in place of earlier ones."""
-
-    def run(self) -> None:
-        """Start one pass over all frames; it may end after this returns."""
-
-    def wait(self) -> None:
-        """Return when the pass has ended."""
-
-    def halt(self) -> None:
-        """Stop the pass where it is."""
-
-
-class PhotonCounter(AbstractContextManager["PhotonCounter"], Protocol):
-    """Photon-counting electronics that record photons and frame markers into a PTU file.
-
-    Entering takes hold of the device; leaving stops the recording and lets go of the device. A file
-    that was not finished is removed.
-    """
-
-    def start(self, path: Path) -> None:
-        """Begin to record into a new file."""
-
-    def stop(self) -> None:
-        """End the recording; its file is then whole."""
 
 
 class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):
@@ -99,19 +63,3 @@ class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
 
     def stop(self) -> None:
         """End the recording; its file is then whole."""
-
-
-def scan(
-    projector: PatternProjector,
-    counter: PhotonCounter,
-    scenes: Iterable[np.ndarray],
-    show: Callable[[np.ndarray], None],
-    path: Path,
-) -> None:
-    """Record one pass over the loaded patterns for each scene, into one PTU file."""
-    counter.start(path)
-    for scene in scenes:
-        show(scene)
-        projector.run()
-        projector.wait()
-    counter.stop()

@@ -22,7 +22,7 @@ class Detectors(BaseModel):
     cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
 
     @model_validator(mode="after")
-    def _every_one_sees(self) -> Self:
+    def _numbered_without_a_gap(self) -> Self:
         if self.cells is not None and set(self.cells) != set(range(self.count)):
             raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
         return self

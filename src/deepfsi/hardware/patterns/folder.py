@@ -15,7 +15,7 @@ from hashlib import sha256
 from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
-from typing import get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -56,6 +56,34 @@ class DesignRails:
     looks: Looks | None = None
     loop: bytes | None = None
 
+    def __post_init__(self) -> None:
+        rails = self.rails
+        pixels = math.prod(self.image_shape) or rails.shape[-1]  # `find_grid` refuses none
+        check_known("light law", self.light, get_args(sequence.Light))
+        if rails.shape != (self.rail_count, *rails.shape[1:2], pixels) or not rails.size:
+            raise InputError(
+                f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
+            )
+        if self.light == "two-arm" and self.rail_count != 2:
+            raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
+        if not np.isfinite(rails).all() or rails.min() < 0:
+            raise InputError(
+                "rails must be finite and 0 or more: give shares of each pixel's photons"
+            )
+        times = rails.sum(axis=0)
+        if self.light == "two-arm" and np.ptp(times, axis=-1).max() * len(times) > ARMS_SLACK:
+            raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
+        if not (math.isfinite(self.summed_reflectance) and self.summed_reflectance > 0):
+            raise InputError(
+                f"summed reflectance {self.summed_reflectance!r} is not allowed: give a number "
+                "above 0"
+            )
+
+    @property
+    def rail_count(self) -> Literal[1, 2]:
+        """Number of rails: 2 of signed masks, or 1."""
+        return 2 if len(self.rails) == 2 else 1
+
     def first_dwells(self, counted: mirrors.MaskFrames) -> np.ndarray:
         """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
         if self.looks is None:
@@ -87,7 +115,6 @@ def export_patterns(
         If the device cannot show the rails, or the folder holds something.
     """
     device, grid = settings.device, find_grid(settings.device, design.image_shape)
-    _check_design(design)
     counted = mirrors.count_mirrors(design.rails, design.light, grid.mirrors)
     if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
@@ -103,34 +130,29 @@ def export_patterns(
     with new_folder(folder) as draft:
         frames = mirrors.make_frames(every, device, grid, settings.selection, settings.seed)
         hashes = frame_files.write_frames(draft, frames, total, settings, report)
-        manifest = sequence.Manifest(
-            deepfsi=version("deepfsi"),
+        manifest = list_frames(
+            design,
+            counted,
+            (pictures, sentinel),
+            hashes,
             device=device,
-            image_shape=tuple(map(int, design.image_shape)),
-            masks=design.rails.shape[1],
-            rails=2 if len(design.rails) == 2 else 1,
-            light=design.light,
-            dimmed=counted.dimmed,
-            summed_reflectance=float(design.summed_reflectance),
-            brightness=design.brightness,
-            detectors=design.detectors,
-            readout=design.readout,
-            looks=design.looks,
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,
-            design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
-            mirrors_sha256=hash_mirrors(counted.on),
-            frames=_list_frames(counted, pictures, sentinel, hashes),
         )
         check_limits(manifest)
         return _write(draft, sequence.Patterns(manifest, counted.on), design)
 
 
-def _list_frames(
-    counted: mirrors.MaskFrames, pictures_us: list[int], sentinel_us: int, hashes: list[str]
-) -> tuple[sequence.Frame, ...]:
-    """Frames of a pass as the manifest lists them."""
+def list_frames(
+    design: DesignRails,
+    counted: mirrors.MaskFrames,
+    times_us: tuple[list[int], int],
+    hashes: list[str],
+    **settings: Any,
+) -> sequence.Manifest:
+    """Manifest of a design's frames in their order, from picture times of masks and a sentinel."""
+    pictures_us, sentinel_us = times_us
     ends = (
         sequence.Frame(role="on", picture_us=sentinel_us, sha256=hashes[0]),
         sequence.Frame(role="off", picture_us=sentinel_us, sha256=hashes[1]),
@@ -141,7 +163,23 @@ def _list_frames(
             counted.shown, counted.shares.tolist(), pictures_us, hashes[2:-2], strict=True
         )
     )
-    return (*ends, *shown, *ends)
+    return sequence.Manifest(
+        deepfsi=version("deepfsi"),
+        image_shape=tuple(map(int, design.image_shape)),
+        masks=design.rails.shape[1],
+        rails=design.rail_count,
+        light=design.light,
+        dimmed=counted.dimmed,
+        summed_reflectance=float(design.summed_reflectance),
+        brightness=design.brightness,
+        detectors=design.detectors,
+        readout=design.readout,
+        looks=design.looks,
+        design_sha256=None if design.file is None else sha256(design.file).hexdigest(),
+        mirrors_sha256=hash_mirrors(counted.on),
+        frames=(*ends, *shown, *ends),
+        **settings,
+    )
 
 
 def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> sequence.Patterns:
@@ -276,25 +314,3 @@ def _digest(manifest: str | bytes) -> str:
     """Hash of a manifest's JSON but for the hash itself, whatever its layout."""
     content = {key: value for key, value in json.loads(manifest).items() if key != "sha256"}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _check_design(design: DesignRails) -> None:
-    """Raise `InputError` unless the rails can be shown."""
-    rails, light, pixels = design.rails, design.light, math.prod(design.image_shape)
-    check_known("light law", light, get_args(sequence.Light))
-    if rails.ndim != 3 or len(rails) not in (1, 2) or not rails.size or rails.shape[2] != pixels:
-        raise InputError(
-            f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
-        )
-    if light == "two-arm" and len(rails) != 2:
-        raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
-    if not np.isfinite(rails).all() or rails.min() < 0:
-        raise InputError("rails must be finite and 0 or more: give shares of each pixel's photons")
-    times = rails.sum(axis=0)
-    if light == "two-arm" and np.ptp(times, axis=-1).max() * len(times) > ARMS_SLACK:
-        raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
-    if not (math.isfinite(design.summed_reflectance) and design.summed_reflectance > 0):
-        raise InputError(
-            f"summed reflectance {design.summed_reflectance!r} is not allowed: give a number "
-            "above 0"
-        )

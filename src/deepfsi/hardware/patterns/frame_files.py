@@ -10,16 +10,16 @@ import hashlib
 import io
 import math
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from PIL import Image, PngImagePlugin
+from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 
-from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.planes import load_planes, reading, write_planes
+from deepfsi.hardware.patterns.planes import load_planes, read_picture, reading, write_planes
 from deepfsi.hardware.patterns.sequence import FrameSettings, Manifest
 from deepfsi.progress import SILENT, Report
 
@@ -38,23 +38,28 @@ def write_frames(
 
     Shapes: frames (rows, bytes of a row).
     """
-    hashes, device, format = [], settings.device, settings.format
-    if format == "planes":
-        return write_planes(folder, frames, total, device, report)
-    if format == "png":
-        (folder / "frames").mkdir()
-    stream = None if format == "png" else (folder / STREAMS[format]).open("wb")
-    with stream or nullcontext():
-        if format == "npy" and stream:
-            _write_header(stream, np.dtype("u1"), (total, *device.frame_shape))
+    hashes: list[str] = []
+    device, format = settings.device, settings.format
+
+    def hashed() -> Iterator[np.ndarray]:
         for place, frame in enumerate(frames):
             hashes.append(hashlib.sha256(frame.data).hexdigest())
-            if stream:
-                stream.write(frame.data)
-            else:
-                picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
-                picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
+            yield frame
             report((place + 1) / total)
+
+    if format == "planes":
+        write_planes(folder, hashed(), total, device)
+    elif format == "png":
+        (folder / "frames").mkdir()
+        for place, frame in enumerate(hashed()):
+            picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
+            picture.save(folder / _png(place, total), compress_level=1)  # faster, no larger
+    else:
+        with (folder / STREAMS[format]).open("wb") as stream:
+            if format == "npy":
+                _write_header(stream, np.dtype("u1"), (total, *device.frame_shape))
+            for frame in hashed():
+                stream.write(frame.data)
     return hashes
 
 
@@ -67,7 +72,8 @@ def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
         return
     if manifest.format == "png":
         for place in range(total):
-            yield _read_png(folder / _png(place, total), device).reshape(shape)
+            with read_picture(folder / _png(place, total), device, PngImageFile, "1") as picture:
+                yield np.frombuffer(picture.tobytes(), dtype=np.uint8).reshape(shape)
         return
     header = "|u1" if manifest.format == "npy" else None
     with open_array(folder / STREAMS[manifest.format], header, (total, *shape)) as file:
@@ -78,17 +84,6 @@ def load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
 def _png(place: int, total: int) -> str:
     """File of a frame, with as many digits as the last one needs."""
     return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"
-
-
-def _read_png(path: Path, device: Device) -> np.ndarray:
-    with reading(f"frame {path}"), PngImagePlugin.PngImageFile(path) as picture:
-        if picture.mode != "1" or picture.size != (device.columns, device.rows):
-            raise InputError(
-                f"{path} is a {picture.size[0]} x {picture.size[1]} PNG of mode {picture.mode}, "
-                f"not {device.columns} x {device.rows} at one bit a pixel: export the patterns "
-                "again"
-            )
-        return np.frombuffer(picture.tobytes(), dtype=np.uint8)
 
 
 def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:

@@ -1,13 +1,13 @@
 """Frames of a design for which no device was chosen: their order, and times as good as any."""
 
 import math
-from importlib.metadata import version
+from dataclasses import replace
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.hardware.patterns.folder import DesignRails
+from deepfsi.hardware.patterns.folder import SENTINELS, DesignRails, list_frames
 from deepfsi.hardware.patterns.mirrors import count_mirrors
-from deepfsi.hardware.patterns.sequence import Frame, Manifest
+from deepfsi.hardware.patterns.sequence import Manifest
 
 LEVELS = 2**16
 """Grey levels of a cell: more than any device has, so that a rail is dark only where it is zero."""
@@ -33,28 +33,9 @@ def nominal_manifest(design: DesignRails) -> Manifest:
         )
     down, across = design.image_shape if len(design.image_shape) == 2 else (1, *design.image_shape)
     device = Device(name="none", columns=across, rows=down, settle_us=0)
-    mean = math.ceil(PASS_US * float(counted.shares.mean()))
-    ends = [Frame(role=role, picture_us=mean, sha256="0" * 64) for role in ("on", "off")]
-    pairs = zip(counted.shown, counted.shares.tolist(), strict=True)
-    shown = [
-        Frame(role="mask", mask=mask, rail=rail, share=share,
-              picture_us=max(1, round(share * PASS_US)), sha256="0" * 64)
-        for (mask, rail), share in pairs
-    ]  # fmt: skip
-    return Manifest(
-        deepfsi=version("deepfsi"),
-        device=device,
-        image_shape=design.image_shape,
-        masks=design.rails.shape[1],
-        rails=2 if len(design.rails) == 2 else 1,
-        light=design.light,
-        dimmed=1.0,
-        summed_reflectance=design.summed_reflectance,
-        brightness=design.brightness,
-        detectors=design.detectors,
-        readout=design.readout,
-        selection="ordered",
-        format="npy",
-        mirrors_sha256="0" * 64,
-        frames=(*ends, *shown, *ends),
-    )
+    pictures = [max(1, round(share * PASS_US)) for share in counted.shares.tolist()]
+    sentinel = math.ceil(PASS_US * float(counted.shares.mean()))
+    hashes = ["0" * 64] * (len(pictures) + SENTINELS)
+    fixed = replace(design, looks=None)
+    settings = {"device": device, "selection": "ordered", "format": "npy"}
+    return list_frames(fixed, counted, (pictures, sentinel), hashes, **settings)

@@ -9,19 +9,18 @@ hold bit positions 0 to 7, 8 to 15 and 16 to 23, each colour's lowest bit first.
 """
 
 import csv
-import hashlib
 import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from PIL import BmpImagePlugin, Image
+from PIL import Image, ImageFile
+from PIL.BmpImagePlugin import BmpImageFile
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
-from deepfsi.progress import SILENT, Report
 
 ON_THE_FLY = 3
 """Display mode of a DLPC900 in which its pictures come over USB (guide DLPU018, 0x1A1B)."""
@@ -36,30 +35,18 @@ def place_frames(manifest: Manifest) -> list[Place]:
     return [divmod(frame, manifest.device.packed_frames(total)) for frame in range(total)]
 
 
-def write_planes(
-    folder: Path,
-    frames: Iterable[np.ndarray],
-    total: int,
-    device: Device,
-    report: Report = SILENT,
-) -> list[str]:
-    """Write frames as they come, and give the SHA-256 of the packed bits of each.
-
-    Shapes: frames (rows, bytes of a row).
-    """
+def write_planes(folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
+    """Write frames, each (rows, bytes of a row), as they come."""
     (folder / "images").mkdir()
-    hashes, together = [], device.packed_frames(total)
+    together = device.packed_frames(total)
     picture = np.zeros((device.rows, device.columns, 3), np.uint8)
     for place, frame in enumerate(frames):
-        hashes.append(hashlib.sha256(frame.data).hexdigest())
         image, bit = divmod(place, together)
         lit = np.unpackbits(frame, axis=1, count=device.columns)
         picture[..., _channel(device, bit)] |= lit << bit % 8
         if bit == together - 1 or place == total - 1:
             Image.fromarray(picture).save(folder / _file(image))
             picture[:] = 0
-        report((place + 1) / total)
-    return hashes
 
 
 def load_planes(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
@@ -67,7 +54,8 @@ def load_planes(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
     device = manifest.device
     for image, bit in place_frames(manifest):
         if bit == 0:
-            picture = _read_picture(folder / _file(image), device)
+            with read_picture(folder / _file(image), device, BmpImageFile, "RGB") as opened:
+                picture = np.asarray(opened)
         yield np.packbits(picture[..., _channel(device, bit)] >> bit % 8 & 1, axis=1)
 
 
@@ -112,15 +100,20 @@ def _channel(device: Device, bit: int) -> int:
     return "RGB".index(device.planes[bit // 8])
 
 
-def _read_picture(path: Path, device: Device) -> np.ndarray:
-    with reading(f"picture {path}"), BmpImagePlugin.BmpImageFile(path) as picture:
-        if picture.mode != "RGB" or picture.size != (device.columns, device.rows):
+@contextmanager
+def read_picture(
+    path: Path, device: Device, opener: type[ImageFile.ImageFile], mode: str
+) -> Iterator[Image.Image]:
+    """Open the picture of a frame, or of several, that has a device's size and this mode."""
+    with reading(str(path)), opener(path) as picture:
+        if picture.mode != mode or picture.size != (device.columns, device.rows):
+            depth = "one bit" if mode == "1" else "24 bits"
             raise InputError(
-                f"{path} is a {picture.size[0]} x {picture.size[1]} BMP of mode {picture.mode}, "
-                f"not {device.columns} x {device.rows} at 24 bits a pixel: export the patterns "
-                "again"
+                f"{path} is a {picture.size[0]} x {picture.size[1]} {picture.format} of mode "
+                f"{picture.mode}, not {device.columns} x {device.rows} at {depth} a pixel: export "
+                "the patterns again"
             )
-        return np.asarray(picture)
+        yield picture
 
 
 def _times(manifest: Manifest) -> list[tuple[int, int]]:

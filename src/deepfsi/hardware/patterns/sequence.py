@@ -272,17 +272,17 @@ class Manifest(BaseModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Manifest":
-        seen = [(frame.mask, frame.rail) for frame in self.frames if frame.role == "mask"]
-        if len(set(seen)) < len(seen):
+        rails = [(frame.mask, frame.rail) for frame in self.frames if frame.role == "mask"]
+        if len(set(rails)) < len(rails):
             raise ValueError("a rail of a mask is shown twice")
-        if any(mask is not None and mask >= self.masks for mask, _ in seen):
+        if any(mask is not None and mask >= self.masks for mask, _ in rails):
             raise ValueError("a frame shows a mask that does not exist")
-        if {rail for _, rail in seen} - ({"plus"} if self.rails == 1 else set(get_args(Rail))):
+        if {rail for _, rail in rails} - ({"plus"} if self.rails == 1 else set(get_args(Rail))):
             raise ValueError("a frame shows a rail that does not exist")
         if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
         check_known("light law", self.light, get_args(Light))
-        if self.two_arm != (self.light == "two-arm") or not seen:
+        if self.two_arm != (self.light == "two-arm") or not rails:
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
             raise ValueError("the first look has a dwell for other frames than the masks'")

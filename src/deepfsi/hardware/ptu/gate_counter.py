@@ -71,7 +71,11 @@ class GateCounter:
 
     def take(self) -> np.ndarray:
         """Counts of the gates that have ended since the last call, int64 (gates, inputs)."""
-        return self._take(self._done // 2)
+        gates = self._done // 2
+        before = self._before[: 2 * gates]
+        self._edges, self._before = self._edges[2 * gates :], self._before[2 * gates :]
+        self._done -= 2 * gates
+        return np.asarray(before[1::2] - before[::2])
 
     def finish(self, header: Header) -> np.ndarray:
         """Counts of all gates since the last call, at the end of a file with this header.
@@ -87,13 +91,7 @@ class GateCounter:
             )
         self._before[self._done :] = self._so_far
         self._done = len(self._edges)
-        return self._take(self._done // 2)
-
-    def _take(self, gates: int) -> np.ndarray:
-        before = self._before[: 2 * gates]
-        self._edges, self._before = self._edges[2 * gates :], self._before[2 * gates :]
-        self._done -= 2 * gates
-        return np.asarray(before[1::2] - before[::2])
+        return self.take()
 
 
 def _join_edges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:

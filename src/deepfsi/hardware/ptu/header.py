@@ -112,7 +112,6 @@ class Header:
     kind: Kind
     offset: int  # bytes before the first record
     tick_s: float  # seconds of a tick
-    delay_s: float | None  # T3: seconds of one unit of the delay after the sync, if the header says
     claimed: int  # records that the header says there are; 0 or less if it does not say
     size: int | None = None  # bytes of the file; None while they still arrive
 
@@ -185,14 +184,12 @@ def parse_header(path: str | os.PathLike[str]) -> HeaderParser:
         raise InputError(
             f"{path} is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
         )
-    delay = tags.get("MeasDesc_Resolution") if kind.mode == "T3" else None
     return Header(
         path=Path(path),
         tags=tags,
         kind=kind,
         offset=offset,
         tick_s=tick,
-        delay_s=delay if isinstance(delay, float) else None,
         claimed=_integer(tags, "TTResult_NumberOfRecords", path, 0),
     )
 

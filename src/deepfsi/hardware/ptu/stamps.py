@@ -13,8 +13,8 @@ import numpy as np
 from deepfsi.errors import InputError
 from deepfsi.hardware.ptu.header import GENERIC_T2, TICKS_S
 from deepfsi.hardware.ptu.writer import Writer
-from deepfsi.tables.array_files import list_variables, read_variable
-from deepfsi.tables.table_files import HDF5, read_table
+from deepfsi.tables.array_files import HDF5, list_variables, read_variable
+from deepfsi.tables.table_files import read_table
 
 TIMES, CHANNELS = "photon_data/timestamps", "photon_data/detectors"
 UNIT = "photon_data/timestamps_specs/timestamps_unit"

@@ -6,7 +6,6 @@ the file that it becomes, whatever its cuts. Memory is that of the bytes given a
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,15 +20,11 @@ class StreamReader:
     `header`: None until it has arrived.
     """
 
-    def __init__(
-        self, name: str | os.PathLike[str] = "the stream", *, ordered: bool = True
-    ) -> None:
+    def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
         self.header: Header | None = None
-        self._ordered = ordered
         self._parser = parse_header(name)
         self._needed = next(self._parser)
         self._rest = bytearray()  # bytes of the header, or of a record, that is not whole
-        self._size = 0
         self._left = 0  # records to come
         self._decoder: Decoder | None = None
 
@@ -41,7 +36,6 @@ class StreamReader:
         Raises `InputError` as `read_header`.
         """
         view = memoryview(data).cast("B")
-        self._size += len(view)
         if self._decoder is None:
             view = self._feed_header(view)
         if self._decoder is None or not self._left:
@@ -58,13 +52,6 @@ class StreamReader:
             if part.fault:
                 return
 
-    def end(self) -> Header:
-        """Header of the file, which ended here. Raises `InputError` if it has not whole arrived."""
-        while self.header is None:
-            self._send(bytes(self._rest))
-            self._rest.clear()
-        return replace(self.header, size=self._size)
-
     def _feed_header(self, view: memoryview) -> memoryview:
         """Parse bytes as far as the header goes, and give those that follow it."""
         while self._decoder is None:
@@ -73,14 +60,11 @@ class StreamReader:
             view = view[taken:]
             if len(self._rest) < self._needed:
                 break
-            self._send(bytes(self._rest))
+            try:
+                self._needed = self._parser.send(bytes(self._rest))
+            except StopIteration as end:
+                self.header = header = end.value
+                self._left = header.records
+                self._decoder = Decoder(header.kind, header.tick_s)
             self._rest.clear()
         return view
-
-    def _send(self, content: bytes) -> None:
-        try:
-            self._needed = self._parser.send(content)
-        except StopIteration as end:
-            self.header = header = end.value
-            self._left = header.records
-            self._decoder = Decoder(header.kind, header.tick_s, self._ordered)

@@ -27,11 +27,13 @@ from deepfsi.hardware.patterns.timing import (
     longest_exposure,
     usual_tolerance,
 )
-from deepfsi.hardware.recording.alignment import MOST_FRAMES
 from deepfsi.hardware.recording.live_settings import Live
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
+
+MOST_FRAMES = 2**20
+"""Frames of all passes together, times the detectors of an arm, at most."""
 
 MOST_INPUTS = 64
 """Inputs of a photon counter at most."""
@@ -247,13 +249,6 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
         gates_of(acquisition, manifest)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-
-
-def read_fixed(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
-    """As `read_acquisition`, of a recording that showed every scene one pass over the patterns."""
-    acquisition, patterns = read_acquisition(folder)
-    check_fixed(acquisition, folder)
-    return acquisition, patterns
 
 
 def check_fixed(acquisition: Acquisition, folder: str | os.PathLike[str]) -> None:

@@ -35,9 +35,6 @@ from deepfsi.hardware.recording.passes import (
     walk,
 )
 
-MOST_FRAMES = 2**20
-"""Frames of all passes together, at most."""
-
 CERTAIN_SIGMAS = 6.0
 """Standard errors beyond which something is certain."""
 
@@ -78,11 +75,6 @@ def align(
     times = np.sort(np.asarray(times_s, dtype=np.float64))
     if not len(times):
         raise InputError("no frame markers: choose the marker's bit, or wire the device's trigger")
-    if scenes * schedule.frames > MOST_FRAMES:
-        raise InputError(
-            f"{scenes} scenes of {schedule.frames} frames are more than {MOST_FRAMES} frames: "
-            "split the acquisition"
-        )
     markers = Markers(times, schedule, scenes, cut)
     whole = take_whole(markers)
     if whole is None:

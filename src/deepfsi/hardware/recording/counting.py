@@ -1,25 +1,25 @@
 """Photons of a recording counted frame by frame, for the exposure it was made for or another."""
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.view import load_calibration
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import inspect
 from deepfsi.hardware.recording.acquisition import (
     Acquisition,
+    check_fixed,
     check_inputs,
     gates_of,
     name_inputs,
-    read_fixed,
+    read_acquisition,
 )
 from deepfsi.hardware.recording.alignment import find_steps
+from deepfsi.hardware.recording.calibration_file import load_calibration
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import (
     NO_DEAD_TIME,
@@ -38,13 +38,19 @@ from deepfsi.hardware.recording.gates import (
     find_lateness,
     in_ticks,
 )
-from deepfsi.hardware.recording.light import Light, find_light, see_inputs, wire
+from deepfsi.hardware.recording.light import Light, find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
-from deepfsi.hardware.recording.sentinels import PARTS, Seen
+from deepfsi.hardware.recording.sentinels import PARTS
 from deepfsi.progress import SILENT, Report
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
+
+SHIFTED = (
+    "its first and last frames are not the brightest and darkest: stray light in others, or the "
+    "pass is shifted"
+)
+"""Why a scene is given up whose sentinels are not where they should be."""
 
 
 def count(
@@ -84,7 +90,8 @@ def count(
         If files are missing, damaged or do not fit, gates do not fit, no exposure is whole, or the
         counter is too near its saturation.
     """
-    recorded, patterns = read_fixed(folder)
+    recorded, patterns = read_acquisition(folder)
+    check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
     header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)
@@ -93,7 +100,7 @@ def count(
     windows = Windows.of(manifest, gates, frames)
     whole = frames.whole
     starts, parts = frames.starts_s[whole], find_frame_parts(frames, gates.settle_s, PARTS)
-    (found, seconds), parted = _count_windows(
+    (found, seconds), (parted, parted_s) = _count_windows(
         header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
     )
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
@@ -101,35 +108,36 @@ def count(
     fits = _show_ends(header, photons[..., arm].sum(axis=-1), spent)
     lost = np.flatnonzero(whole)[~fits]
     late = find_lateness(windows, found[fits][..., arm].sum(axis=-1), seconds[fits])
-    faults = [*frames.faults, *map(_shifted, lost.tolist()), *late]
+    shifted = (Fault(kind="lost", scene=scene, detail=SHIFTED) for scene in lost.tolist())
     whole[whole] = fits
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     dead = _find_dead_time(Path(folder), dead_time)
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
     factors = dead.correction(rates)
-    seen = _see(parts, parted, fits, whole, wire(acquisition.inputs, manifest), factors)
-    light = find_light(*seen, manifest, lost)
+    shape = len(rates), *parts.middles.shape
+    parted = parted[fits].reshape(*shape, -1)
+    arrivals = parted * factors.arrivals[:, :, None]
+    variance = parted * factors.variance[:, :, None]
+    open_s, scenes = parted_s[fits].reshape(shape), np.flatnonzero(whole)
+    light = find_light(
+        arrivals, variance, open_s, parts.middles, scenes, acquisition.inputs, manifest, lost
+    )
     _check_lit(header, acquisition, light)
-    counts = _assemble(manifest, gates, windows, whole, found[fits], rates, light, factors)
-    counts = replace(
-        counts,
+    gated = found[fits][:, windows.gates].swapaxes(1, 2)
+    counts = Counts(
+        **_by_scene(manifest, whole, gated, rates, light, factors),
+        valid=np.repeat(whole[:, None], gates.repeats, axis=1),
+        gate_s=gates.length_s,
         exposure_s=acquisition.exposure_s if exposure_s is None else exposure_s,
+        settle_s=gates.settle_s,
+        lengths_s=lengths_by_readout(manifest, gates.length_s),
         drift=frames.drift,
         inputs=acquisition.inputs,
-        faults=(*faults, *light.faults),
+        faults=(*frames.faults, *shifted, *late, *light.faults),
         dead_time=dead,
     )
     counts.save(Path(folder), recorded)
     return counts
-
-
-def _shifted(scene: int) -> Fault:
-    """A scene that is given up since its sentinels are not where they should be."""
-    detail = (
-        "its first and last frames are not the brightest and darkest: stray light in others, or "
-        "the pass is shifted"
-    )
-    return Fault(kind="lost", scene=scene, frame=None, detail=detail)
 
 
 def _read_counter(path: Path, gates: Gates, manifest: Manifest) -> Header:
@@ -192,35 +200,17 @@ def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
     return given or NO_DEAD_TIME
 
 
-def _see(
-    parts: FrameParts,
-    parted: tuple[np.ndarray, np.ndarray],
-    fits: np.ndarray,
-    whole: np.ndarray,
-    wired: list[tuple[int, ...]],
-    factors: Correction,
-) -> tuple[list[Seen], list[Seen]]:
-    """Photons in the parts of frames, of the passes that fit, for `find_light`."""
-    shape = int(fits.sum()), *parts.middles.shape
-    photons = parted[0][fits].reshape(*shape, -1)
-    arrivals, variance = (
-        photons * each[:, :, None] for each in (factors.arrivals, factors.variance)
-    )
-    places = parts.middles, np.flatnonzero(whole), wired
-    return see_inputs(arrivals, parted[1][fits].reshape(shape), *places, variance)
-
-
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
     """Raise `InputError` if no pass has light, saying which inputs have photons."""
     if light.lit.any():
         return
     contents = inspect(header.path)
-    seen = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
+    there = ", ".join(f"{n} photons on input {k + 1}" for k, n in sorted(contents.photons.items()))
     asked = name_inputs(acquisition.inputs)
     raise InputError(
         f"{header.path} has no light on input {asked}: no all-ON frame is brighter than the "
-        f"all-OFF ones. The file holds {seen or 'no photons'}: give the input that the detector is "
-        "wired to, or switch on the lamp"
+        f"all-OFF ones. The file holds {there or 'no photons'}: give the input that the detector "
+        "is wired to, or switch on the lamp"
     )
 
 
@@ -245,48 +235,32 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
     return fits
 
 
-def _assemble(
+def _by_scene(
     manifest: Manifest,
-    gates: Gates,
-    windows: Windows,
     whole: np.ndarray,
-    found: np.ndarray,
+    gated: np.ndarray,
     rates: np.ndarray,
     light: Light,
     factors: Correction,
-) -> Counts:
-    """Counts of windows (whole scenes, g, inputs), and rates and factors of frames."""
-    scenes, detectors = len(whole), manifest.detector_count
-    gated = found[:, windows.gates].swapaxes(1, 2)
-    held = []
-    for factor in (1, factors.arrivals[:, None, manifest.shown],
-                   factors.variance[:, None, manifest.shown]):  # fmt: skip
-        readouts = by_readout(manifest, gated * factor)
-        held.append(np.zeros((scenes, *readouts.shape[1:]), readouts.dtype))
-        held[-1][whole] = readouts
-    rates = rates * factors.arrivals
-    on, off = np.nanmean(rates[:, [0, -2]], axis=1), np.nanmean(rates[:, [1, -1]], axis=1)
-    on_rate, off_rate = np.full(scenes, np.nan), np.full(scenes, np.nan)
-    on_rate[whole], off_rate[whole] = (each[:, :detectors].sum(axis=1) for each in (on, off))
-    flux = np.full(scenes, np.nan)
-    flux[whole] = light.flux
-    dark = by_rail(manifest, light.dark_rate)
-    dark_rate = np.zeros((scenes, *dark.shape[1:]))
-    dark_rate[whole] = dark
-    return Counts(
-        counts=held[0],
-        arrivals=held[1],
-        variance=held[2],
-        valid=np.repeat(whole[:, None], gates.repeats, axis=1),
-        gate_s=gates.length_s,
-        on_rate=on_rate,
-        off_rate=off_rate,
-        flux=flux,
-        dark_rate=dark_rate,
-        exposure_s=0.0,
-        settle_s=gates.settle_s,
-        lengths_s=lengths_by_readout(manifest, gates.length_s),
-        drift=0.0,
-        inputs=(),
-        faults=(),
-    )
+) -> dict[str, np.ndarray]:
+    """Readouts of gates (P, R, f, inputs) and rates of frames (P, F, inputs), of all scenes."""
+
+    def spread(values: np.ndarray, lost: float = np.nan) -> np.ndarray:
+        out = np.full((len(whole), *values.shape[1:]), lost, values.dtype)
+        out[whole] = values
+        return out
+
+    def readouts(factor: np.ndarray | int) -> np.ndarray:
+        return spread(by_readout(manifest, gated * factor), 0)
+
+    rates, arm = rates * factors.arrivals, slice(0, manifest.detector_count)
+    on, off = (np.nanmean(rates[:, frames], axis=1) for frames in ([0, -2], [1, -1]))
+    return {
+        "counts": readouts(1),
+        "arrivals": readouts(factors.arrivals[:, None, manifest.shown]),
+        "variance": readouts(factors.variance[:, None, manifest.shown]),
+        "on_rate": spread(on[:, arm].sum(axis=1)),
+        "off_rate": spread(off[:, arm].sum(axis=1)),
+        "flux": spread(light.flux),
+        "dark_rate": spread(by_rail(manifest, light.dark_rate), 0),
+    }

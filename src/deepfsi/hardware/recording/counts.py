@@ -4,8 +4,8 @@ The file carries hashes of what was counted (settings, patterns, photons.ptu) an
 content: counts of something else, and counts that were edited, are refused.
 """
 
+import dataclasses
 import io
-import json
 import math
 import os
 import struct
@@ -52,61 +52,36 @@ _UNREADABLE = (
 
 @dataclass(frozen=True)
 class Counts:
-    """Photon counts of each readout.
+    """Photon counts of each readout; the axis D is there only of several detectors."""
 
-    Attributes
-    ----------
-    counts : array, shape (S, R, rails, m[, D])
-        Registered counts, int64, or the values of a table; D only of several detectors. 0 for a
-        rail that is dark and for an exposure that is not valid.
-    arrivals, variance : arrays, shape (S, R, rails, m[, D])
-        Counts of the light and the dark in each gate by themselves, estimated from what was
-        registered, and the variance of their noise; both are the counts where nothing was lost.
-    valid : array, shape (S, R)
-        bool; whether all readouts of an exposure were recorded.
-    gate_s : array, shape (f,)
-        For how long each mask's frame is counted, seconds.
-    on_rate, off_rate : array, shape (S,)
-        Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together; NaN
-        where a scene is not valid.
-    flux : array, shape (S,)
-        Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two changes
-        of the lamp. NaN where a scene is not valid.
-    dark_rate : array, shape (S, rails[, D])
-        Counts/s of the input that reads each rail, when no mirror sends it light: of all-OFF
-        frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree.
-    exposure_s : float
-        Total exposure, seconds.
-    settle_s : float
-        Time before the first gate of each frame, seconds.
-    lengths_s : array, shape (rails, m)
-        For how long each readout is counted, seconds; 0 for a rail that is dark.
-    drift : float
-        By how much passes lasted longer than planned on the counter's clock, as a share.
-    inputs : tuple of int
-        Of the counter, 0 for input 1: those whose photons were counted.
-    faults : tuple of Fault
-        What was wrong with the recording.
-    dead_time : DeadTime
-        Of the counter, for which the arrivals and all rates are corrected; none is 0.
-    """
-
+    # (S, R, rails, m[, D]): Registered counts, int64, or the values of a table. 0 for a rail that
+    # is dark and for an exposure that is not valid
     counts: np.ndarray
+    # (S, R, rails, m[, D]): Counts of the light and the dark in each gate by themselves, estimated
+    # from what was registered, and the variance of their noise. Both are the counts where nothing
+    # was lost
     arrivals: np.ndarray
     variance: np.ndarray
-    valid: np.ndarray
-    gate_s: np.ndarray
+    valid: np.ndarray  # (S, R): bool; whether all readouts of an exposure were recorded
+    gate_s: np.ndarray  # (f,): For how long each mask's frame is counted, seconds
+    # (S,): Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together;
+    # NaN where a scene is not valid
     on_rate: np.ndarray
     off_rate: np.ndarray
+    # (S,): Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two
+    # changes of the lamp; NaN where a scene is not valid
     flux: np.ndarray
+    # (S, rails[, D]): Counts/s of the input that reads each rail, when no mirror sends it light: of
+    # all-OFF frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree
     dark_rate: np.ndarray
-    exposure_s: float
-    settle_s: float
+    exposure_s: float  # total, seconds
+    settle_s: float  # time before the first gate of each frame, seconds
+    # (rails, m): For how long each readout is counted, seconds; 0 for a rail that is dark
     lengths_s: np.ndarray
-    drift: float
-    inputs: tuple[int, ...]
-    faults: tuple[Fault, ...]
-    dead_time: DeadTime = NO_DEAD_TIME
+    drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
+    inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
+    faults: tuple[Fault, ...]  # of the recording
+    dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
 
     @property
     def background(self) -> np.ndarray:
@@ -150,22 +125,17 @@ class Counts:
 
     def save(self, folder: Path, acquisition: Acquisition) -> None:
         """Write counts.npz to the folder of the acquisition that was counted."""
-        about = {
-            "acquisition": acquisition.digest,
-            "photons_sha256": hash_file(folder / "photons.ptu"),
-            "repeats": self.counts.shape[1],
-            "exposure_s": self.exposure_s,
-            "settle_s": self.settle_s,
-            "drift": self.drift,
-            "inputs": self.inputs,
-            "faults": [fault.model_dump() for fault in self.faults],
-            "dead_time": self.dead_time.model_dump(),
-        }
-        text = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        held = vars(self)
         arrays: dict[str, Any] = {
-            name: held for name, held in vars(self).items() if isinstance(held, np.ndarray)
+            name: each for name, each in held.items() if isinstance(each, np.ndarray)
         }
-        arrays["about"] = text
+        provenance = _Provenance(
+            acquisition=acquisition.digest,
+            photons_sha256=hash_file(folder / "photons.ptu"),
+            repeats=self.counts.shape[1],
+            **{name: each for name, each in held.items() if name not in arrays},
+        )
+        arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
         file = io.BytesIO()
         np.savez(file, sha256=_hash_arrays(arrays), **arrays)
         write_atomically(folder / "counts.npz", file.getvalue())
@@ -193,16 +163,16 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             text = _member(archive, "about", "|u1", None)
-            about = _About.model_validate_json(text.tobytes())
-            if about.acquisition != acquisition.digest:
+            provenance = _Provenance.model_validate_json(text.tobytes())
+            if provenance.acquisition != acquisition.digest:
                 raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
             scenes, rails, masks = len(acquisition.scenes), manifest.rails, manifest.masks
-            each = scenes, about.repeats, rails, masks, *manifest.several
+            each = scenes, provenance.repeats, rails, masks, *manifest.several
             kinds: dict[str, tuple[str, tuple[int, ...]]] = {
                 "counts": ("<i8", each),
                 "arrivals": ("<f8", each),
                 "variance": ("<f8", each),
-                "valid": ("|b1", (scenes, about.repeats)),
+                "valid": ("|b1", (scenes, provenance.repeats)),
                 "gate_s": ("<f8", (len(manifest.shown),)),
                 "on_rate": ("<f8", (scenes,)),
                 "off_rate": ("<f8", (scenes,)),
@@ -210,7 +180,9 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
                 "dark_rate": ("<f8", (scenes, rails, *manifest.several)),
                 "lengths_s": ("<f8", (rails, masks)),
             }
-            arrays = {name: _member(archive, name, *kind) for name, kind in kinds.items()}
+            arrays: dict[str, Any] = {
+                name: _member(archive, name, *kind) for name, kind in kinds.items()
+            }
             digest = _member(archive, "sha256", "|u1", (sha256().digest_size,))
     except InputError:
         raise
@@ -220,17 +192,10 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
         ) from None
     if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
         raise InputError(f"{path} was changed after it was written: {again}")
-    if photons.is_file() and hash_file(photons) != about.photons_sha256:
+    if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
         raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
-    return Counts(
-        **arrays,
-        exposure_s=about.exposure_s,
-        settle_s=about.settle_s,
-        drift=about.drift,
-        inputs=about.inputs,
-        faults=about.faults,
-        dead_time=about.dead_time,
-    )
+    fields = {field.name for field in dataclasses.fields(Counts)}
+    return Counts(**arrays, **{name: held for name, held in provenance if name in fields})
 
 
 def hash_file(path: Path) -> str:
@@ -248,7 +213,7 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(found.digest(), np.uint8)
 
 
-class _About(BaseModel):
+class _Provenance(BaseModel):
     """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -276,8 +241,8 @@ def _member(
     if shape is None:
         shape = ((len(content) - NPY_HEADER) // kind.itemsize,)
     header = io.BytesIO()
-    about = {"descr": dtype, "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(header, about)
+    described = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, described)
     held = header.getvalue()
     if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
         raise ValueError(name)

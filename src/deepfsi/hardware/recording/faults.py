@@ -22,6 +22,8 @@ MOST_RESTORED = 3
 MOST_FAULTS = 10_000
 """Faults of a recording at most; one with more is refused."""
 
+MARKERS = ("missing", "extra", "late", "lost")
+"""Faults of the markers; the others are of the light."""
 
 SPOILING = ("dark", "unsteady", "brighter", "flicker")
 """Faults of the light that leave a scene's counts without a meaning."""
@@ -52,8 +54,8 @@ class Fault(BaseModel):
         "missing", "extra", "late", "lost",
         "dark", "unsteady", "brighter", "flicker", "level", "background", "blind",
     ]  # fmt: skip
-    scene: int | None
-    frame: int | None
+    scene: int | None = None
+    frame: int | None = None
     detail: str
 
     def __str__(self) -> str:
@@ -70,12 +72,7 @@ class Fault(BaseModel):
 
     def line(self, names: Sequence[str] = ()) -> str:
         """The fault in one line that also says if it is of markers or light; as of `words`."""
-        return f"{'marker' if self.of_markers else 'light'} {self.words(names)}"
-
-    @property
-    def of_markers(self) -> bool:
-        """True for a fault of the markers, False for one of the light."""
-        return self.kind in ("missing", "extra", "late", "lost")
+        return f"{'marker' if self.kind in MARKERS else 'light'} {self.words(names)}"
 
 
 def name_faults(
@@ -102,7 +99,7 @@ def name_faults(
                     f"from {each.expected[0]:.6f} s, which frame its markers start is not "
                     "certain, and the all-ON and all-OFF frames do not tell"
                 )
-            faults.append(Fault(kind="lost", scene=scene, frame=None, detail=detail))
+            faults.append(Fault(kind="lost", scene=scene, detail=detail))
             continue
         starts[scene] = np.where(each.places >= 0, times[each.places], each.expected)
         for frames in _runs(np.flatnonzero(each.places < 0)):

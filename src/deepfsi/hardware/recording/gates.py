@@ -102,15 +102,11 @@ def _check_markers(header: Header, bits: np.ndarray, wanted: int) -> None:
 
 def _photon_counter(header: Header, inputs: tuple[int, ...], until: float) -> Counter:
     """Count photons on some inputs in any windows, as far as all are in the file."""
-    tick_s = header.tick_s
-    end = max(int(until / tick_s), 0) if np.isfinite(until) else None
+    end = max(int(until / header.tick_s), 0) if np.isfinite(until) else None
 
     def counter(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
-        edges = np.clip(np.stack([in_ticks(starts, tick_s), in_ticks(stops, tick_s)]), 0, end)
-        unique, places = np.unique(edges, return_inverse=True)
-        found = count_gates(header.path, unique[:-1], unique[1:], inputs).sum(axis=1)
-        before = np.append(0, np.cumsum(found))[places.reshape(edges.shape)]
-        return before[1] - before[0]
+        edges = np.clip(in_ticks(np.stack([starts, stops]), header.tick_s), 0, end)
+        return count_overlapping(header.path, edges[0], edges[1], inputs).sum(axis=1)
 
     return counter
 
@@ -212,7 +208,7 @@ def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) ->
             f", and gates end {max(windows.room, 0) * 1e6:.1f} µs before the next marker: mend the "
             "trigger, or count a shorter --exposure"
         )
-    return (Fault(kind="late", scene=None, frame=None, detail=detail),)
+    return (Fault(kind="late", detail=detail),)
 
 
 @dataclass(frozen=True)

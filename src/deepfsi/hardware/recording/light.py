@@ -14,13 +14,13 @@ from deepfsi.hardware.patterns.sequence import Brightness, Manifest
 from deepfsi.hardware.recording.acquisition import name_inputs
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.levels import Row, find_parts
+from deepfsi.hardware.recording.levels import Allowed, Row, find_parts
 from deepfsi.hardware.recording.sentinels import (
     HARMLESS,
     LAWS,
     Background,
     Checked,
-    Seen,
+    LightCurve,
     check_light,
 )
 from deepfsi.hardware.recording.tails import FALSE_ALARMS
@@ -47,41 +47,62 @@ class Light:
     faults: tuple[Fault, ...]
 
 
-def wire(inputs: tuple[int, ...], manifest: Manifest) -> list[tuple[int, ...]]:
-    """Inputs of the detectors of each arm."""
-    count = manifest.detector_count
-    return [inputs[first : first + count] for first in range(0, len(inputs), count)]
-
-
-def see_inputs(
+def find_light(
     photons: np.ndarray,
+    variance: np.ndarray,
+    seconds: np.ndarray,
+    middles: np.ndarray,
+    scenes: np.ndarray,
+    inputs: tuple[int, ...],
+    manifest: Manifest,
+    lost: np.ndarray,
+) -> Light:
+    """Light of an acquisition, from the parts of frames of the passes that were recorded.
+
+    Shapes: photons, variance (P, F, K, inputs); seconds (P, F, K); middles (F, K); scenes (P,).
+    """
+    count = manifest.detector_count
+    wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
+    arms, detectors = _light_curves(photons, variance, seconds, middles, scenes, wired)
+    chance = FALSE_ALARMS / (len(arms) + len(detectors))
+    checked = [check_light(curve, manifest, lost, chance) for curve in arms]
+    alone = [check_light(curve, manifest, lost, chance) for curve in detectors]
+    faults = [fault for each in checked for fault in each.faults]
+    named = {(fault.kind, fault.scene) for fault in faults}
+    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in named]
+    flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
+    for curve, each in zip(detectors or arms, alone or checked, strict=True):
+        faults += _name_backgrounds(curve, each.background)
+    faults += changes
+    faults += _find_blind(detectors, [each.background for each in alone])
+    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
+    rates = np.stack([each.background.rate for each in alone or checked], axis=1)
+    lit = np.logical_and.reduce([each.lit for each in checked])
+    return Light(flux, rates, lit, tuple(faults))
+
+
+def _light_curves(
+    photons: np.ndarray,
+    variance: np.ndarray,
     seconds: np.ndarray,
     middles: np.ndarray,
     scenes: np.ndarray,
     wired: list[tuple[int, ...]],
-    variance: np.ndarray | None = None,
-) -> tuple[list[Seen], list[Seen]]:
-    """Photons in the parts of frames, for `find_light`.
-
-    Of each arm's detectors together, and of each detector where an arm has several.
-
-    Shapes: photons (P, F, K, inputs); variance (P, F, K, inputs).
-    """
+) -> tuple[list[LightCurve], list[LightCurve]]:
+    """Light of each arm's detectors together, and of each detector where an arm has several."""
     frames = len(middles)
     on, off = (0, frames - 2), (1, frames - 1)
     arms, detectors = [], []
 
     def poisson(columns: slice) -> tuple[np.ndarray, np.ndarray]:
         held = photons[..., columns].sum(axis=-1)
-        if variance is None:
-            return held, seconds
         noise = variance[..., columns].sum(axis=(-2, -1))
         share = np.where(noise > 0, held.sum(axis=-1) / np.where(noise > 0, noise, 1), 1)[..., None]
         return held * share, seconds * share
 
     for arm, inputs in enumerate(wired):
         first = arm * len(inputs)
-        together = Seen(
+        together = LightCurve(
             *poisson(slice(first, first + len(inputs))),
             middles,
             scenes,
@@ -96,35 +117,14 @@ def see_inputs(
     return arms, detectors
 
 
-def find_light(
-    arms: list[Seen], detectors: list[Seen], manifest: Manifest, lost: np.ndarray
-) -> Light:
-    """Light of an acquisition."""
-    chance = FALSE_ALARMS / (len(arms) + len(detectors))
-    checked = [check_light(seen, manifest, lost, chance) for seen in arms]
-    alone = [check_light(seen, manifest, lost, chance) for seen in detectors]
-    faults = [fault for each in checked for fault in each.faults]
-    told = {(fault.kind, fault.scene) for fault in faults}
-    faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in told]
-    flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
-    for seen, each in zip(detectors or arms, alone or checked, strict=True):
-        faults += _name_backgrounds(seen, each.background)
-    faults += changes
-    faults += _find_blind(detectors, [each.background for each in alone])
-    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
-    rates = np.stack([each.background.rate for each in alone or checked], axis=1)
-    lit = np.logical_and.reduce([each.lit for each in checked])
-    return Light(flux, rates, lit, tuple(faults))
-
-
 def _find_flux(
-    seen: Seen, checked: Checked, brightness: Brightness | None, chance: float
+    curve: LightCurve, checked: Checked, brightness: Brightness | None, chance: float
 ) -> tuple[np.ndarray, list[Fault]]:
     """Flux (P,) and the faults of its changes, from passes whose light was steady if any was."""
     used = checked.sound if checked.sound.any() else checked.lit
     if not used.any():
         return np.zeros(len(used)), []
-    on, on_s = seen.together(seen.bright)
+    on, on_s = curve.together(curve.bright)
     used = used & (on_s > 0)
     rate = checked.background.rate
     error = rate**2 / np.maximum(checked.background.photons, 1)
@@ -132,7 +132,7 @@ def _find_flux(
     row = Row(counts[used], on[used] + error[used] * on_s[used] ** 2, on_s[used])
     parts, places = [slice(0, int(used.sum()))], np.flatnonzero(used)
     if brightness is not None:
-        parts = find_parts(row, _Spread(brightness), chance)
+        parts = find_parts(row, _spread(brightness), chance)
         line = _fit_decay(row, parts, brightness)
         if line is not None:
             share = line[-1] / line[0]
@@ -140,7 +140,7 @@ def _find_flux(
                 f"all ON {'rises' if share > 1 else 'falls'} steadily, to {share:.3g} times its "
                 "first brightness: each scene has a budget of its own"
             )
-            fault = Fault(kind="level", scene=None, frame=None, detail=detail)
+            fault = Fault(kind="level", detail=detail)
             return np.interp(np.arange(len(used)), places, line), [fault]
     starts = [0, *(int(places[part.start]) for part in parts[1:]), len(used)]
     flux = np.concatenate(
@@ -149,7 +149,7 @@ def _find_flux(
             for (a, b), part in zip(pairwise(starts), parts, strict=True)
         ]
     )
-    scenes = seen.scenes[places]
+    scenes = curve.scenes[places]
     faults = [_name_step(row, scenes, one, other) for one, other in pairwise(parts)]
     return flux, faults
 
@@ -187,25 +187,23 @@ def _name_step(row: Row, scenes: np.ndarray, before: slice, after: slice) -> Fau
         f"all ON is {_mean(row, after) / max(_mean(row, before), 1e-300):.3g} times as bright as "
         f"before, and scenes do not differ so much: {some} have a budget of their own"
     )
-    return Fault(kind="level", scene=int(first), frame=None, detail=detail)
+    return Fault(kind="level", scene=int(first), detail=detail)
 
 
-@dataclass(frozen=True)
-class _Spread:
+def _spread(known: Brightness) -> Allowed:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
+    most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
 
-    brightness: Brightness
-
-    def __call__(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        known = self.brightness
+    def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         noise = SPREAD_SIGMAS * known.within * np.sqrt(1 / one + 1 / other)
-        most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
         return np.exp(np.minimum(np.log(known.between) + noise, most)) * (1 + HARMLESS)
 
+    return allowed
 
-def _find_blind(detectors: list[Seen], backgrounds: list[Background]) -> list[Fault]:
+
+def _find_blind(detectors: list[LightCurve], backgrounds: list[Background]) -> list[Fault]:
     """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
-    bright = [seen.together(seen.bright) for seen in detectors]
+    bright = [curve.together(curve.bright) for curve in detectors]
     photons = np.array([float(found.sum()) for found, _ in bright])
     pairs = zip(backgrounds, bright, strict=True)
     dark = np.array([float(each.rate @ seconds) for each, (_, seconds) in pairs])
@@ -218,18 +216,18 @@ def _find_blind(detectors: list[Seen], backgrounds: list[Background]) -> list[Fa
             f"almost no light{detectors[place].name} in all scenes together: their parts that this "
             "detector sees are dark, or it is not wired to that input"
         )
-        faults.append(Fault(kind="blind", scene=None, frame=None, detail=detail))
+        faults.append(Fault(kind="blind", detail=detail))
     return faults
 
 
-def _name_backgrounds(seen: Seen, background: Background) -> list[Fault]:
+def _name_backgrounds(curve: LightCurve, background: Background) -> list[Fault]:
     """Changes of the background; counts are rid of each scene's own."""
     faults, rate = [], background.rate
     for part in background.parts[1:]:
         detail = (
-            f"dark frames{seen.name} have {rate[part.start]:.4g} counts/s, and "
+            f"dark frames{curve.name} have {rate[part.start]:.4g} counts/s, and "
             f"{rate[part.start - 1]:.4g} before: the background is that of scenes from here on"
         )
-        scene = int(seen.scenes[part.start])
-        faults.append(Fault(kind="background", scene=scene, frame=None, detail=detail))
+        scene = int(curve.scenes[part.start])
+        faults.append(Fault(kind="background", scene=scene, detail=detail))
     return faults

@@ -56,8 +56,8 @@ _NAMED_FRAMES = 5
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Photons in equal parts of each frame of the passes that were recorded.
+class LightCurve:
+    """Light over time: photons in equal parts of each frame of the passes that were recorded.
 
     Those of an arm's detectors together, or of one of them.
     """
@@ -110,43 +110,45 @@ class Checked:
     faults: tuple[Fault, ...]
 
 
-def check_light(seen: Seen, manifest: Manifest, lost: np.ndarray, chance: float) -> Checked:
+def check_light(curve: LightCurve, manifest: Manifest, lost: np.ndarray, chance: float) -> Checked:
     """Check the light of an arm, or of one of its detectors."""
     each = chance / LAWS
-    background = find_background(seen, each)
-    lit = _find_lit(seen, background, each)
-    looked_at = np.ones_like(lit) if seen.part else lit  # what sees a part need not be lit
-    drift = _find_drifts(seen, background, each)
-    restless = _find_restless(seen, background, each)
-    brighter = _find_brighter(seen, each)
-    rhythm = _find_rhythm(seen, manifest, each)
+    background = find_background(curve, each)
+    lit = _find_lit(curve, background, each)
+    looked_at = np.ones_like(lit) if curve.part else lit  # what sees a part need not be lit
+    on, on_s = curve.together(curve.bright)
+    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
+    drift = _find_drifts(curve, background, light, each)
+    restless = _find_restless(curve, light, each)
+    brighter = _find_brighter(curve, each)
+    rhythm = _find_rhythm(curve, manifest, each)
     faults = list(rhythm)
     sound = looked_at.copy()
-    for place, scene in enumerate(seen.scenes.tolist()):
+    for place, scene in enumerate(curve.scenes.tolist()):
         if not looked_at[place]:
-            faults.append(_name_dark(seen, place, scene))
+            faults.append(_name_dark(curve, place, scene))
             continue
         if brighter[place].any():
-            faults.append(_name_brighter(seen, manifest, place, brighter[place]))
+            faults.append(_name_brighter(curve, manifest, place, brighter[place]))
             sound[place] = False
         unsteady = drift[place].any() or restless[place].any()
         if unsteady and not rhythm:
             why = (drift[place], restless[place])
-            faults.append(_name_unsteady(seen, manifest, place, *why))
+            faults.append(_name_unsteady(curve, manifest, place, *why))
         sound[place] &= not unsteady
     if not rhythm:
-        faults += _find_restless_lamp(seen, looked_at, sound, lost)
+        faults += _find_restless_lamp(curve, looked_at, sound, lost)
     return Checked(background, lit, sound, tuple(faults))
 
 
 def _find_restless_lamp(
-    seen: Seen, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
+    curve: LightCurve, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
 ) -> list[Fault]:
     """Fault of the whole recording if the light was wrong in many of its passes.
 
     One disturbance may reach into two passes that follow each other.
     """
-    wrong = np.concatenate([seen.scenes[lit & ~sound], lost])
+    wrong = np.concatenate([curve.scenes[lit & ~sound], lost])
     passes = np.count_nonzero(lit) + len(lost)
     if len(wrong) < max(2, RESTLESS_SHARE * passes) or np.ptp(wrong) < 2:
         return []
@@ -154,78 +156,70 @@ def _find_restless_lamp(
         f"the light was unsteady in {len(wrong)} of {passes} passes, so it may have "
         "been in others: use a steady lamp, and keep stray light out"
     )
-    return [Fault(kind="flicker", scene=None, frame=None, detail=detail)]
+    return [Fault(kind="flicker", detail=detail)]
 
 
-def find_background(seen: Seen, chance: float) -> Background:
+def find_background(curve: LightCurve, chance: float) -> Background:
     """Background of each pass: that of its own dark frames and of its neighbours that agree."""
-    photons, seconds = seen.together(seen.dark)
-    tolerated = HARMLESS_DARK * _usual_light(seen)
+    photons, seconds = curve.together(curve.dark)
     usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
-    ratio = 1 + tolerated / usual
-
-    def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return np.full(np.shape(one), ratio)
-
-    parts = find_parts(Row(photons, photons, seconds), allowed, chance)
+    ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
+    parts = find_parts(Row(photons, photons, seconds), lambda *_: np.array(ratio), chance)
     pooled, pooled_s = photons.astype(np.float64), seconds.copy()
     for part in parts:
         pooled[part], pooled_s[part] = photons[part].sum(), seconds[part].sum()
     return Background(pooled, pooled_s, parts)
 
 
-def _usual_light(seen: Seen) -> float:
+def _usual_light(curve: LightCurve) -> float:
     """Median over passes of the rate with all light less that with none, counts/s."""
-    (on, on_s), (off, off_s) = seen.together(seen.bright), seen.together(seen.dark)
+    (on, on_s), (off, off_s) = curve.together(curve.bright), curve.together(curve.dark)
     known = (on_s > 0) & (off_s > 0)
     if not known.any():
         return 0.0
     return max(0.0, float(np.median(on[known] / on_s[known] - off[known] / off_s[known])))
 
 
-def _find_lit(seen: Seen, background: Background, chance: float) -> np.ndarray:
+def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
     """Passes (P,) whose bright frames, alone or with the masks', are brighter than the dark."""
-    masks = [k for k in range(seen.photons.shape[1]) if k not in seen.dark]
-    lit = np.zeros(len(seen.scenes), bool)
-    for frames in (seen.bright, masks):
-        photons, seconds = seen.together(frames)
+    masks = [k for k in range(curve.photons.shape[1]) if k not in curve.dark]
+    lit = np.zeros(len(curve.scenes), bool)
+    for frames in (curve.bright, masks):
+        photons, seconds = curve.together(frames)
         chances = excess_chance(photons, seconds, background.photons, background.seconds)
         lit |= chances * 2 * len(lit) <= chance
     return lit
 
 
-def _find_drifts(seen: Seen, background: Background, chance: float) -> np.ndarray:
+def _find_drifts(
+    curve: LightCurve, background: Background, light: np.ndarray, chance: float
+) -> np.ndarray:
     """Passes whose two bright frames, or two dark ones, differ: (P, 2)."""
-    on, on_s = seen.together(seen.bright)
-    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
-    out = np.zeros((len(on), 2), bool)
+    out = np.zeros((len(light), 2), bool)
     floor = (background.photons + 1) / np.where(background.seconds > 0, background.seconds, 1.0)
-    for column, (frames, ratio) in enumerate(
-        ((seen.bright, 1 + HARMLESS), (seen.dark, 1 + HARMLESS_DARK * light / floor))
-    ):
-        photons, seconds = seen.of(frames)
+    ratios: list[np.ndarray | float] = [1 + HARMLESS, 1 + HARMLESS_DARK * light / floor]
+    for column, (frames, ratio) in enumerate(zip((curve.bright, curve.dark), ratios, strict=True)):
+        photons, seconds = curve.of(frames)
         for one, other in ((0, 1), (1, 0)):
             chances = excess_chance(
                 photons[:, one], seconds[:, one], photons[:, other], seconds[:, other], ratio
             )
-            out[:, column] |= chances * 2 * len(on) <= chance
+            out[:, column] |= chances * 2 * len(light) <= chance
     return out
 
 
-def _find_restless(seen: Seen, background: Background, chance: float) -> np.ndarray:
+def _find_restless(curve: LightCurve, light: np.ndarray, chance: float) -> np.ndarray:
     """Frames (P, F) in which the light is not steady."""
-    whole, whole_s = seen.photons.sum(axis=2), seen.seconds.sum(axis=2)
+    whole, whole_s = curve.photons.sum(axis=2), curve.seconds.sum(axis=2)
     out = np.zeros(whole.shape, bool)
-    if seen.photons.shape[2] < PARTS:
+    if curve.photons.shape[2] < PARTS:
         return out  # frames were counted whole
-    on, on_s = seen.together(seen.bright)
-    light = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
     rate = (whole + 1) / np.where(whole_s > 0, whole_s, np.inf)
     ratio = 1 + np.maximum(HARMLESS, HARMLESS_DARK * light[:, None] / np.maximum(rate, 1e-300))
     ratio = np.where(whole_s > 0, ratio, 1.0)
     tests = 2 * len(_SPLITS) * whole.size
     for split in _SPLITS:
-        part, part_s = seen.photons @ split, seen.seconds @ split
+        part, part_s = curve.photons @ split, curve.seconds @ split
         share = part_s / np.where(whole_s > 0, whole_s, 1.0)
         noise = np.sqrt(np.maximum(whole * share * (1 - share), 1e-300))
         far = np.abs(part - whole * share) > LOOKED_AT_SIGMAS * noise
@@ -237,29 +231,29 @@ def _find_restless(seen: Seen, background: Background, chance: float) -> np.ndar
     return out
 
 
-def _find_brighter(seen: Seen, chance: float) -> np.ndarray:
+def _find_brighter(curve: LightCurve, chance: float) -> np.ndarray:
     """Masks' frames (P, F) that are brighter than those of their pass with all light."""
-    photons, seconds = seen.photons.sum(axis=2), seen.seconds.sum(axis=2)
-    on, on_s = seen.together(seen.bright)
+    photons, seconds = curve.photons.sum(axis=2), curve.seconds.sum(axis=2)
+    on, on_s = curve.together(curve.bright)
     chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], 1 + HARMLESS)
     out = chances * photons.size <= chance
-    out[:, [*seen.bright, *seen.dark]] = False
+    out[:, [*curve.bright, *curve.dark]] = False
     return out
 
 
-def _find_rhythm(seen: Seen, manifest: Manifest, chance: float) -> tuple[Fault, ...]:
+def _find_rhythm(curve: LightCurve, manifest: Manifest, chance: float) -> tuple[Fault, ...]:
     """Fault of the whole recording if its light has a rhythm, or varies fast in another way."""
-    found = find_flicker(seen.photons, seen.seconds, seen.middles, chance)
+    found = find_flicker(curve.photons, curve.seconds, curve.middles, chance)
     if found is not None:
         frame_s = float(manifest.picture_s[manifest.shown].mean())
         averaged = min(1.0, 1 / (np.pi * found.hertz * frame_s))
         if found.amplitude * averaged >= HARMLESS:
             detail = (
-                f"the light{seen.name} rises and falls by {found.amplitude:.0%} at "
+                f"the light{curve.name} rises and falls by {found.amplitude:.0%} at "
                 f"{found.hertz:.4g} Hz: use a lamp that does not"
             )
-            return (Fault(kind="flicker", scene=None, frame=None, detail=detail),)
-    photons, seconds = seen.of(seen.bright)
+            return (Fault(kind="flicker", detail=detail),)
+    photons, seconds = curve.of(curve.bright)
     known = (seconds > 0).all(axis=1) & (photons.sum(axis=1) > 0)
     photons, seconds = photons[known].astype(np.float64), seconds[known]
     if len(photons) < 3:
@@ -273,58 +267,58 @@ def _find_rhythm(seen: Seen, manifest: Manifest, chance: float) -> tuple[Fault, 
         return ()
     size = np.sqrt(max(float((off**2 - EXCESS * spread).mean()), 0.0) / float((spread**2).mean()))
     detail = (
-        f"the all-{'ON' if seen.bright[0] == 0 else 'OFF'} frames of a pass{seen.name} differ by "
+        f"the all-{'ON' if curve.bright[0] == 0 else 'OFF'} frames of a pass{curve.name} differ by "
         f"{size:.0%} (rms over passes), more than their photons' noise: use a steady lamp"
     )
-    return (Fault(kind="flicker", scene=None, frame=None, detail=detail),)
+    return (Fault(kind="flicker", detail=detail),)
 
 
-def _name_dark(seen: Seen, place: int, scene: int) -> Fault:
+def _name_dark(curve: LightCurve, place: int, scene: int) -> Fault:
     (on, on_s), (off, off_s) = (
         (float(photons[place]), float(seconds[place]))
-        for photons, seconds in (seen.together(seen.bright), seen.together(seen.dark))
+        for photons, seconds in (curve.together(curve.bright), curve.together(curve.dark))
     )
     detail = (
-        f"no light{seen.name}: {on / max(on_s, 1e-300):.4g} counts/s with all light, "
+        f"no light{curve.name}: {on / max(on_s, 1e-300):.4g} counts/s with all light, "
         f"{off / max(off_s, 1e-300):.4g} with none"
     )
-    return Fault(kind="dark", scene=scene, frame=None, detail=detail)
+    return Fault(kind="dark", scene=scene, detail=detail)
 
 
-def _name_brighter(seen: Seen, manifest: Manifest, place: int, which: np.ndarray) -> Fault:
-    photons, seconds = seen.photons[place].sum(axis=1), seen.seconds[place].sum(axis=1)
-    on, on_s = seen.together(seen.bright)
+def _name_brighter(curve: LightCurve, manifest: Manifest, place: int, which: np.ndarray) -> Fault:
+    photons, seconds = curve.photons[place].sum(axis=1), curve.seconds[place].sum(axis=1)
+    on, on_s = curve.together(curve.bright)
     rates = photons / np.where(seconds > 0, seconds, np.inf) * (on_s[place] / max(on[place], 1))
     frame = int(np.argmax(np.where(which, rates, 0)))
     detail = (
-        f"{manifest.frames[frame]}{seen.name} is {rates[frame]:.3g} times as bright as all light"
+        f"{manifest.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all light"
         f"{_list_frames(which)}: stray light, or a lamp that went down for the all-ON frames, or "
         "a counter that is blind at this rate"
     )
-    return Fault(kind="brighter", scene=int(seen.scenes[place]), frame=frame, detail=detail)
+    return Fault(kind="brighter", scene=int(curve.scenes[place]), frame=frame, detail=detail)
 
 
 def _name_unsteady(
-    seen: Seen, manifest: Manifest, place: int, drift: np.ndarray, restless: np.ndarray
+    curve: LightCurve, manifest: Manifest, place: int, drift: np.ndarray, restless: np.ndarray
 ) -> Fault:
-    scene = int(seen.scenes[place])
+    scene = int(curve.scenes[place])
     if restless.any():
-        off = seen.photons[place] - seen.photons[place].mean(axis=1, keepdims=True)
-        strength = (off**2).sum(axis=1) / np.maximum(seen.photons[place].sum(axis=1), 1)
+        off = curve.photons[place] - curve.photons[place].mean(axis=1, keepdims=True)
+        strength = (off**2).sum(axis=1) / np.maximum(curve.photons[place].sum(axis=1), 1)
         frame = int(np.argmax(np.where(restless, strength, -1)))
-        parts = ", ".join(f"{many:.0f}" for many in seen.photons[place, frame].tolist())
+        parts = ", ".join(f"{many:.0f}" for many in curve.photons[place, frame].tolist())
         detail = (
-            f"light{seen.name} changed within {manifest.frames[frame]}: {parts} photons in its "
+            f"light{curve.name} changed within {manifest.frames[frame]}: {parts} photons in its "
             f"parts{_list_frames(restless)}"
         )
         return Fault(kind="unsteady", scene=scene, frame=frame, detail=detail)
-    frames = seen.bright if drift[0] else seen.dark
-    one, other = (float(seen.photons[place, frame].sum()) for frame in frames)
+    frames = curve.bright if drift[0] else curve.dark
+    one, other = (float(curve.photons[place, frame].sum()) for frame in frames)
     detail = (
-        f"light{seen.name} changed within the pass: {one:.0f} photons in "
+        f"light{curve.name} changed within the pass: {one:.0f} photons in "
         f"{manifest.frames[frames[0]]} at its start, {other:.0f} at its end"
     )
-    return Fault(kind="unsteady", scene=scene, frame=None, detail=detail)
+    return Fault(kind="unsteady", scene=scene, detail=detail)
 
 
 def _list_frames(which: np.ndarray) -> str:

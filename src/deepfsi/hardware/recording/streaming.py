@@ -72,8 +72,8 @@ class FrameCounts:
         return cls(np.concatenate(starts), np.concatenate(counts))
 
 
-class _Told(NamedTuple):
-    """A frame that is still to come, in ticks."""
+class _DueFrame(NamedTuple):
+    """A frame whose marker is due, its times in ticks."""
 
     offset: int
     length: int
@@ -97,8 +97,8 @@ class FrameCounter:
         self._tick_s, self._bit, self._name = tick_s, marker_bit, name
         self._slack = marker_slack(tick_s)
         self._gates = GateCounter(kind, inputs, name)
-        self._told: deque[_Told] = deque()
-        self._shown: _Told | None = None  # the frame whose marker came last
+        self._due: deque[_DueFrame] = deque()
+        self._shown: _DueFrame | None = None  # the frame whose marker came last
         self._last = EARLIEST_TICK  # that marker
         self._skipped = 0  # markers to come of the frame that is shown
         self._begun: deque[int] = deque()  # markers of frames whose counts were not given
@@ -128,7 +128,7 @@ class FrameCounter:
             tolerances = off.astype(np.int64).tolist()
         follows = [place > 0 for place in range(len(gates))]
         each = (*times, gates.markers.tolist(), pictures, tolerances, follows)
-        self._told.extend(map(_Told._make, zip(*each, strict=True)))
+        self._due.extend(map(_DueFrame._make, zip(*each, strict=True)))
 
     def add(self, part: Part) -> FrameCounts:
         """Count the next records; give the frames that have ended, in order.
@@ -153,11 +153,11 @@ class FrameCounter:
     @property
     def _followed(self) -> bool:
         """True if the frame that is shown is not the last of its list."""
-        return bool(self._told) and self._told[0].follows
+        return bool(self._due) and self._due[0].follows
 
     def _begin(self, time: int) -> tuple[int, int] | None:
         """Gate of the frame that a marker starts, ticks; None if the marker starts none."""
-        if not (self._skipped or self._told):
+        if not (self._skipped or self._due):
             raise InputError(
                 f"{self._describe(time)} that starts no frame: tell frames before they are shown, "
                 "and wire the trigger so that it comes once"
@@ -167,14 +167,14 @@ class FrameCounter:
         if self._skipped:
             self._skipped -= 1
             return None
-        self._shown = told = self._told.popleft()
-        start, self._skipped = time + told.offset, told.markers - 1
+        self._shown = frame = self._due.popleft()
+        start, self._skipped = time + frame.offset, frame.markers - 1
         if start < self._stop:
             raise InputError(
                 f"{self._describe(time)}, before the gate of the frame before has ended: show "
                 "frames for longer, or count them for less"
             )
-        self._stop = start + told.length
+        self._stop = start + frame.length
         self._begun.append(time)
         return start, self._stop
 

@@ -10,7 +10,7 @@ and the budget is the flux times E: all the light of these frames.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.light import find_light, see_inputs, wire
+from deepfsi.hardware.recording.light import find_light
 from deepfsi.hardware.recording.readouts import by_rail, by_readout, lengths_by_readout
 from deepfsi.tables.table_files import Table
 
@@ -34,42 +34,18 @@ Along = Literal["rows", "columns"]
 
 @dataclass(frozen=True)
 class TableSettings:
-    """Settings with which a table is read.
+    """Settings with which a table is read; `InputError` if one of them is not allowed."""
 
-    Parameters
-    ----------
-    photons : float, optional
-        Budget of an exposure; that of the all-ON frames unless given.
-    background : float, optional
-        Counts that an input has in the masks' frames of one exposure together without light; those
-        of the all-OFF frames unless given, and none without such frames.
-    settle_s : float
-        Time after each marker that was not counted, seconds.
-    exposures : {"rows", "columns"}, optional
-        Told by the shape unless given.
-    repeats : int
-        Exposures of each scene, one after another, where the table does not name scenes.
-    gain : float, optional
-        Counts for a unit of the table, of an analogue detector.
-    read_noise : float, optional
-        Of each value of an analogue detector, counts rms.
-    dead_time : DeadTime
-        Of a photon counter, to be corrected for.
-
-    Raises
-    ------
-    InputError
-        If one of them is not allowed.
-    """
-
-    photons: float | None = None
+    photons: float | None = None  # budget of an exposure; that of the all-ON frames unless given
+    # Counts that an input has in the masks' frames of one exposure together without light; those of
+    # the all-OFF frames unless given, and none without such frames
     background: float | None = None
-    settle_s: float = 0.0
-    exposures: str | None = None
-    repeats: int = 1
-    gain: float | None = None
-    read_noise: float | None = None
-    dead_time: DeadTime = NO_DEAD_TIME
+    settle_s: float = 0.0  # time after each marker that was not counted, seconds
+    exposures: str | None = None  # "rows" or "columns"; as the shape says unless given
+    repeats: int = 1  # exposures of each scene, one after another, where the table names no scenes
+    gain: float | None = None  # counts for a unit of the table, of an analogue detector
+    read_noise: float | None = None  # of each value of an analogue detector, counts rms
+    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
@@ -100,61 +76,57 @@ def column_names(manifest: Manifest) -> list[str]:
     `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
     and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on.
     """
-    names, seen = [], set()
+    names, named = [], set()
     for frame in manifest.frames:
         name = frame.role
         if frame.role == "mask":
             sign = "" if manifest.rails == 1 or frame.rail == "both" else "+-"[frame.rail != "plus"]
             names.append(f"mask{frame.mask}{sign}")
         else:
-            names.append(f"{name}2" if name in seen else name)
-            seen.add(name)
+            names.append(f"{name}2" if name in named else name)
+            named.add(name)
     inputs = manifest.inputs
     if inputs == 1:
         return names
     return [f"{name}/{each}" for name in names for each in range(1, inputs + 1)]
 
 
-class _Values(NamedTuple):
-    """Values of exposures."""
-
-    masks: np.ndarray  # (E, f, inputs)
-    ends: np.ndarray | None  # (E, 4, inputs): Of the frames all ON, all OFF, all ON, all OFF
-
-
 def count_table(
     table: Table, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
     """Counts of the exposures in a table, and their scenes."""
-    values = _find_values(table, manifest, settings, name)
-    scenes, place = _find_scenes(table, len(values.masks), settings.repeats, name)
-    _check_values(values, settings, name)
-    times = _find_times(manifest, settings.settle_s)
-    exposure = float(times[manifest.shown].sum() / manifest.shares.sum())
+    read, sentinels = _find_values(table, manifest, settings, name)
+    scenes, place = _find_scenes(table, len(read), settings.repeats, name)
+    _check_values(read, settings, name)
+    times, shown = _find_times(manifest, settings.settle_s), manifest.shown
+    exposure = float(times[shown].sum() / manifest.shares.sum())
     lengths = manifest.shares * exposure
-    every = _correct(values, times, manifest, settings, name)
-    masks = _Arrivals(*(each[:, manifest.shown] for each in every))
-    light = _find_light(every, values, _Passes(place, times, exposure), manifest, settings)
-    _check_budget(light.flux, settings, name)
+    every = _correct(read, times, manifest, settings, name)
+    light = _find_light(every, sentinels, place, times, exposure, manifest, settings)
+    _check_budget(light["flux"], settings, name)
     repeats = np.bincount(place)
     valid = np.arange(repeats.max()) < repeats[:, None]
-    scale = (lengths / times[manifest.shown])[:, None]
+    scale = (lengths / times[shown])[:, None]
+
+    def by_scene(frames: np.ndarray) -> np.ndarray:
+        """Readouts (S, R, rails, m[, D]) from those of masks' frames (E, f, inputs)."""
+        readouts = by_readout(manifest, frames)
+        out = np.zeros((*valid.shape, *readouts.shape[1:]))
+        out[valid] = readouts
+        return out
+
     counts = Counts(
-        counts=_by_scene(by_readout(manifest, values.masks), valid),
-        arrivals=_by_scene(by_readout(manifest, masks.mean * scale), valid),
-        variance=_by_scene(by_readout(manifest, masks.variance * scale**2), valid),
+        **light,
+        counts=by_scene(read[:, shown]),
+        arrivals=by_scene(every.mean[:, shown] * scale),
+        variance=by_scene(every.variance[:, shown] * scale**2),
         valid=valid,
         gate_s=lengths,
-        on_rate=light.on_rate,
-        off_rate=light.off_rate,
-        flux=light.flux,
-        dark_rate=by_rail(manifest, light.dark_rate),
         exposure_s=exposure,
         settle_s=settings.settle_s,
         lengths_s=lengths_by_readout(manifest, lengths),
         drift=0.0,
         inputs=tuple(range(manifest.inputs)),
-        faults=light.faults,
         dead_time=settings.dead_time,
     )
     return counts, scenes
@@ -168,11 +140,9 @@ class _Arrivals(NamedTuple):
 
 
 def _correct(
-    values: _Values, times: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
+    read: np.ndarray, times: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
 ) -> _Arrivals:
-    """Arrivals in all frames, (E, F, inputs); none in sentinels that the table has not."""
-    ends = np.zeros_like(values.masks[:, [0] * 4]) if values.ends is None else values.ends
-    read = np.concatenate([ends[:, :2], values.masks, ends[:, 2:]], axis=1)
+    """Arrivals in all frames, of what was read of them (E, F, inputs) in their times (F,)."""
     if settings.analogue:
         found = read * (settings.gain or 1.0)
         return _Arrivals(found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2)
@@ -180,13 +150,6 @@ def _correct(
     check_rates(dead, rates, manifest.frames, range(manifest.inputs), name)
     factors = dead.correction(rates)
     return _Arrivals(read * factors.arrivals, read * factors.variance)
-
-
-def _by_scene(readouts: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Readouts (S, R, ...) from those of exposures (E, ...), where an array (S, R) is true."""
-    out = np.zeros((*valid.shape, *readouts.shape[1:]))
-    out[valid] = readouts
-    return out
 
 
 def _find_times(manifest: Manifest, settle_s: float) -> np.ndarray:
@@ -200,8 +163,10 @@ def _find_times(manifest: Manifest, settle_s: float) -> np.ndarray:
     return times
 
 
-def _find_values(table: Table, manifest: Manifest, settings: TableSettings, name: str) -> _Values:
-    """Values of a table in the order of frames and inputs."""
+def _find_values(
+    table: Table, manifest: Manifest, settings: TableSettings, name: str
+) -> tuple[np.ndarray, bool]:
+    """Values of all frames (E, F, inputs), and whether the table has sentinels; 0 where not."""
     names, inputs = column_names(manifest), manifest.inputs
     ends = 2 * inputs
     values, given = table.values, [each.lower() for each in table.names]
@@ -216,9 +181,9 @@ def _find_values(table: Table, manifest: Manifest, settings: TableSettings, name
     if along == "columns":
         values = values.T
     split = values.reshape(len(values), -1, inputs)
-    if values.shape[1] == len(names) - 2 * ends:
-        return _Values(split, None)
-    return _Values(split[:, 2:-2], split[:, [0, 1, -2, -1]])
+    if values.shape[1] == len(names):
+        return split, True
+    return np.pad(split, ((0, 0), (2, 2), (0, 0))), False
 
 
 def _check_names(
@@ -289,57 +254,46 @@ def _find_scenes(
     return tuple(scenes), place
 
 
-def _check_values(values: _Values, settings: TableSettings, name: str) -> None:
+def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
     """Raise `InputError` for too many values, and for photon counts that are none."""
-    if values.masks.size > MOST_READOUTS:
+    if read[:, 2:-2].size > MOST_READOUTS:
         raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
-    parts = [values.masks] if values.ends is None else [values.masks, values.ends]
-    for part in () if settings.analogue else parts:
-        wrong = part[(part < 0) | (part % 1 != 0)]
-        if wrong.size:
-            raise InputError(
-                f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 "
-                "or more, or --gain and --read-noise of an analogue detector"
-            )
-
-
-class _Passes(NamedTuple):
-    """Scene of each exposure (E,), for how long each frame is counted (F,), and the exposure."""
-
-    place: np.ndarray
-    times: np.ndarray
-    exposure_s: float
-
-
-class _Light(NamedTuple):
-    """Rates of each scene (S,), counts/s, as of `Counts`; dark rates (S, inputs); faults."""
-
-    on_rate: np.ndarray
-    off_rate: np.ndarray
-    flux: np.ndarray
-    dark_rate: np.ndarray
-    faults: tuple[Fault, ...]
+    wrong = read[(read < 0) | (read % 1 != 0)]
+    if wrong.size and not settings.analogue:
+        raise InputError(
+            f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 or "
+            "more, or --gain and --read-noise of an analogue detector"
+        )
 
 
 def _find_light(
     every: _Arrivals,
-    values: _Values,
-    passes: _Passes,
+    sentinels: bool,
+    place: np.ndarray,
+    times: np.ndarray,
+    exposure_s: float,
     manifest: Manifest,
     settings: TableSettings,
-) -> _Light:
-    """Light of each scene, all exposures of one together, from all frames (E, F, inputs)."""
-    scenes, arm = int(passes.place[-1]) + 1, slice(0, manifest.detector_count)
-    given = None if settings.background is None else settings.background / passes.exposure_s
+) -> dict[str, Any]:
+    """Light of each scene as of `Counts`, all exposures of one together, from all frames.
+
+    Shapes: place (E,), the scene of each exposure; times (F,).
+    """
+    scenes, arm = int(place[-1]) + 1, slice(0, manifest.detector_count)
+    given = None if settings.background is None else settings.background / exposure_s
     dark = np.full((scenes, manifest.inputs), given or 0.0)
-    if values.ends is None:
-        unknown = np.full(scenes, np.nan)
-        flux = np.full(scenes, (settings.photons or np.nan) / passes.exposure_s)
-        return _Light(unknown, unknown, flux, dark, ())
+    if not sentinels:
+        return {
+            "on_rate": np.full(scenes, np.nan),
+            "off_rate": np.full(scenes, np.nan),
+            "flux": np.full(scenes, (settings.photons or np.nan) / exposure_s),
+            "dark_rate": by_rail(manifest, dark),
+            "faults": (),
+        }
     found, noise = np.zeros((2, scenes, *every.mean.shape[1:]))
-    np.add.at(found, passes.place, every.mean)
-    np.add.at(noise, passes.place, every.variance)
-    seconds = np.bincount(passes.place)[:, None] * passes.times
+    np.add.at(found, place, every.mean)
+    np.add.at(noise, place, every.variance)
+    seconds = np.bincount(place)[:, None] * times
     on, off = (
         found[:, frames].sum(axis=1) / seconds[:, frames].sum(axis=1, keepdims=True)
         for frames in ([0, -2], [1, -1])
@@ -351,16 +305,20 @@ def _find_light(
         measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
         measured[:] = measured.mean(axis=0)
     else:
-        middles = (np.cumsum(passes.times) - passes.times / 2)[:, None]
-        wired = wire(tuple(range(manifest.inputs)), manifest)
-        places = middles, np.arange(scenes), wired
-        seen = see_inputs(found[:, :, None], seconds[..., None], *places, noise[:, :, None])
-        light = find_light(*seen, manifest, np.empty(0, np.int64))
+        middles = (np.cumsum(times) - times / 2)[:, None]
+        whole = found[:, :, None], noise[:, :, None], seconds[..., None], middles
+        inputs, lost = tuple(range(manifest.inputs)), np.empty(0, np.int64)
+        light = find_light(*whole, np.arange(scenes), inputs, manifest, lost)
         flux, measured, faults = light.flux, light.dark_rate, light.faults
     if given is None:
         dark = measured
-    flux = flux + (measured - dark)[:, arm].sum(axis=1)
-    return _Light(on[:, arm].sum(axis=1), off[:, arm].sum(axis=1), flux, dark, faults)
+    return {
+        "on_rate": on[:, arm].sum(axis=1),
+        "off_rate": off[:, arm].sum(axis=1),
+        "flux": flux + (measured - dark)[:, arm].sum(axis=1),
+        "dark_rate": by_rail(manifest, dark),
+        "faults": faults,
+    }
 
 
 def _check_budget(flux: np.ndarray, settings: TableSettings, name: str) -> None:

@@ -18,7 +18,7 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
-from deepfsi.hardware.virtual.camera import MARKER, Camera, check_file_inputs
+from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, check_file_inputs
 from deepfsi.hardware.virtual.detector import TICK_S, Stream, divide
 from deepfsi.progress import SILENT, Report
 
@@ -27,39 +27,28 @@ START_S = 1e-3
 
 
 class Latencies(BaseModel):
-    """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources.
-
-    Attributes
-    ----------
-    load : float
-        Of each pattern into the device, once before the first scene.
-    display : float
-        Until the display shows another scene, and it has settled.
-    command : float
-        From a decision until the first frame of its list is shown: USB, and the device's start.
-    trigger : float
-        From the start of a frame until its marker is recorded.
-    block : float
-        The counter hands over its records in blocks, each so long after the last.
-    transfer : float
-        From the end of a block until the computer has it.
-    decision : float
-        From the counts until the next list is known, or the class.
-    """
+    """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    # Of each pattern into the device, once before the first scene
     load: float = Field(3.3e-3, ge=0, le=1e3)
+    # Until the display shows another scene, and it has settled
     display: float = Field(20e-3, ge=0, le=1e3)
+    # From a decision until the first frame of its list is shown: USB, and the device's start
     command: float = Field(1e-3, ge=0, le=1e3)
+    # From the start of a frame until its marker is recorded
     trigger: float = Field(0.0, ge=0, le=1e-6)
+    # The counter hands over its records in blocks, each so long after the last
     block: float = Field(1e-3, gt=0, le=1e3)
+    # From the end of a block until the computer has it
     transfer: float = Field(0.25e-3, ge=0, le=1e3)
+    # From the counts until the next list is known, or the class
     decision: float = Field(0.4e-3, ge=0, le=1e3)
 
 
-class Laboratory:
-    """Laboratory that virtual devices share: a clock, the scene on the display, the detectors.
+class VirtualSetup:
+    """Optical setup that virtual devices share: a clock, the scene on the display, the detectors.
 
     `now_s`: Time on the clock.
     `written`: Of the counter that records.
@@ -69,7 +58,7 @@ class Laboratory:
     """
 
     def __init__(
-        self, rates: np.ndarray, camera: Camera, latencies: Latencies, seed: int = 0
+        self, rates: np.ndarray, camera: VirtualCamera, latencies: Latencies, seed: int = 0
     ) -> None:
         self.latencies, self.now_s = latencies, START_S
         self._rates, self._scene, self._frame = rates, 0, 1
@@ -135,10 +124,10 @@ class Laboratory:
 
 
 class BenchProjector(AbstractContextManager["BenchProjector"]):
-    """Projector that shows lists of frames to the detectors of a virtual laboratory."""
+    """Projector that shows lists of frames to the detectors of a virtual setup."""
 
-    def __init__(self, laboratory: Laboratory) -> None:
-        self._laboratory = laboratory
+    def __init__(self, setup: VirtualSetup) -> None:
+        self._setup = setup
         self._loaded = False
 
     def __exit__(self, *error: object) -> None:
@@ -147,7 +136,7 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
         frames = len(check_patterns(folder, report).manifest.frames)
-        self._laboratory.now_s += frames * self._laboratory.latencies.load
+        self._setup.now_s += frames * self._setup.latencies.load
         self._loaded = True
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,19 +147,19 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
         """Show frames; the clock is then where their counts have come and are decided upon."""
         if not self._loaded:
             raise InputError("no patterns are loaded: load a pattern folder first")
-        self._laboratory.show(frames, dwells_s)
+        self._setup.show(frames, dwells_s)
 
     def halt(self) -> None:
         """Do nothing: a virtual list has ended."""
 
 
 class BenchCounter(AbstractContextManager["BenchCounter"]):
-    """Counter of the photons of a virtual laboratory, which it records into a PTU file."""
+    """Counter of the photons of a virtual setup, which it records into a PTU file."""
 
     def __init__(
-        self, laboratory: Laboratory, inputs: tuple[int, ...], marker_bit: int = MARKER
+        self, setup: VirtualSetup, inputs: tuple[int, ...], marker_bit: int = MARKER
     ) -> None:
-        self._laboratory, self._inputs, self._bit = laboratory, inputs, marker_bit
+        self._setup, self._inputs, self._bit = setup, inputs, marker_bit
         self._file: FileIO | None = None
 
     def __enter__(self) -> Self:
@@ -183,8 +172,8 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
         check_file_inputs(self._inputs)
-        self._laboratory.wiring = self._inputs, self._bit
-        self._laboratory.written = Writer(path, TICK_S, growing=True).__enter__()
+        self._setup.wiring = self._inputs, self._bit
+        self._setup.written = Writer(path, TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
         self._counter = StreamCounter(self._inputs, self._bit, path)
 
@@ -204,6 +193,6 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
             return
         self._file.close()
         self._file = None
-        writer, self._laboratory.written = self._laboratory.written, None
+        writer, self._setup.written = self._setup.written, None
         assert writer is not None
         writer.__exit__(None, None, None)

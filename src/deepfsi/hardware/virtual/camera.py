@@ -34,7 +34,12 @@ from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
-from deepfsi.hardware.virtual.parts import Parts, check_parts, mirrors_of_cells, mirrors_seen
+from deepfsi.hardware.virtual.parts import (
+    Parts,
+    check_parts,
+    mirrors_of_cells,
+    mirrors_of_detectors,
+)
 from deepfsi.progress import SILENT, Report
 
 MARKER = 1
@@ -53,7 +58,7 @@ Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
 
-class Camera(Detector):
+class VirtualCamera(Detector):
     """Optics and detector; the default is ideal. The attributes of `Detector` are its too.
 
     Attributes
@@ -89,8 +94,8 @@ class Camera(Detector):
 
 
 CAMERAS = {
-    "ideal": Camera(),
-    "pmt": Camera(
+    "ideal": VirtualCamera(),
+    "pmt": VirtualCamera(
         efficiency=0.2,
         dark=100.0,
         dead_time_s=20e-9,
@@ -99,7 +104,7 @@ CAMERAS = {
         afterpulse_s=500e-9,
         jitter_s=85e-12,
     ),
-    "spad": Camera(
+    "spad": VirtualCamera(
         efficiency=0.73,
         dark=500.0,
         dead_time_s=28.5e-9,
@@ -125,7 +130,7 @@ spad
 """
 
 
-def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -> np.ndarray:
+def irradiance(scenes: np.ndarray, camera: VirtualCamera, device: Device, grid: Grid) -> np.ndarray:
     """Relative irradiance of each mirror.
 
     Shapes: scenes (S, h, w).
@@ -154,7 +159,7 @@ def irradiance(scenes: np.ndarray, camera: Camera, device: Device, grid: Grid) -
 
 
 def _find_pixels(
-    camera: Camera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
+    camera: VirtualCamera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixel of a scene that each place (down, across) sees, and where it sees the scene."""
     back = np.linalg.inv(np.array(camera.view))
@@ -169,7 +174,7 @@ def _find_pixels(
 def arrival_rates(
     patterns_folder: str | os.PathLike[str],
     scenes: np.ndarray,
-    camera: Camera,
+    camera: VirtualCamera,
     flux: float,
     report: Report = SILENT,
 ) -> np.ndarray:
@@ -180,7 +185,7 @@ def arrival_rates(
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
     _check_flux(flux)
-    mirrors, count = mirrors_seen(manifest, camera.detectors), manifest.detector_count
+    mirrors, count = mirrors_of_detectors(manifest, camera.detectors), manifest.detector_count
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
     device = manifest.device
@@ -193,18 +198,20 @@ def arrival_rates(
         for place, on in _blocks(patterns_folder, device):
             for column in range(manifest.inputs):
                 arm, detector = divmod(column, count)
-                seen = on[:, mirrors[detector]]
-                seen = seen if arm == 0 else 1 - seen
-                signal = (seen @ light[detector].T).astype(np.float64)
+                lit = on[:, mirrors[detector]]
+                lit = lit if arm == 0 else 1 - lit
+                signal = (lit @ light[detector].T).astype(np.float64)
                 photons = signal * (flux / manifest.summed_reflectance)
-                photons += (seen @ inside[mirrors[detector]])[:, None] * stray
+                photons += (lit @ inside[mirrors[detector]])[:, None] * stray
                 out[first : first + len(part), place : place + len(on), column] = photons.T
             done = first * frames + (place + len(on)) * len(part)
             report(done / (len(images) * frames))
     return out * camera.efficiency + camera.dark
 
 
-def expected_events(patterns: Patterns, scenes: np.ndarray, camera: Camera, flux: float) -> float:
+def expected_events(
+    patterns: Patterns, scenes: np.ndarray, camera: VirtualCamera, flux: float
+) -> float:
     """Photons and dark counts that a recording is expected to hold, at most, without dead time.
 
     As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
@@ -250,7 +257,11 @@ def _blocks(folder: str | os.PathLike[str], device: Device) -> Iterator[tuple[in
 
 
 def draw_counts(
-    rates: np.ndarray, manifest: Manifest, gates: Gates, camera: Camera, rng: np.random.Generator
+    rates: np.ndarray,
+    manifest: Manifest,
+    gates: Gates,
+    camera: VirtualCamera,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Draw what `count` would count, without a file.
 
@@ -276,7 +287,7 @@ def draw_counts(
 class RecordingSettings:
     """Settings of a virtual recording."""
 
-    camera: Camera
+    camera: VirtualCamera
     flux: float
     exposure_s: float
     settle_s: float | None = None
@@ -325,7 +336,18 @@ def record(
     _check_flux(settings.flux)
     given: Sequence[str | None] = labels or [None] * len(names)
     shown = (Scene(name=name, label=label) for name, label in zip(names, given, strict=True))
-    wanted = _describe(tuple(shown), manifest, settings)
+    wanted = plan_acquisition(
+        manifest,
+        tuple(shown),
+        exposure_s=settings.exposure_s,
+        settle_s=settings.settle_s,
+        repeats=settings.repeats,
+        marker_bit=MARKER,
+        **({} if settings.inputs is None else {"inputs": settings.inputs}),
+        flux=settings.flux or None,
+        camera=camera.model_dump(mode="json"),
+        seed=settings.seed,
+    )
     with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
@@ -333,24 +355,6 @@ def record(
         path = draft / "photons.ptu"
         write_photons(path, manifest, flow, camera, rng, acquisition.inputs, report.part(0.5, 1))
     return acquisition
-
-
-def _describe(
-    scenes: tuple[Scene, ...], manifest: Manifest, settings: RecordingSettings
-) -> Acquisition:
-    """Acquisition of a recording, with as many repeats as fit and can be counted."""
-    return plan_acquisition(
-        manifest,
-        scenes,
-        exposure_s=settings.exposure_s,
-        settle_s=settings.settle_s,
-        repeats=settings.repeats,
-        marker_bit=MARKER,
-        **({} if settings.inputs is None else {"inputs": settings.inputs}),
-        flux=settings.flux or None,
-        camera=settings.camera.model_dump(mode="json"),
-        seed=settings.seed,
-    )
 
 
 def check_file_inputs(inputs: Sequence[int]) -> None:
@@ -366,7 +370,7 @@ def write_photons(
     path: Path,
     manifest: Manifest,
     rates: np.ndarray,
-    camera: Camera,
+    camera: VirtualCamera,
     rng: np.random.Generator,
     inputs: Sequence[int] | None = None,
     report: Report = SILENT,

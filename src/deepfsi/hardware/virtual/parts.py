@@ -18,13 +18,13 @@ def check_parts(parts: Parts | None) -> Parts | None:
         return None
     if len({len(row) for row in parts}) != 1 or not parts[0]:
         raise ValueError("the rows of the detectors differ in length")
-    seen = {each for row in parts for each in row}
-    if seen != set(range(len(seen))):
+    detectors = {each for row in parts for each in row}
+    if detectors != set(range(len(detectors))):
         raise ValueError("the detectors are not numbered from 0 without a gap")
     return parts
 
 
-def mirrors_seen(manifest: Manifest, parts: Parts | None) -> list[np.ndarray | slice]:
+def mirrors_of_detectors(manifest: Manifest, parts: Parts | None) -> list[np.ndarray | slice]:
     """Mirrors of a device (rows x columns in a row) that each detector of an arm sees.
 
     Those of the parts, or of the cells that the manifest names where they are None. Raises
@@ -34,24 +34,24 @@ def mirrors_seen(manifest: Manifest, parts: Parts | None) -> list[np.ndarray | s
         return [slice(None)]
     grid, count = manifest.grid, manifest.detector_count
     if parts is not None:
-        seen = np.array(parts)
+        labels = np.array(parts)
     elif manifest.detectors is not None and manifest.detectors.cells is not None:
-        seen = np.array(manifest.detectors.cells).reshape(grid.down, grid.across)
+        labels = np.array(manifest.detectors.cells).reshape(grid.down, grid.across)
     else:
         raise InputError(
             f"these patterns are for {count} detectors, and nothing says which part of the device "
             "each sees: give a `camera` with them, such as detectors = [[0, 1], [2, 3]]"
         )
-    if seen.max() + 1 != count:
+    if labels.max() + 1 != count:
         raise InputError(
-            f"the camera has {seen.max() + 1} detectors, and the patterns are for {count}: give "
+            f"the camera has {labels.max() + 1} detectors, and the patterns are for {count}: give "
             "one with as many, or export the patterns for it"
         )
-    sides = zip(seen.shape, (grid.down * grid.height, grid.across * grid.width), strict=True)
+    sides = zip(labels.shape, (grid.down * grid.height, grid.across * grid.width), strict=True)
     places = [np.arange(mirrors) * side // mirrors for side, mirrors in sides]
-    labels = np.full((manifest.device.rows, manifest.device.columns), -1)
-    labels[grid.window] = seen[np.ix_(*places)]
-    return [np.flatnonzero(labels == each) for each in range(count)]
+    of_mirrors = np.full((manifest.device.rows, manifest.device.columns), -1)
+    of_mirrors[grid.window] = labels[np.ix_(*places)]
+    return [np.flatnonzero(of_mirrors == each) for each in range(count)]
 
 
 def mirrors_of_cells(manifest: Manifest) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from deepfsi.files import write_atomically
-from deepfsi.report.playground.words import Payload, detectors_of, facts_of, masks_text, way_text
+from deepfsi.report.playground.words import Payload, detectors_text, facts_of, masks_text, way_text
 from deepfsi.report.rendering import render
 
 SCRIPTS = ("numbers.js", "model.js", "exposure.js", "scene.js", "charts.js", "app.js")
@@ -25,7 +25,7 @@ def write_page(path: str | os.PathLike[str], payload: Payload) -> Path:
         way=way_text(payload),
         facts=facts_of(payload),
         pixels=prod(payload["image_shape"]),
-        detectors=detectors_of(payload),
+        detectors=detectors_text(payload),
         bands=_bands(payload),
     )
     return write_atomically(path, page.encode())

@@ -22,13 +22,21 @@ def masks_text(payload: Payload) -> str:
     return "1 mask" if count == 1 else f"{count} masks"
 
 
-def detectors_of(payload: Payload) -> int:
-    """Number of detectors: on two arms one each, and one for each rail of each mask under column.
+def detectors_text(payload: Payload) -> str:
+    """Number of detectors, and which light each of them has.
 
     The law `column` divides the light, and what is divided is counted at the same time.
     """
-    readouts = {"two-arm": 2, "column": payload["rails"] * payload["matrix"]["shape"][0]}
-    return int(payload["detectors"] * readouts.get(payload["light"], 1))
+    light, parts = payload["light"], payload["detectors"]
+    counts = {"two-arm": 2, "column": payload["rails"] * payload["matrix"]["shape"][0]}
+    kinds = {"two-arm": "one on each arm", "column": f"one for {_readout(payload)}"}
+    words = [kinds[light]] if light in kinds else []
+    words += ["each on its part of the scene"] if parts > 1 else []
+    return ", ".join([str(parts * counts.get(light, 1)), *words])
+
+
+def _readout(payload: Payload) -> str:
+    return "each rail of each mask" if payload["rails"] == 2 else "each mask"
 
 
 def way_text(payload: Payload) -> str:
@@ -36,8 +44,8 @@ def way_text(payload: Payload) -> str:
     light, looks = payload["light"], payload["exposure"].get("looks")
     if light == "column":
         return (
-            f"Its optics split the light of each pixel among {masks_text(payload)}, and detectors "
-            "count the photons that come through each."
+            f"Its optics split the light of each pixel among {masks_text(payload)} at once, with "
+            f"a detector for {_readout(payload)}; no single mirror device does this."
         )
     many = payload["detectors"]
     counting = "one detector counts" if many == 1 else f"{many} detectors count"
@@ -60,11 +68,10 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
     budget, test, exposure = payload["budget"], payload["test"], payload["exposure"]
     ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high")) if budget else ()
     hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
-    several = f"{payload['detectors']}, each on its part of the scene."
     facts = {
         "Data": f"{payload['data']['name']}. {payload['data']['preprocessing']}",
         "Masks": f"{masks_text(payload)}. {RAILS[payload['rails']]}",
-        "Detectors": several if payload["detectors"] > 1 else "",
+        "Detectors": f"{detectors_text(payload)}.",
         "Light law": f"{payload['light']}: {LAWS[payload['light']]}.",
         "Learned for": f"{' to '.join(ends)} photons." if ends else "",
         "Noise": "Exact Poisson counts. There are no dark counts, no dead time and no stray light.",

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from deepfsi.errors import InputError
-from deepfsi.statistics.bootstrap import (
+from deepfsi_paper.bootstrap import (
     CONFIDENCE,
     cluster_bootstrap,
     studentised_bootstrap,

@@ -1,4 +1,4 @@
-"""The loop: a projector and a counter show, count and decide, scene after scene.
+"""A live run: a projector and a counter show, count and decide, scene after scene.
 
 Each list of frames ends with the all-OFF frame, which stays while the next list is chosen: its
 marker ends the last gate, and the detector rests.
@@ -16,15 +16,16 @@ import numpy as np
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.hardware.drivers.protocols import StreamingCounter, StreamingProjector
-from deepfsi.hardware.live import shown
-from deepfsi.hardware.live.decisions import OFF, Decision, FrameList, Observer
-from deepfsi.hardware.live.networks import read_loop
 from deepfsi.hardware.patterns.folder import LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule, margin_ns
 from deepfsi.hardware.recording.streaming import FrameGates
+from deepfsi.laboratory.live import shown
+from deepfsi.laboratory.live.decisions import OFF, Decision, FrameList, Observer
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.results import LiveScene
 
 PATIENCE_S = 5.0
 """Time by which counts may come later than their frames end, seconds."""
@@ -32,34 +33,23 @@ PATIENCE_S = 5.0
 
 @dataclass(frozen=True)
 class Bench:
-    """Devices of a live run.
-
-    Attributes
-    ----------
-    projector : StreamingProjector
-    counter : StreamingCounter
-    display : callable
-        Shows a scene by its number, from 0, and returns when it has settled.
-    clock : callable
-        Time in seconds; that of virtual devices runs by itself.
-    latencies : dict, optional
-        Of virtual devices.
-    """
+    """Devices of a live run."""
 
     projector: StreamingProjector
     counter: StreamingCounter
-    display: Callable[[int], None]
-    clock: Callable[[], float] = time.monotonic
-    latencies: dict[str, float] | None = None
+    display: Callable[[int], None]  # shows a scene by its number, and returns when it has settled
+    clock: Callable[[], float] = time.monotonic  # seconds; that of virtual devices runs by itself
+    latencies: dict[str, float] | None = None  # of virtual devices, seconds
 
 
 @dataclass(frozen=True)
 class Decided:
     """A decision, and when it fell."""
 
-    decision: Decision | None  # none where a scene had no light
     scene: int
+    decision: Decision | None  # none where a scene had no light
     clock_s: float  # after the scene's first command, seconds
+    answer: LiveScene | None = None  # after the last look
 
 
 def plan_live(
@@ -83,10 +73,10 @@ def plan_live(
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    about = read_loop(patterns_folder / LOOP).about
-    rule = _find_rule(about.rule, until)
+    header = read_loop(patterns_folder / LOOP).header
+    rule = _find_rule(header.rule, until)
     shortest_ns = _shortest_gate(manifest, exposure_s / manifest.looks.count, shortest_s)
-    shortest_ns = max(shortest_ns, round(about.shortest * exposure_s * 1e9))
+    shortest_ns = max(shortest_ns, round(header.shortest * exposure_s * 1e9))
     with as_input_error():
         return Acquisition(
             scenes=scenes,
@@ -142,24 +132,10 @@ def run_live(
 ) -> Generator[Decided]:
     """Show, count and decide; gives each decision as it falls.
 
-    The folder is as that of any acquisition, with `shown.jsonl` in it. Scenes that are finished are
-    kept whenever the run is stopped.
-
-    Parameters
-    ----------
-    folder : path
-        New or empty.
-    patterns_folder : path
-        With the frames.
-    acquisition : Acquisition
-        Of `plan_live`.
-    bench : Bench
-        Its devices are taken hold of, and let go at the end.
-
-    Raises
-    ------
-    InputError
-        If folders or settings do not fit, a device refuses, or frames give no counts in time.
+    The folder, new or empty, is as that of any acquisition, with `shown.jsonl` in it. Scenes that
+    are finished are kept whenever the run is stopped. The settings are those of `plan_live`; the
+    devices are taken hold of, and let go at the end. Raises `InputError` if folders or settings do
+    not fit, a device refuses, or frames give no counts in time.
     """
     assert acquisition.live is not None
     live = acquisition.live.model_copy(update={"latencies": bench.latencies})
@@ -172,47 +148,43 @@ def run_live(
         bench.projector.load(patterns_folder)
         prepare(folder, patterns_folder, acquisition)
         bench.counter.start(folder / "photons.ptu")
-        show = _Shower(bench, patterns.manifest, acquisition)
+        show = _Sequencer(bench, patterns.manifest, acquisition)
         record = stack.enter_context((folder / shown.NAME).open("x", encoding="utf-8", buffering=1))
-        for scene in range(len(acquisition.scenes)):
-            bench.display(scene)
-            yield from _look(scene, bench.clock, observer, show, record)
+        for place, scene in enumerate(acquisition.scenes):
+            bench.display(place)
+            yield from _look(place, scene, bench.clock, observer, show, record)
         bench.counter.stop()
 
 
 def _look(
-    scene: int,
+    place: int,
+    scene: Scene,
     clock: Callable[[], float],
     observer: Observer,
-    show: "_Shower",
+    show: "_Sequencer",
     record: TextIO,
 ) -> Iterator[Decided]:
     """Decide on a scene; its line is in the record before the last decision is given."""
-    start, show.lists, first = clock(), [], show.markers
-
-    def finish(last: Decision | None) -> Decided:
-        decided = Decided(last, scene, clock() - start)
-        finished = shown.ShownScene(
-            scene=scene,
-            first_marker=first,
-            lists=tuple(show.lists),
-            chances=() if last is None else tuple(last.chances.tolist()),
-            light_s=0.0 if last is None else last.light_s,
-            clock_s=decided.clock_s,
-        )
-        record.write(finished.model_dump_json() + "\n")
-        return decided
-
-    known = False
-    for decision in observer.observe(scene, show):
-        known = True
-        yield finish(decision) if decision.final else Decided(decision, scene, clock() - start)
-    if not known:
-        yield finish(None)
+    start, show.lists, first, last = clock(), [], show.markers, None
+    for last in observer.observe(place, show):
+        if not last.final:
+            yield Decided(place, last, clock() - start)
+    clock_s = clock() - start
+    finished = shown.ShownScene(
+        scene=place,
+        first_marker=first,
+        lists=tuple(show.lists),
+        chances=() if last is None else tuple(last.chances.tolist()),
+        light_s=0.0 if last is None else last.light_s,
+        clock_s=clock_s,
+    )
+    record.write(finished.model_dump_json() + "\n")
+    answer = LiveScene.of(scene, last, observer.loop.header.classes, clock_s)
+    yield Decided(place, last, clock_s, answer)
 
 
-class _Shower:
-    """Shows lists of frames and gives their counts."""
+class _Sequencer:
+    """Shows list after list of frames, and gives the counts of each."""
 
     def __init__(self, bench: Bench, manifest: Manifest, acquisition: Acquisition) -> None:
         self._bench, self._manifest = bench, manifest

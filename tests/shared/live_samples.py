@@ -1,18 +1,20 @@
-"""Live runs that the tests share: a small design, its patterns and a virtual laboratory."""
+"""Live runs that the tests share: a small design, its patterns and a virtual setup."""
 
 from pathlib import Path
 
 import numpy as np
 
 from conftest import quick
-from deepfsi.design.frames import design_rails
 from deepfsi.devices import find_device
-from deepfsi.hardware.live.run import Bench, Decided, plan_live, run_live
 from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Laboratory, Latencies
-from deepfsi.hardware.virtual.camera import CAMERAS, Camera, arrival_rates
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.replay import Replayed, read_live_counts, replay_run
+from deepfsi.laboratory.live.run import Bench, Decided, plan_live, run_live
+from deepfsi.laboratory.rails import design_rails
 
 LOOKS = 3
 OPTICS = {
@@ -34,17 +36,17 @@ def make_patterns(folder: Path, digits, optics: str = "single", device=None, **s
 
 
 def bench(
-    patterns: Path, scenes: np.ndarray, flux: float, camera: Camera = CAMERAS["ideal"],
+    patterns: Path, scenes: np.ndarray, flux: float, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, seed: int = 0,
 ) -> Bench:  # fmt: skip
     rates = arrival_rates(patterns, scenes, camera, flux)
     latencies = latencies or Latencies()
-    laboratory = Laboratory(rates, camera, latencies, seed)
+    setup = VirtualSetup(rates, camera, latencies, seed)
     return Bench(
-        BenchProjector(laboratory),
-        BenchCounter(laboratory, tuple(range(rates.shape[2]))),
-        laboratory.display,
-        lambda: laboratory.now_s,
+        BenchProjector(setup),
+        BenchCounter(setup, tuple(range(rates.shape[2]))),
+        setup.display,
+        lambda: setup.now_s,
         latencies.model_dump(),
     )
 
@@ -56,9 +58,14 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
     return x, tuple(Scene(name=str(k), label=each) for k, each in enumerate(labels))
 
 
+def replay(folder: Path) -> tuple[Replayed, ...]:
+    """Replay a run that was counted."""
+    return replay_run(read_live_counts(folder), read_loop(folder / "patterns/loop.safetensors"))
+
+
 def live(
     folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
-    exposure_s: float = 10e-3, camera: Camera = CAMERAS["ideal"],
+    exposure_s: float = 10e-3, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, **settings,
 ) -> list[Decided]:  # fmt: skip
     """Run a few scenes."""

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, OPTICS, bench, live, make_patterns, scenes_of
 
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError
-from deepfsi.hardware.live import run as runs
-from deepfsi.hardware.live.replay import count_live, read_live_counts, replay_run
-from deepfsi.hardware.live.shown import NAME, read_shown
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.laboratory.live import run as runs
+from deepfsi.laboratory.live.replay import count_live, read_live_counts
+from deepfsi.laboratory.live.shown import NAME, read_shown
+from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
 
 EXPOSURE_S = 10e-3
 
@@ -34,8 +34,8 @@ def test_a_run_is_replayed_from_its_files_bit_for_bit(digits, tmp_path, optics, 
     folder = tmp_path / "run"
     decided = live(folder, patterns, digits, camera=CAMERAS[camera], flux=1e7)
     count_live(folder)
-    replayed = replay_run(folder)
-    assert [each.agrees for each in replayed] == [True] * 5
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * 5
     again = [one for each in replayed for one in each.decisions]
     assert len(decided) == len(again) == 5 * LOOKS
     for one, other in zip(decided, again, strict=True):
@@ -112,7 +112,7 @@ def test_decisions_are_those_of_the_design(digits, patterns, run):
     design = Design.load(patterns.parent / "looks.safetensors")
     manifest = read_patterns(patterns).manifest
     masks = {int(at): manifest.frames[at].mask for at in manifest.shown}
-    for again, (scene, counts) in zip(replay_run(run), read_live_counts(run).by_scene, strict=True):
+    for again, (scene, counts) in zip(replay(run), read_live_counts(run).by_scene, strict=True):
         shown = iter(zip(scene.lists[1:], counts[1:], strict=True))
 
         def read(dwell, shown=shown):
@@ -162,7 +162,7 @@ def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
         assert each.decision.final == (last or each.decision.chances.max() > 0.13)
     assert {each.decision.look for each in ends} != {LOOKS - 1}
     count_live(tmp_path / "run")
-    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
 
 
 def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
@@ -172,14 +172,14 @@ def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
     assert min(map(min, gates)) >= 500_000
     assert max(map(len, gates)) < 6
     count_live(tmp_path / "run")
-    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
 
 
 def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
     decided = live(tmp_path / "run", patterns, digits, count=2, flux=0.0)
     assert [each.decision for each in decided] == [None, None]
     count_live(tmp_path / "run")
-    assert [each.decisions for each in replay_run(tmp_path / "run")] == [(), ()]
+    assert [each.decisions for each in replay(tmp_path / "run")] == [(), ()]
     known = live(tmp_path / "known", patterns, digits, count=2, flux=0.0, photons=1e4)
     assert [each.decision for each in known] == [None, None]
 
@@ -187,7 +187,7 @@ def test_without_light_nothing_is_decided(digits, patterns, tmp_path):
 def test_the_budget_is_that_of_the_light_so_far(digits, patterns, run):
     x, _ = scenes_of(digits, 12)
     rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :2, 0]
-    for k, each in enumerate(replay_run(run), start=1):
+    for k, each in enumerate(replay(run), start=1):
         wanted = (rates[:k, 0] - rates[:k, 1]).mean() * EXPOSURE_S
         noise = 5 * np.sqrt(wanted / EXPOSURE_S / (k * 0.9e-3)) * EXPOSURE_S
         assert abs(each.decisions[-1].photons - wanted) < noise
@@ -214,7 +214,7 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 3 * LOOKS
     count_live(tmp_path / "run")
-    assert all(each.agrees for each in replay_run(tmp_path / "run"))
+    assert all(each.answer.agrees for each in replay(tmp_path / "run"))
     counts, expected = counts_and_means(tmp_path / "run", patterns, x)
     assert abs(counts.sum() - expected.sum()) < 5 * np.sqrt(expected.sum())
 
@@ -250,8 +250,8 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
             done.append(each)
     assert len(read_shown(folder)) == 2
     count_live(folder)
-    replayed = replay_run(folder)
-    assert [each.agrees for each in replayed] == [True, True]
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True, True]
     assert np.array_equal(replayed[1].decisions[-1].chances, done[2 * LOOKS - 1].decision.chances)
 
 
@@ -260,7 +260,7 @@ def test_a_line_that_a_killed_run_left_is_no_scene(copied):
     path.write_bytes(path.read_bytes()[:-20])
     assert len(read_shown(copied)) == 11
     count_live(copied)
-    assert all(each.agrees for each in replay_run(copied))
+    assert all(each.answer.agrees for each in replay(copied))
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_files_that_were_changed_are_refused(copied, file, change, words):
     path.write_bytes(change(path.read_bytes()))
     with pytest.raises(InputError, match=words):  # noqa: PT012
         count_live(copied)
-        replay_run(copied)
+        replay(copied)
 
 
 def test_counts_of_other_files_are_refused(copied):
@@ -308,7 +308,7 @@ def test_other_counts_are_found_to_disagree(copied):
     np.savez(file, **arrays)
     path.write_bytes(file.getvalue())
     with pytest.raises(InputError, match="not the one that follows"):
-        replay_run(copied)
+        replay(copied)
 
 
 @pytest.mark.parametrize(

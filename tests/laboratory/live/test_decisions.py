@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.decisions import SENTINELS, Observer
-from deepfsi.hardware.live.networks import read_loop
-from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.laboratory.live.decisions import SENTINELS, Observer
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.run import plan_live
+from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 EXPOSURE_S, FLUX = 10e-3, 1e7
 

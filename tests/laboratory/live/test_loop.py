@@ -7,11 +7,11 @@ import pytest
 
 from conftest import quick
 from deepfsi.design.artifact import Design
-from deepfsi.design.live import loop_of
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.networks import judge, read_loop
 from deepfsi.hardware.recording.live_settings import StopRule
+from deepfsi.laboratory.live.loop import judge, read_loop
+from deepfsi.laboratory.rails import loop_of
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},
@@ -32,7 +32,7 @@ def test_a_loop_says_and_chooses_what_the_design_does(design):
     """Through all looks, with any counts."""
     loop, rng = loop_of(design), np.random.default_rng(0)
     shape, photons = design.counts_shape, 1e3
-    rails = (loop.about.rails, loop.about.masks, loop.about.detectors)
+    rails = (loop.header.rails, loop.header.masks, loop.header.detectors)
     asked: list[np.ndarray] = []
     counts = rng.poisson(photons * float(design.shares.mean()) / 3, (3, *shape))
 
@@ -41,7 +41,7 @@ def test_a_loop_says_and_chooses_what_the_design_does(design):
         return counts[len(asked) - 1]
 
     wanted = design.classify_live(read, photons)
-    features, dwell = np.zeros(loop.about.features), np.zeros(loop.about.frames)
+    features, dwell = np.zeros(loop.header.features), np.zeros(loop.header.frames)
     for look in range(3):
         chosen = loop.choose(loop.inputs(features, dwell), look)
         np.testing.assert_allclose(chosen, asked[look], rtol=1e-4)
@@ -56,11 +56,11 @@ def test_a_loop_is_the_same_from_its_file(design, tmp_path):
     loop = loop_of(replace(design, info={**design.info, "stopping": held}))
     (tmp_path / "loop").write_bytes(loop.to_bytes())
     again = read_loop(tmp_path / "loop")
-    assert again.about == loop.about
-    assert again.about.rule == StopRule(**held)
+    assert again.header == loop.header
+    assert again.header.rule == StopRule(**held)
     assert again.to_bytes() == loop.to_bytes()
-    features = np.linspace(0, 0.1, loop.about.features)
-    dwell = np.full(loop.about.frames, 1 / loop.about.frames)
+    features = np.linspace(0, 0.1, loop.header.features)
+    dwell = np.full(loop.header.frames, 1 / loop.header.frames)
     inputs = loop.inputs(features, dwell)
     assert np.array_equal(again.classify(again.inputs(features, dwell)), loop.classify(inputs))
 
@@ -98,5 +98,5 @@ def test_torch_is_not_needed():
     import subprocess
     import sys
 
-    code = "import sys; import deepfsi.hardware.live.networks; assert 'torch' not in sys.modules"
+    code = "import sys; import deepfsi.laboratory.live.loop; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

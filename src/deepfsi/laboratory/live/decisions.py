@@ -19,12 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.networks import Loop, judge
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.hardware.recording.tails import excess_chance
+from deepfsi.laboratory.live.loop import Loop, judge
 
 ON, OFF = 0, 1
 """Places of the all-ON and the all-OFF frame among the frames of a manifest."""
@@ -69,7 +69,7 @@ class Observer:
             raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
         self.loop, self._manifest = loop, manifest
         self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
-        self._lit = _Lit(manifest)
+        self._meter = _LightMeter(manifest)
         self._masks = np.array([manifest.frames[at].mask for at in manifest.shown])
         self._rails = np.array([manifest.frames[at].rail for at in manifest.shown])
         self._places = manifest.looks.places(self._masks, self._rails == "minus")
@@ -85,15 +85,15 @@ class Observer:
 
     def observe(self, scene: int, count: Count) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none if there is no light."""
-        about = self.loop.about
+        header = self.loop.header
         arrivals = self._arrivals(count, self._sentinels)
-        if not self._lit.add(arrivals, self._sentinels.gate_ns):
+        if not self._meter.add(arrivals, self._sentinels.gate_ns):
             return
-        photons = self._settings.photons or self._lit.flux * self._exposure_ns * 1e-9
-        features, dwell, light_ns = np.zeros(about.features), np.zeros(about.frames), 0
+        photons = self._settings.photons or self._meter.flux * self._exposure_ns * 1e-9
+        features, dwell, light_ns = np.zeros(header.features), np.zeros(header.frames), 0
         shortest = self._settings.shortest_ns / self._exposure_ns
         inputs = self.loop.inputs(features, dwell)
-        for look in range(about.looks):
+        for look in range(header.looks):
             shown, gates = self._frames_of(self.loop.choose(inputs, look, shortest), look)
             counts = self._by_rail(self._arrivals(count, shown), shown)
             features += self.loop.features(counts) / photons
@@ -101,7 +101,7 @@ class Observer:
             light_ns += int(shown.gate_ns.sum())
             inputs = self.loop.inputs(features, dwell)
             chances, enough = judge(self.loop.classify(inputs), look, self._settings.rule)
-            final = enough or look == about.looks - 1
+            final = enough or look == header.looks - 1
             yield Decision(scene, look, chances, float(photons), light_ns * 1e-9, final)
             if final:
                 return
@@ -128,18 +128,18 @@ class Observer:
 
     def _by_rail(self, counts: np.ndarray, shown: FrameList) -> np.ndarray:
         """Counts (rails, m, D) of a look less their dark counts, of counts (F, inputs)."""
-        about = self.loop.about
-        signal = counts - self._lit.dark * (shown.gate_ns * 1e-9)[:, None]
+        header = self.loop.header
+        signal = counts - self._meter.dark * (shown.gate_ns * 1e-9)[:, None]
         rows = np.searchsorted(self._manifest.shown, shown.frames)
-        out = np.zeros((about.rails, about.masks, about.detectors))
-        first = signal[:, : about.detectors]
+        out = np.zeros((header.rails, header.masks, header.detectors))
+        first = signal[:, : header.detectors]
         out[(self._rails[rows] == "minus").astype(int), self._masks[rows]] = first
         if self._manifest.two_arm:
-            out[1, self._masks[rows]] = signal[:, about.detectors :]
+            out[1, self._masks[rows]] = signal[:, header.detectors :]
         return out
 
 
-class _Lit:
+class _LightMeter:
     """Flux and dark counts of the all-ON frames of lit scenes and the all-OFF frames so far."""
 
     def __init__(self, manifest: Manifest) -> None:

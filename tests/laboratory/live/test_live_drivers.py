@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from live_samples import LOOKS, make_patterns, scenes_of
 
 from deepfsi.hardware.drivers.followed import FollowedCounter
 from deepfsi.hardware.drivers.vialux import VialuxLooks
-from deepfsi.hardware.live.replay import count_live, replay_run
-from deepfsi.hardware.live.run import Bench, plan_live, run_live
-from deepfsi.hardware.live.shown import read_shown
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.laboratory.live.replay import count_live
+from deepfsi.laboratory.live.run import Bench, plan_live, run_live
+from deepfsi.laboratory.live.shown import read_shown
 from hardware.drivers.vialux_fake import install
+from shared.live_samples import LOOKS, make_patterns, replay, scenes_of
 
 SCENES, FLUX = 3, 1e7
 
@@ -73,7 +73,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     assert max(max(each.markers) for each in lists) > 3
 
     count_live(folder)
-    replayed = replay_run(folder)
-    assert [each.agrees for each in replayed] == [True] * SCENES
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * SCENES
     again = [one.chances for each in replayed for one in each.decisions]
     assert np.array_equal([each.decision.chances for each in decided], again)

@@ -1,6 +1,6 @@
-"""Networks of a design of several looks, evaluated with NumPy, so that a camera needs no torch.
+"""Loop of a design of several looks: its networks in NumPy, so that a camera needs no torch.
 
-They are those of the design, in 32-bit numbers, and are written beside the patterns as
+The networks are those of the design, in 32-bit numbers, and are written beside the patterns as
 `loop.safetensors`. After each look both are given what was counted so far: the features over the
 budget and the share of the exposure that each frame had.
 """
@@ -29,8 +29,8 @@ Layer = tuple[np.ndarray, np.ndarray]
 """Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
 
 
-class About(BaseModel):
-    """Facts of a loop besides its numbers."""
+class LoopHeader(BaseModel):
+    """Header of a loop's file: all but the numbers of its networks."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -61,9 +61,9 @@ class About(BaseModel):
 
 @dataclass(frozen=True)
 class Loop:
-    """Networks of a loop: one says the class, the other the dwells of the next look."""
+    """Two networks: one says the class, the other the dwells of the next look."""
 
-    about: About
+    header: LoopHeader
     mean: np.ndarray  # (k,): float32, of the features for equal dwells
     std: np.ndarray  # (k,)
     classifier: tuple[Layer, ...]
@@ -71,15 +71,15 @@ class Loop:
 
     def features(self, counts: np.ndarray) -> np.ndarray:
         """Features (k,) of counts (rails, m, D)."""
-        if self.about.rails == 1:
+        if self.header.rails == 1:
             return counts[0].ravel()
-        if self.about.readout == "difference":
+        if self.header.readout == "difference":
             return (counts[0] - counts[1]).ravel()
         return counts.swapaxes(0, 1).ravel()
 
     def inputs(self, features: np.ndarray, dwell: np.ndarray) -> np.ndarray:
         """Inputs (k + q,) of the classifier, of features over the budget (k,) and dwells (q,)."""
-        relative = dwell.astype(np.float32) * np.float32(self.about.frames)
+        relative = dwell.astype(np.float32) * np.float32(self.header.frames)
         each = np.repeat(relative, len(self.mean) // len(relative))
         scaled = (features.astype(np.float32) - each * self.mean) / self.std
         return np.concatenate([scaled, relative / np.float32(3)])
@@ -93,27 +93,27 @@ class Loop:
 
         Shapes: inputs (k + q,).
         """
-        about, (weight, bias) = self.about, self.chooser[0]
-        left = np.float32(1 - look / about.looks)  # the last input
+        header, (weight, bias) = self.header, self.chooser[0]
+        left = np.float32(1 - look / header.looks)  # the last input
         first = weight[:-1], bias + left * weight[-1]
         scores = _outputs((first, *self.chooser[1:]), inputs).astype(float)
-        bounded = about.largest_score * np.tanh(scores / about.largest_score)
-        return share_out(_softmax(bounded) / about.looks, max(shortest, about.shortest))
+        bounded = header.largest_score * np.tanh(scores / header.largest_score)
+        return share_out(_softmax(bounded) / header.looks, max(shortest, header.shortest))
 
     @property
     def first(self) -> np.ndarray:
         """Dwells (q,) of the first look, which are the same for every scene."""
-        about = self.about
-        return self.choose(self.inputs(np.zeros(about.features), np.zeros(about.frames)), 0)
+        header = self.header
+        return self.choose(self.inputs(np.zeros(header.features), np.zeros(header.frames)), 0)
 
     @property
     def looks(self) -> Looks:
         """Looks as a manifest of patterns has them."""
         return Looks(
-            count=self.about.looks,
-            each_rail=self.about.each_rail,
+            count=self.header.looks,
+            each_rail=self.header.each_rail,
             first=tuple(self.first.tolist()),
-            shortest=self.about.shortest,
+            shortest=self.header.shortest,
             loop_sha256=sha256(self.to_bytes()).hexdigest(),
         )
 
@@ -124,7 +124,7 @@ class Loop:
             for place, (weight, bias) in enumerate(layers):
                 tensors |= {f"{name}.{place}.weight": weight, f"{name}.{place}.bias": bias}
         whole = {name: np.ascontiguousarray(held, np.float32) for name, held in tensors.items()}
-        return save(whole, metadata={"deepfsi-loop": self.about.model_dump_json()})
+        return save(whole, metadata={"deepfsi-loop": self.header.model_dump_json()})
 
 
 def read_loop(path: Path) -> Loop:
@@ -139,15 +139,15 @@ def read_loop(path: Path) -> Loop:
     except (SafetensorError, KeyError, OSError, ValueError):
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again):
-        about = About.model_validate_json(text)
-    inputs = about.features + about.frames
+        header = LoopHeader.model_validate_json(text)
+    inputs = header.features + header.frames
     try:
         loop = Loop(
-            about,
-            _checked(tensors["mean"], about.features),
-            _checked(tensors["std"], about.features),
-            _layers(tensors, "classifier", inputs, len(about.classes)),
-            _layers(tensors, "chooser", inputs + 1, about.frames),
+            header,
+            _checked(tensors["mean"], header.features),
+            _checked(tensors["std"], header.features),
+            _layers(tensors, "classifier", inputs, len(header.classes)),
+            _layers(tensors, "chooser", inputs + 1, header.frames),
         )
     except (KeyError, ValueError, IndexError):
         raise InputError(f"{path} has networks that do not fit its masks: {again}") from None

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.live.decisions import FrameList
+from deepfsi.laboratory.live.decisions import FrameList
 
 NAME = "shown.jsonl"
 """File of the record in the folder of a run."""

@@ -1,39 +1,51 @@
 """A live run replayed from its files: photons counted again, and the decisions that follow.
 
 The photon file and `shown.jsonl` hold all that the loop knew. `count_live` finds each frame by the
-number of its marker and counts its gate; `replay_run` hands these counts to the code that decided,
+number of its marker and counts its gate; `replay_run` hands the counts to the code that decided,
 asks of every list whether it is the one that was shown, and gives the decisions.
 """
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
-from deepfsi.hardware.live import shown
-from deepfsi.hardware.live.decisions import Decision, FrameList, Observer
-from deepfsi.hardware.live.networks import read_loop
-from deepfsi.hardware.live.shown import ShownList, ShownScene, read_shown
-from deepfsi.hardware.patterns.folder import LOOP
+from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.recording.acquisition import Acquisition, check_inputs, read_acquisition
 from deepfsi.hardware.recording.counts import hash_file
+from deepfsi.laboratory.live import shown
+from deepfsi.laboratory.live.decisions import Decision, FrameList, Observer
+from deepfsi.laboratory.live.loop import Loop
+from deepfsi.laboratory.live.shown import ShownList, ShownScene, read_shown
+from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 """Files of the recording and its counts."""
+
+COUNTED = ("acquisition.json", shown.NAME, PHOTONS)
+"""Files whose hashes the counts hold."""
+
+
+def is_live(folder: Path) -> bool:
+    """True for the folder of a live run, which has a record of its frames."""
+    return (folder / shown.NAME).exists()
 
 
 @dataclass(frozen=True)
 class LiveCounts:
     """Counts of the finished scenes of a live run."""
 
+    acquisition: Acquisition
+    manifest: Manifest
     scenes: tuple[ShownScene, ...]  # with their frames and gates
     # (n, inputs): Photons in the gates, scene by scene, list by list, frame by frame
     counts: np.ndarray
@@ -41,13 +53,10 @@ class LiveCounts:
     @property
     def by_scene(self) -> Iterator[tuple[ShownScene, list[np.ndarray]]]:
         """Scenes with the counts (F, inputs) of their lists."""
-        at = 0
+        frames = [len(each.frames) for scene in self.scenes for each in scene.lists]
+        lists = iter(np.split(self.counts, np.cumsum(frames)[:-1]))
         for scene in self.scenes:
-            lists = []
-            for each in scene.lists:
-                lists.append(self.counts[at : at + len(each.frames)])
-                at += len(each.frames)
-            yield scene, lists
+            yield scene, [next(lists) for _ in scene.lists]
 
 
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
@@ -56,15 +65,15 @@ def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     Raises `InputError` if files are missing, damaged or do not fit each other.
     """
     acquisition, patterns = read_acquisition(folder)
-    scenes, header = read_shown(folder), read_header(folder / PHOTONS)
-    check_inputs(patterns.manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
+    manifest, scenes, header = patterns.manifest, read_shown(folder), read_header(folder / PHOTONS)
+    check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
     starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
     counts = count_gates(header.path, starts, stops, acquisition.inputs, report.part(0.4, 1.0))
-    about = json.dumps(_hashes(folder)).encode()
+    about = json.dumps({name: hash_file(folder / name) for name in COUNTED}).encode()
     file = io.BytesIO()
     np.savez(file, counts=counts, about=np.frombuffer(about, np.uint8))
     write_atomically(folder / COUNTS, file.getvalue())
-    return LiveCounts(scenes, counts)
+    return LiveCounts(acquisition, manifest, scenes, counts)
 
 
 def _find_gates(
@@ -85,12 +94,6 @@ def _find_gates(
     return starts, starts + lengths
 
 
-def _hashes(folder: Path) -> dict[str, str]:
-    """Hashes of what was counted."""
-    names = ("acquisition.json", shown.NAME, PHOTONS)
-    return {name: hash_file(folder / name) for name in names}
-
-
 def read_live_counts(folder: Path) -> LiveCounts:
     """Counts of a live run as `count_live` wrote them.
 
@@ -98,7 +101,7 @@ def read_live_counts(folder: Path) -> LiveCounts:
     """
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
-    wanted = sum(len(each.frames) for scene in scenes for each in scene.lists)
+    acquisition, patterns = read_acquisition(folder)
     try:
         with np.load(path, allow_pickle=False) as held:
             counts, about = held["counts"], json.loads(held["about"].tobytes())
@@ -106,10 +109,12 @@ def read_live_counts(folder: Path) -> LiveCounts:
         raise InputError(f"{path} is missing: make it with `deepfsi camera count`") from None
     except Exception:
         raise InputError(f"{path} is not a whole file of counts: {again}") from None
-    inputs = len(read_acquisition(folder)[0].inputs)
-    if counts.shape != (wanted, inputs) or counts.dtype != np.int64 or about != _hashes(folder):
+    frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
+    wanted = frames, len(acquisition.inputs)
+    hashes = {name: hash_file(folder / name) for name in COUNTED}
+    if counts.shape != wanted or counts.dtype != np.int64 or about != hashes:
         raise InputError(f"{path} is of other files than those beside it: {again}")
-    return LiveCounts(scenes, counts)
+    return LiveCounts(acquisition, patterns.manifest, scenes, counts)
 
 
 @dataclass(frozen=True)
@@ -118,45 +123,39 @@ class Replayed:
 
     shown: ShownScene  # as the run has it
     decisions: tuple[Decision, ...]  # after each look, from its counts; none without light
-    # True if every list is the one that was shown, and the last probabilities are those of the run,
-    # bit for bit
-    agrees: bool
+    answer: LiveScene
 
 
-def replay_run(folder: Path) -> tuple[Replayed, ...]:
-    """Decisions of a live run from its counts.
-
-    Raises `InputError` if files are missing, damaged or do not fit each other.
-    """
-    acquisition, patterns = read_acquisition(folder)
-    loop = read_loop(folder / "patterns" / LOOP)
-    observer = Observer(loop, patterns.manifest, acquisition)
+def replay_run(run: LiveCounts, loop: Loop) -> tuple[Replayed, ...]:
+    """Decisions of a live run from its counts, or `InputError` where they lead to other looks."""
+    observer = Observer(loop, run.manifest, run.acquisition)
     out = []
-    for scene, counts in read_live_counts(folder).by_scene:
-        recorded = _Recorded(scene.lists, counts)
-        decisions = tuple(observer.observe(scene.scene, recorded))
-        found = tuple(decisions[-1].chances.tolist()) if decisions else ()
-        agrees = recorded.agrees and found == scene.chances
-        out.append(Replayed(scene, decisions, agrees))
+    for scene, counts in run.by_scene:
+        left = list(zip(scene.lists, counts, strict=True))
+        decisions = tuple(observer.observe(scene.scene, partial(_recall, left)))
+        last = decisions[-1] if decisions else None
+        found = () if last is None else tuple(last.chances.tolist())
+        agrees = not left and found == scene.chances
+        named = run.acquisition.scenes[scene.scene]
+        answer = LiveScene.of(named, last, loop.header.classes, scene.clock_s, agrees)
+        out.append(Replayed(scene, decisions, answer))
     return tuple(out)
 
 
-class _Recorded:
-    """Counts of lists that were shown, in place of devices."""
+def check_as_it_was(given: Iterable[object]) -> None:
+    """Raise `InputError` if a live run is to be counted or classified otherwise than it was."""
+    if any(each is not None for each in given):
+        raise InputError(
+            "a live run is counted and classified as it was: its looks followed from these counts; "
+            "leave the options out"
+        )
 
-    def __init__(self, lists: tuple[ShownList, ...], counts: list[np.ndarray]) -> None:
-        self._left = list(zip(lists, counts, strict=True))
-        self._asked = True
 
-    @property
-    def agrees(self) -> bool:
-        """True if what was asked for is what was shown, and all of it."""
-        return self._asked and not self._left
-
-    def __call__(self, asked: FrameList) -> np.ndarray:
-        if not self._left or not self._left[0][0].matches(asked):
-            raise InputError(
-                "a look of this run is not the one that follows from its counts: it was made with "
-                "another version of the design, of deepfsi or of NumPy"
-            )
-        return self._left.pop(0)[1]
+def _recall(left: list[tuple[ShownList, np.ndarray]], asked: FrameList) -> np.ndarray:
+    """Counts of the next list that was shown, in place of devices."""
+    if not left or not left[0][0].matches(asked):
+        raise InputError(
+            "a look of this run is not the one that follows from its counts: it was made with "
+            "another version of the design, of deepfsi or of NumPy"
+        )
+    return left.pop(0)[1]

@@ -1,0 +1,132 @@
+"""The file calibration.json: a camera's view of a display, beside the recordings made with it.
+
+Places on the display and on the device are (across, down) in a *unit square* each: the displayed
+image, and the area of the device that the cells of a mask fill. So a calibration made with a few
+large cells serves masks with many small ones.
+"""
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import write_atomically
+from deepfsi.hardware.recording.dead_time import DeadTime
+
+LEAST_SPOTS = 16
+"""Spots that a calibration should rest on, or all that were shown."""
+
+LARGEST_RESIDUAL_CELLS = 0.25
+"""Distance of the spots from the fit above which a calibration is doubted, cells."""
+
+LARGEST_ERROR_CELLS = 0.1
+"""Standard error of the view above which a calibration is doubted, cells."""
+
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+"""Number from 0 to 1."""
+
+Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+"""Finite number from 0 on."""
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+"""Row of a homography."""
+
+
+class Calibration(BaseModel):
+    """View of one display through one camera, and the counts that come from neither.
+
+    Attributes
+    ----------
+    deepfsi : str
+        Version of the package that wrote it.
+    homography : 3 x 3 numbers
+        Display → device, unit squares, (across, down, 1).
+    residual : float
+        Root mean square distance of the spots from it, cells.
+    error : float
+        Standard error of the place of the display's worst corner, cells.
+    spots, shown : int
+        Spots that it rests on, and spots that were shown.
+    blur : tuple of float
+        Standard deviation of a Gaussian, down and across, in the device's unit square.
+    flat : rows of numbers, shape (down, across)
+        Light of each cell relative to the brightest, for a uniform scene that fills the view.
+    dark : float
+        Counts/s with all mirrors OFF and the display black.
+    ambient : float
+        Counts/s that all mirrors ON add to it, the display black.
+    dead_time : DeadTime or None
+        Of the counter, for which the run of spots was corrected.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = 1
+    deepfsi: str = version("deepfsi")
+    homography: tuple[Row, Row, Row]
+    residual: Rate
+    error: Rate
+    spots: int = Field(ge=4)
+    shown: int = Field(ge=4)
+    blur: tuple[Share, Share] = (0.0, 0.0)
+    flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
+    dark: Rate = 0.0
+    ambient: Rate = 0.0
+    dead_time: DeadTime | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Calibration":
+        if len({len(row) for row in self.flat}) != 1 or not self.flat[0]:
+            raise ValueError("the rows of the flat field differ in length")
+        if not any(map(any, self.flat)):
+            raise ValueError("the flat field is dark everywhere")
+        if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
+            raise ValueError("the homography cannot be inverted")
+        return self
+
+    @property
+    def doubts(self) -> list[str]:
+        """Why not to trust it, one line each; none where all is well."""
+        said = []
+        if self.spots < min(LEAST_SPOTS, self.shown):
+            said.append(
+                f"only {self.spots} of {self.shown} spots are seen, and {LEAST_SPOTS} or more are "
+                "wanted: expose longer, show larger spots (--side) or aim the camera"
+            )
+        if self.residual > LARGEST_RESIDUAL_CELLS:
+            said.append(
+                f"the spots lie {self.residual:.2f} cells from one perspective, and up to "
+                f"{LARGEST_RESIDUAL_CELLS:g} are well: the lens bends lines, something moved, or "
+                "there is too little light"
+            )
+        if self.error > LARGEST_ERROR_CELLS:
+            said.append(
+                f"the view is known to {self.error:.2f} cells, and {LARGEST_ERROR_CELLS:g} are "
+                f"wanted: give {(self.error / LARGEST_ERROR_CELLS) ** 2:.2g} times the light"
+            )
+        return said
+
+
+def save_calibration(calibration: Calibration, folder: Path) -> Path:
+    """Write `calibration.json` into a folder, which is made if need be."""
+    return write_atomically(
+        folder / "calibration.json", calibration.model_dump_json(indent=1).encode()
+    )
+
+
+def load_calibration(folder: Path) -> Calibration:
+    """Read `calibration.json` of a folder.
+
+    Raises `InputError` if it is missing or damaged.
+    """
+    path = Path(folder) / "calibration.json"
+    try:
+        with as_input_error(f"'{path}'", "calibrate the camera again"):
+            return Calibration.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(
+            f"no calibration at '{path}' ({error.strerror}): calibrate the camera first"
+        ) from None

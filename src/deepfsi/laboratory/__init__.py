@@ -1,0 +1,1 @@
+"""Design and hardware together: counts to classes, designs to patterns, live runs."""

@@ -1,0 +1,39 @@
+"""Calibration of a camera from files alone: pictures of spots to show, and the fit to their run."""
+
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.datasets import read_display, write_pictures
+from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
+from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
+from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.picture import reconstruct
+
+
+def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
+    """Write the pictures (h, w) that calibrate a camera: spots of `side` pixels, white, black."""
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
+    return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
+
+
+def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
+    """Fit the camera's view to a counted run of the spots, and write it to a folder.
+
+    Gives it with its file, and the file of the cells that each detector sees, of several.
+    """
+    acquisition, patterns = read_acquisition(folder)
+    shown, counts = read_display(spots), read_counts(folder)
+    found = calibrate_run(
+        dict(zip(shown.names, shown.x, strict=True)),
+        [scene.name for scene in acquisition.scenes],
+        reconstruct(folder),
+        counts,
+        patterns,
+    )
+    several = patterns.manifest.detectors
+    labels = find_detectors(counts, patterns) if several and several.cells is None else None
+    file = save_calibration(found, out)
+    return found, file, None if labels is None else save_detectors(labels, out)

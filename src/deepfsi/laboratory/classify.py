@@ -1,0 +1,269 @@
+"""From counts to classes: the counts of a run, or of a table of any counter.
+
+Counts of an exposure, less the dark counts, and its budget go to the classifier of the design as it
+was shown. Before, all counts together are tested for what the design was trained for. A live run
+is decided again, from its own counts, as it was.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
+from deepfsi.hardware.patterns.nominal import nominal_manifest
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
+from deepfsi.hardware.recording.counts import Counts, hash_file, load_counts
+from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.replay import (
+    check_as_it_was,
+    is_live,
+    read_live_counts,
+    replay_run,
+)
+from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, ReplayedRun
+from deepfsi.optics.budget import check_budget
+from deepfsi.tables.table_files import read_table
+
+if TYPE_CHECKING:  # they import torch, which a live run does without
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.consistency import Consistency
+
+UNTESTED = (
+    "not tested for what the design was trained for: its file holds no readouts of training, which "
+    "needs 50 scenes of each class"
+)
+"""Remark on counts of a design without a distribution."""
+
+
+def classify_run(
+    design: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    photons: float | None = None,
+    force: bool = False,
+    trust: bool = False,
+) -> ClassifiedRun | ReplayedRun:
+    """Classify each exposure of an acquisition that was counted.
+
+    A live run, of a design of several looks, is decided again from its own counts.
+
+    Parameters
+    ----------
+    design : str or path
+        Design file whose patterns were shown, or the folder of its patterns.
+    folder : str or path
+        Of the acquisition, with its counts.
+    photons : float, optional
+        Budget Φ of an exposure, counts; that of each scene's all-ON frames unless given.
+    force : bool
+        Classify even if the counts do not look like those of the training.
+    trust : bool
+        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
+
+    Returns
+    -------
+    ClassifiedRun or ReplayedRun
+        The second of a live run. Both have `scenes`, each with its `predicted` class.
+
+    Raises
+    ------
+    InputError
+        If files are missing, damaged or do not fit, no exposure is sound, or the counts do not look
+        like those of the training.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> found = deepfsi.classify_run("small-dmd.safetensors", "run_0001")  # doctest: +SKIP
+    >>> [scene.predicted for scene in found.scenes]  # doctest: +SKIP
+    ['0', '1']
+    """
+    path = Path(folder)
+    if is_live(path):
+        return _replayed(design, path, photons)
+    if photons is not None:
+        check_budget(photons)
+    acquisition, patterns = read_acquisition(path)
+    counts = load_counts(path, acquisition, patterns.manifest)
+    made = _open(design, trust)
+    _check_shown(design, patterns.manifest)
+    made = made.as_shown(*patterns.realised)
+    return _classified(made, counts, acquisition.scenes, photons, force, str(folder))
+
+
+def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | None) -> ReplayedRun:
+    """Classes of a live run, decided again from its counts."""
+    check_as_it_was((photons,))
+    run = read_live_counts(folder)
+    _check_shown(design, run.manifest)
+    replayed = replay_run(run, read_loop(folder / "patterns" / LOOP))
+    return ReplayedRun(run.acquisition.exposure_s, tuple(each.answer for each in replayed))
+
+
+def classify_table(
+    design: str | os.PathLike[str],
+    table: str | os.PathLike[str],
+    settings: TableSettings | None = None,
+    *,
+    force: bool = False,
+    trust: bool = False,
+) -> ClassifiedRun:
+    """Classify each exposure in a table of counts, of any counter.
+
+    Parameters
+    ----------
+    design : str or path
+        Folder of the patterns that were shown, or the design file, which knows no times of frames.
+    table : str or path
+        A value for each frame, in the order of the patterns: .csv, .parquet, .npy, .mat or .h5
+        (FILE:VARIABLE), an exposure a row or a column.
+    settings : TableSettings, optional
+        Budget and background in counts, times in seconds, and the like.
+    force, trust
+        As for `classify_run`.
+
+    Returns
+    -------
+    ClassifiedRun
+
+    Raises
+    ------
+    InputError
+        If the file is no table of these patterns, values are no counts, or they do not look like
+        those of the training.
+
+    Examples
+    --------
+    >>> import deepfsi, numpy, tempfile, torch
+    >>> from deepfsi.hardware.recording.tables import TableSettings
+    >>> digits = deepfsi.load_dataset("digits")
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn(digits, camera="dmd", photons=1e4, masks=6, training=few)
+    >>> rates = design.rates(design.scanner(), torch.from_numpy(digits.x_test[:5]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file, table = design.save(f"{folder}/one.safetensors"), f"{folder}/counts.npy"
+    ...     numpy.save(table, numpy.random.default_rng(0).poisson(1e4 * rates[:, 0].detach()))
+    ...     found = deepfsi.classify_table(file, table, TableSettings(photons=1e4))
+    >>> len(found.scenes), found.scenes[0].photons
+    (5, 10000.0)
+    """
+    settings, path = settings or TableSettings(), Path(design)
+    made = _open(design, trust)
+    if path.is_dir():
+        patterns = read_patterns(path)
+        manifest = patterns.manifest
+        _check_shown(design, manifest)
+        made = made.as_shown(*patterns.realised)
+    else:
+        manifest = _nominal(path, settings)
+    counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
+    return _classified(made, counts, scenes, settings.photons, force, str(table))
+
+
+def _nominal(file: Path, settings: TableSettings) -> Manifest:
+    """Frames of a design file without patterns, or `InputError` if settings need their times."""
+    if settings.settle_s or settings.dead_time.seconds:
+        raise InputError(
+            f"`settle` and `dead_time` need the times of the frames, and {file} has none: give the "
+            "folder of its patterns"
+        )
+    from deepfsi.laboratory.rails import design_rails
+
+    return nominal_manifest(design_rails(file))
+
+
+def _file(design: str | os.PathLike[str]) -> Path:
+    """Design file of a design file, or of a folder of patterns."""
+    path = Path(design)
+    return path / DESIGN if path.is_dir() else path
+
+
+def _open(design: str | os.PathLike[str], trust: bool) -> "Design":
+    """Design of a file or a folder of patterns, with dwells that are fixed."""
+    from deepfsi.design.artifact import Design
+
+    made = Design.load(_file(design), trust=trust)
+    if made.exposure.chooses:
+        raise InputError(f"{design} chooses dwells while the exposure runs: give a live run of it")
+    return made
+
+
+def _check_shown(design: str | os.PathLike[str], manifest: Manifest) -> None:
+    """Raise `InputError` where the patterns are known to be of another design than a file's."""
+    file, known = _file(design), manifest.design_sha256
+    if (known or manifest.looks) and hash_file(file) != known:
+        raise InputError(
+            f"{file} is not the design whose patterns were shown: give the file that "
+            "`deepfsi dmd export` was given"
+        )
+
+
+def _classified(
+    design: "Design",
+    counts: Counts,
+    scenes: Sequence[Scene],
+    photons: float | None,
+    force: bool,
+    source: str,
+) -> ClassifiedRun:
+    """Classes of counted scenes (S, R) of a design as it was shown."""
+    usable = counts.valid & ~counts.spoilt[:, None]
+    if not usable.any():
+        raise InputError(
+            f"{source} has no exposure that can be classified ({counts.faults[0]}): record again"
+        )
+    budgets = np.where(
+        np.isfinite(counts.photons), counts.photons if photons is None else photons, 1.0
+    )
+    found = _consistency(design, counts, usable, budgets)
+    if found is not None and found.refused and not force:
+        raise InputError(f"{found.refusal}; `force` classifies them all the same")
+    some = usable.any(axis=1)
+    chance, unsure = np.full(len(some), np.nan), np.zeros(len(some), bool)
+    if found is not None:
+        chance[some], unsure[some] = found.exposures, found.unsure
+    chances = design.classify(design.readouts(counts.signal()), budgets[:, None])
+    classified = []
+    for place, scene in enumerate(scenes):
+        own = chances[place][usable[place]]
+        mean = own.mean(axis=0) if len(own) else None
+        classified.append(
+            ClassifiedScene(
+                name=scene.name,
+                label=scene.label,
+                predicted=None if mean is None else design.classes[mean.argmax()],
+                probability=None if mean is None else float(mean.max()),
+                exposures=len(own),
+                guesses=tuple(design.classes[k] for k in own.argmax(axis=-1)),
+                photons=None if mean is None else float(budgets[place]),
+                faults=counts.faults_of(place),
+                consistency=None if np.isnan(chance[place]) else float(chance[place]),
+                unsure=None if found is None else bool(unsure[place]),
+            )
+        )
+    remarks = (UNTESTED,) if found is None else tuple(found.remarks)
+    return ClassifiedRun(
+        design.name, design.masks, design.classes, tuple(classified), counts.faults, found, remarks
+    )
+
+
+def _consistency(
+    design: "Design", counts: Counts, usable: np.ndarray, budgets: np.ndarray
+) -> "Consistency | None":
+    """Consistency of scenes with usable exposures (S, R), as one of their budgets (S,) together."""
+    if design.distribution is None:
+        return None
+    often = usable.sum(axis=1)
+    some = often > 0
+    exposures = counts.by_readout(usable)
+    signal = counts.signal().sum(axis=1, where=exposures)[some]
+    dark = counts.background.clip(min=0) * exposures.sum(axis=1)
+    background = (dark + counts.excess.sum(axis=1, where=exposures))[some]
+    budget = (budgets * often)[some]
+    return design.consistency(design.readouts(signal), budget, design.readouts(background))

@@ -1,0 +1,83 @@
+"""The data that a design is tested on: those that it remembers, unless it is told otherwise.
+
+A camera's calibration may view them. Where they are not what the design was trained on, that is
+noted.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from deepfsi.datasets import Dataset, Origin, absolute, load_dataset, takes
+from deepfsi.design.artifact import Design
+from deepfsi.design.memory import Memory, memory_of
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.view import view_from
+
+
+class TestData(NamedTuple):
+    """Data that a design is tested on, and notes on where it is not what it was trained on."""
+
+    data: Dataset
+    notes: tuple[str, ...]
+
+
+def data_of(
+    design: Design,
+    data: str | None = None,
+    size: tuple[int, int] | None = None,
+    view: Path | None = None,
+) -> TestData:
+    """Load the data to test a design on: what is told, else what it was trained on."""
+    memory = memory_of(design)
+    known = memory.origin if memory else None
+    if data is None and known is None:
+        raise InputError(
+            "this design was trained on data that no file or name holds, such as arrays in memory: "
+            "give the data to test it on, `data`"
+        )
+    asked = _asked(known, data, size, view)
+    try:
+        loaded = _load(asked)
+    except InputError as error:
+        if data is None:
+            raise InputError(
+                f"the data that this design was trained on cannot be loaded ({error}): give "
+                "the data to test it on, `data`"
+            ) from error
+        raise
+    return TestData(loaded, tuple(_notes(memory, asked, loaded)))
+
+
+def _asked(
+    known: Origin | None, data: str | None, size: tuple[int, int] | None, view: Path | None
+) -> Origin:
+    """Source that is told, the rest of it as the design remembers."""
+    name = known.data if data is None and known else absolute(str(data))
+    told = {"size": size, "view": absolute(str(view)) if view else None}
+    told = {option: value for option, value in told.items() if value is not None}
+    if known is None or name == known.data:
+        return (known or Origin(data=name)).model_copy(update=told)
+    allowed = takes(name)
+    same = ["rescale", "view", *(option for option in ("size", "white") if option in allowed)]
+    kept = {option: getattr(known, option) for option in same}
+    return Origin(data=name).model_copy(update=kept | told)
+
+
+def _load(origin: Origin) -> Dataset:
+    options = origin.model_dump(exclude={"data", "view"})
+    scenes = load_dataset(origin.data, **options)
+    return scenes if origin.view is None else view_from(scenes, Path(origin.view))
+
+
+def _notes(memory: Memory | None, asked: Origin, data: Dataset) -> list[str]:
+    known = memory.origin if memory else None
+    if memory is None or memory.is_of(data):
+        return []
+    if known is None:
+        return [f"this is not the data that the design was trained on, {memory.name}"]
+    if known == asked:
+        return [
+            f"{known.words} has changed since the design was trained on it: test scenes may be "
+            "among those it was trained on"
+        ]
+    return [f"the design was trained on {known.words}; this is {asked.words}"]

@@ -1,0 +1,39 @@
+"""Virtual devices of a live run, which see the scenes as a camera does."""
+
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.recording.acquisition import Acquisition
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates, expected_events
+from deepfsi.laboratory.live.run import Bench
+from deepfsi.progress import SILENT, Report
+
+
+def virtual_bench(
+    patterns: Path,
+    scenes: np.ndarray,
+    acquisition: Acquisition,
+    latencies: Latencies,
+    report: Report = SILENT,
+) -> Bench:
+    """Bench for scenes (S, h, w) with the camera, flux, seed and wiring of an acquisition."""
+    camera = VirtualCamera.model_validate(acquisition.camera)
+    rates = arrival_rates(patterns, scenes, camera, acquisition.flux or 0.0, report)
+    laboratory = VirtualSetup(rates, camera, latencies, acquisition.seed or 0)
+    return Bench(
+        BenchProjector(laboratory),
+        BenchCounter(laboratory, acquisition.inputs, acquisition.marker_bit),
+        laboratory.display,
+        lambda: laboratory.now_s,
+        latencies.model_dump(),
+    )
+
+
+def most_events(patterns: Path, scenes: np.ndarray, acquisition: Acquisition) -> float:
+    """Photons and dark counts that a virtual live run is expected to record, at most."""
+    camera, known = VirtualCamera.model_validate(acquisition.camera), read_patterns(patterns)
+    passes = acquisition.exposure_s / known.manifest.pass_s + 1
+    return expected_events(known, scenes, camera, acquisition.flux or 0.0) * passes

@@ -1,0 +1,107 @@
+"""Classes of scenes as a run or a table gives them."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from deepfsi.hardware.recording.faults import Fault
+
+if TYPE_CHECKING:
+    from deepfsi.design.consistency import Consistency
+    from deepfsi.hardware.recording.acquisition import Scene
+    from deepfsi.laboratory.live.decisions import Decision
+
+
+def _in_json(scene: object) -> dict[str, Any]:
+    """Fields of a scene by the names that they have in JSON."""
+    names = {"name": "scene", "predicted": "class"}
+    return {names.get(name, name): value for name, value in vars(scene).items()}
+
+
+@dataclass(frozen=True)
+class ClassifiedScene:
+    """Class of a scene from its exposures."""
+
+    name: str
+    label: str | None  # class that it is known to be of
+    predicted: str | None  # class of the mean probabilities; none without a sound exposure
+    probability: float | None  # of that class, mean over the exposures
+    exposures: int  # that are sound
+    guesses: tuple[str, ...]  # class of each
+    photons: float | None  # budget of an exposure
+    faults: tuple[Fault, ...]  # of the scene, and of the whole recording
+    consistency: float | None  # p-value of its counts; none where they were not tested
+    unsure: bool | None  # true if they do not look like those of the training
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return _in_json(self) | {"faults": [str(fault) for fault in self.faults]}
+
+
+@dataclass(frozen=True)
+class ClassifiedRun:
+    """Classes of the scenes of a run or a table."""
+
+    design: str
+    masks: int
+    classes: tuple[str, ...]  # those that the design tells apart
+    scenes: tuple[ClassifiedScene, ...]
+    faults: tuple[Fault, ...]  # of the markers and the light
+    consistency: "Consistency | None"  # with the training; none where it was not tested
+    remarks: tuple[str, ...]  # on the consistency, for a reader
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
+            "consistency": None if self.consistency is None else self.consistency.as_dict(),
+            "scenes": [scene.as_dict() for scene in self.scenes],
+        }
+
+
+@dataclass(frozen=True)
+class LiveScene:
+    """Class of a scene of a live run, from its looks."""
+
+    name: str
+    label: str | None  # class that it is known to be of
+    predicted: str | None  # none without light
+    probability: float | None
+    looks: int  # that were shown
+    photons: float | None  # budget of a whole exposure
+    light_s: float  # exposure that was used, seconds
+    clock_s: float  # from the first command to the class, seconds
+    agrees: bool | None = None  # of a replay: true if it decides as the run did, bit for bit
+
+    @classmethod
+    def of(
+        cls,
+        scene: "Scene",
+        decision: "Decision | None",
+        classes: tuple[str, ...],
+        clock_s: float,
+        agrees: bool | None = None,
+    ) -> "LiveScene":
+        """A scene after its last decision; none is of a scene without light."""
+        known, replay = (scene.name, scene.label), (clock_s, agrees)
+        if decision is None:
+            return cls(*known, None, None, 0, None, 0.0, *replay)
+        best, looks = decision.chances.argmax(), decision.look + 1
+        found = classes[best], float(decision.chances[best])
+        return cls(*known, *found, looks, decision.photons, decision.light_s, *replay)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {name: value for name, value in _in_json(self).items() if name != "agrees"} | (
+            {} if self.agrees is None else {"agrees": self.agrees}
+        )
+
+
+@dataclass(frozen=True)
+class ReplayedRun:
+    """Classes of the scenes of a live run, decided again from its counts."""
+
+    exposure_s: float  # of all looks
+    scenes: tuple[LiveScene, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {"live": True, "scenes": [scene.as_dict() for scene in self.scenes]}

@@ -1,0 +1,113 @@
+"""Classes of runs and tables in Python: those of the command line, and what is refused."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deepfsi
+from conftest import quick
+from deepfsi.datasets import read_display, write_pictures
+from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.recording.tables import TableSettings
+from deepfsi.laboratory.live.replay import count_live
+from deepfsi.laboratory.scenes import listed, scenes_of
+from shared.live_samples import live, make_patterns
+
+PAGE = Path(__file__).parents[2] / "docs/do/camera.md"
+DESIGN, RUN = "small-dmd.safetensors", "run_0001"
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits):
+    """A folder in which the lines of the page on the camera were run, and what they printed."""
+    folder = tmp_path_factory.mktemp("lab")
+    light = {"light": "free-dwell", "rails": "single"}
+    quick(digits, masks=20, epochs=15, hidden=(40, 128), **light).save(folder / DESIGN)
+    pictures = {
+        f"{digits.classes[digits.y_test[k]]}/{k}.png": digits.x_test[k].reshape(8, 8)
+        for k in range(4)
+    }
+    write_pictures(pictures, folder / "images")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+        exec(block, {})
+    return folder
+
+
+def in_json(done, *words):
+    said = json.loads(done("camera", "classify", *words, "--json"))
+    assert said.pop("schema") == "deepfsi.camera.classify/1"
+    return said
+
+
+def test_a_run_has_the_classes_of_the_command_line(done, lab):
+    found = deepfsi.classify_run(lab / DESIGN, lab / RUN)
+    assert json.loads(json.dumps(found.as_dict())) == in_json(done, lab / DESIGN, lab / RUN)
+    counts = read_counts(lab / RUN)
+    assert [scene.photons for scene in found.scenes] == counts.photons.tolist()
+    assert [scene.name for scene in found.scenes] == list(read_display(lab / "images").names)
+    assert found.consistency.whole > 0.001
+    assert not found.faults
+    by_patterns = deepfsi.classify_run(str(lab / "frames"), str(lab / RUN))
+    assert by_patterns.as_dict() == found.as_dict()
+
+
+def test_classes_are_those_of_the_design_as_it_was_shown(lab):
+    _, patterns = read_acquisition(lab / RUN)
+    shown = deepfsi.Design.load(lab / DESIGN).as_shown(*patterns.realised)
+    counts = read_counts(lab / RUN)
+    wanted = shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
+    found = deepfsi.classify_run(lab / DESIGN, lab / RUN).scenes
+    assert [scene.probability for scene in found] == wanted.mean(axis=1).max(axis=-1).tolist()
+
+
+def test_a_table_has_the_classes_of_the_command_line(done, lab):
+    counts = read_counts(lab / RUN).counts[:, 0, 0]
+    np.save(lab / "counts.npy", counts)
+    found = deepfsi.classify_table(lab / DESIGN, lab / "counts.npy", TableSettings(photons=1e5))
+    words = [lab / DESIGN, lab / "counts.npy", "--photons", "1e5"]
+    assert json.loads(json.dumps(found.as_dict())) == in_json(done, *words)
+    with pytest.raises(deepfsi.InputError, match="`settle` and `dead_time` need the times"):
+        deepfsi.classify_table(lab / DESIGN, lab / "counts.npy", TableSettings(1e5, settle_s=1e-6))
+
+
+def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
+    with pytest.raises(deepfsi.InputError, match=r"and `photons`; `force` classifies them all"):
+        deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=1e6)
+    found = deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=1e6, force=True)
+    assert found.consistency.refused
+    assert "do not look like" in found.remarks[0]
+    with pytest.raises(deepfsi.InputError, match=r"photon budget 0 is not allowed"):
+        deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=0)
+
+
+def test_a_live_run_is_decided_as_it_was(done, digits, tmp_path):
+    patterns = make_patterns(tmp_path, digits)
+    decided = live(tmp_path / "run", patterns, digits, count=3)
+    with pytest.raises(deepfsi.InputError, match=r"counts\.npz is missing"):
+        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
+    count_live(tmp_path / "run")
+    found = deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run")
+    answers = [each.answer for each in decided if each.answer]
+    assert all(scene.agrees for scene in found.scenes)
+    for scene, answer in zip(found.scenes, answers, strict=True):
+        assert {**scene.as_dict(), "agrees": None} == {**answer.as_dict(), "agrees": None}
+    assert found.as_dict() == in_json(done, tmp_path / "looks.safetensors", tmp_path / "run")
+    with pytest.raises(deepfsi.InputError, match="as it was"):
+        deepfsi.classify_run(tmp_path / "looks.safetensors", tmp_path / "run", photons=1e4)
+
+
+def test_scenes_are_a_list_or_pictures(lab, tmp_path):
+    (tmp_path / "scenes.csv").write_text("first,3\nsecond\n")
+    assert [(one.name, one.label) for one in listed(tmp_path / "scenes.csv")] == [
+        ("first", "3"),
+        ("second", None),
+    ]
+    assert listed(lab / "images") == scenes_of(read_display(lab / "images"))
+    with pytest.raises(deepfsi.InputError, match="there is nothing at"):
+        listed(tmp_path / "none.csv")
