@@ -16,7 +16,8 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss", detectors="
     result["confusion"] = np.ones((10, 10)).tolist()
     camera = {"light": "column", "rails": "dual", "readout": "difference"}
     camera["detectors"] = detectors
-    job = {"design": "pca", "photons": photons, "masks": masks, "camera": camera}
+    job = {"design": "pca", "photons": photons, "masks": masks}
+    job |= {"camera": camera, "exposure": {}}
     return {
         "key": f"{masks}-{seed}",
         "design": f"{masks}-{seed}",
@@ -80,8 +81,9 @@ def test_trials_of_other_detectors_are_other_points_with_masks_of_their_own(digi
 
 def test_trials_that_read_rails_otherwise_are_other_points(digits):
     records = [record(1e3, 3, 0, 0.8, 0.5) for _ in range(3)]
-    for entry, readout in zip(records, ("difference", "both", None), strict=True):
-        entry["trial"]["job"]["camera"]["readout"] = readout
+    ways = (("dual", "difference"), ("dual", "both"), ("single", "difference"))
+    for entry, (rails, readout) in zip(records, ways, strict=True):
+        entry["trial"]["job"]["camera"] |= {"rails": rails, "readout": readout}
     points = summary(digits, records)
     assert [(p.readout, p.trials) for p in points] == [("difference", 1), ("both", 1), ("", 1)]
 

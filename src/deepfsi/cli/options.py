@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi import units
 from deepfsi.cli.settings import values
 from deepfsi.errors import InputError
-from deepfsi.optics.camera import Camera
-from deepfsi.training.job import owner, sorted_settings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -176,6 +173,8 @@ def whole_number(option: str, text: str) -> int:
 
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
+    from deepfsi import units
+
     try:
         return units.seconds(text)
     except ValueError as error:
@@ -267,6 +266,9 @@ def job_settings(
     The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
     user's own.
     """
+    from deepfsi.optics.camera import Camera
+    from deepfsi.training.job import sorted_settings
+
     settings = dict(given)
     if "photons" in settings:
         lowest, highest = budget_range(settings["photons"])
@@ -322,6 +324,9 @@ def recipe_settings(
     Options of a job are axes, as text; `own` are fields of the recipe, None where one is not given;
     settings of `base` hold where no option overrides them.
     """
+    from deepfsi.optics.camera import Camera
+    from deepfsi.training.job import owner
+
     fields = {name: value for name, value in own.items() if value is not None}
     if "masks" in given and "ratios" in fields:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
