@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
+LONGEST_GIVEN = 120
+"""Characters of what was given that a message repeats, at most."""
+
 __all__ = ["InputError", "as_input_error", "check_known", "closest", "faults"]
 
 
@@ -56,7 +59,7 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
     except ValidationError as error:
         if not file:
             raise InputError("; ".join(faults(error))) from None
-        fault = _own_faults(error)[0]
+        fault = error.errors()[0]
         at, end = fault["loc"] and f" at {_place(fault)}", advice and f"; {advice}"
         raise InputError(f"{file} cannot be used{at or ''}: {_words(fault)}{end}") from None
 
@@ -64,18 +67,19 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
 def faults(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
-        (f"{_place(fault)} = {fault['input']!r}: " if fault["loc"] else "") + _words(fault)
-        for fault in _own_faults(error)
+        (f"{_place(fault)} = {_given(fault)}: " if fault["loc"] else "") + _words(fault)
+        for fault in error.errors()
+        if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]
-
-
-def _own_faults(error: "ValidationError") -> "list[ErrorDetails]":
-    """Faults but those of fields that were not given and follow from one that is bad."""
-    return [fault for fault in error.errors() if fault["type"] != "default_factory_not_called"]
 
 
 def _place(fault: "ErrorDetails") -> str:
     return ".".join(map(str, fault["loc"]))
+
+
+def _given(fault: "ErrorDetails") -> str:
+    text = " ".join(repr(fault["input"]).split())
+    return text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ..."
 
 
 def _words(fault: "ErrorDetails") -> str:

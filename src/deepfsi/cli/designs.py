@@ -50,6 +50,7 @@ def design(
     asked = options.job_settings(settings, scenes, own)
     job = find_job(asked, counted)
     options.check_sigma(settings, (job.camera.noise_name, job.noise))
+    options.check_test(job)
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     with common.progress(f"{job.design}, {job.masks} masks", as_json) as report:
         made = learn(shown, counts=counted, matrix=own, device=device, report=report, **asked)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
+    from deepfsi.training.job import Job
     from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
 
 MOST_PIXELS = 10_000
@@ -256,6 +257,15 @@ def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
             f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
             "gaussian or camera"
         )
+
+
+def check_test(job: "Job") -> None:
+    """Raise `InputError` unless a design can be tested under its camera's noise."""
+    from deepfsi.optics.noise import resolve
+
+    resolve(job.camera.noise)
+    if faults := job.exposure.test_faults((job.camera.noise_name,)):
+        raise InputError("; ".join(faults))
 
 
 def job_settings(

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE, Detection
 from deepfsi.optics.grey_levels import quantise
-from deepfsi.optics.noise import OwnNoise
+from deepfsi.optics.noise import Noise, OwnNoise
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
 
@@ -143,18 +143,30 @@ class Design:
 
     @property
     def camera(self) -> Camera:
-        """The camera that it was trained for, as the file keeps it."""
+        """The camera that it was trained for, as the file keeps it; of older files its optics."""
         known = self.info.get("job", {}).get("camera")
         if known is None:
-            return Camera.load(light=self.light)
+            known = {"light": self.light, "rails": self.rails.kind}
+            known["readout"] = self.detection.readout
+            if self.detection.labels is not None and self.light != "column":
+                known["detectors"] = self.detection.labels.cpu()
         with as_input_error("the design's camera", "train it again"):
-            return Camera.model_validate(known)
+            return Camera.restored(known)
 
     def camera_with(self, **settings: Any) -> Camera:
-        """Its camera with other settings, such as the noise of a test."""
+        """Its camera with other settings, such as the noise of a test.
+
+        A noise of its maker's own is code, which a file must not run: it is to be given.
+        """
+        camera = self.camera
+        if "noise" not in settings and camera.noise_name not in get_args(Noise):
+            raise InputError(
+                f"this design is for {camera.noise_name} noise, code of its maker's that a file "
+                "does not run: give `noise`, it or another"
+            )
         if settings.get("noise", "camera") != "camera":
             settings = {"dark": 0.0, **settings}  # only camera noise has dark counts
-        return Camera.load(self.camera, **settings)
+        return Camera.load(camera, **settings)
 
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0

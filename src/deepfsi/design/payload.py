@@ -82,7 +82,7 @@ def check_playable(design: Design) -> Mlp:
             "a page has no classifier of your own in it: give a design with the package's own, "
             "which `classifier` mlp learns"
         )
-    noise = design.info.get("job", {}).get("noise", "poisson")
+    noise = design.camera.noise_name
     if noise not in ("poisson", "ml_gauss"):
         raise InputError(
             f"this design is for {noise} noise, and a page draws photon counts: give a design for "

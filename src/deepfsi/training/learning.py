@@ -191,7 +191,7 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     if isinstance(masks, LearnedMasks):
         masks = final_masks(masks, seen, job, exposure)
     total = masks.to(training_set.device)().total
-    counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
+    counts = float((total[0] @ seen.full.mean(dim=0)).sum()) * exposure.tokens(shape)
     return counts / training_set.summed_reflectance
 
 

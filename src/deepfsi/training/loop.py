@@ -143,10 +143,7 @@ def _classifiers(
     job, settings, classes = jobs[0], jobs[0].training, len(data.classes)
     inputs = exposure.input_count(job.features(data.image_shape))
     if settings.own:
-        arguments = settings.classifier_arguments
-        if isinstance(settings.classifier, nn.Module):
-            arguments = {}
-        made = make(settings.classifier, arguments, inputs, classes, job.seed)
+        made = make(settings.classifier, settings.classifier_arguments, inputs, classes, job.seed)
         if not any(each.requires_grad for each in made.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
