@@ -42,6 +42,10 @@ MLP_SETTINGS, OWN_SETTINGS = ("hidden", "dropout"), ("classifier_arguments",)
 """Settings of the training that only the usual classifier has, and those of one's own."""
 
 
+OWN_AXES = ("light", "rails", "detectors", "readout", "noise")
+"""Fields of the camera that each point of a summary has as its own."""
+
+
 def axis(value: Any) -> Any:
     """Values of an axis, each once; a single value is an axis of one."""
     if not isinstance(value, (list, tuple)):
@@ -88,18 +92,25 @@ def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
 
 
 class NamedCamera(NamedTuple):
-    """One camera of a recipe, and the name that it gives to its detectors."""
+    """One camera of a recipe, the name that it gives to its detectors, and which of several it is.
+
+    The variant is in words, of the fields that no point of a summary has as its own.
+    """
 
     camera: Camera
     detectors: str
+    variant: str
 
 
 def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
     """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
     found, faults = list[NamedCamera](), list[str]()
+    several = [name for name in axes if len(axes[name]) > 1 and name not in OWN_AXES]
     for _, fields in _product(axes):
+        variant = ", ".join(f"{name} {fields[name]}" for name in several)
         try:
-            found.append(NamedCamera(Camera.load(fields), str(fields.get("detectors", "1x1"))))
+            camera, detectors = Camera.load(fields), str(fields.get("detectors", "1x1"))
+            found.append(NamedCamera(camera, detectors, variant))
         except InputError as error:
             faults.append(str(error))
     if not found:

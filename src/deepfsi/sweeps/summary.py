@@ -11,6 +11,7 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import COVERS
+from deepfsi.design.exposure import find_exposure
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
 from deepfsi.statistics.differences import of_trials
@@ -90,8 +91,9 @@ def summarise(
 
 def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:
     """Pixels that each detector of a trial sees, in the mean."""
-    detectors = record["trial"]["job"]["camera"]["detectors"]
-    return data.pixels / Detection.of(detectors, data.image_shape).count
+    job = record["trial"]["job"]
+    scene = find_exposure(job["exposure"]).scene(data)
+    return scene.pixels / Detection.of(job["camera"]["detectors"], scene.image_shape).count
 
 
 def facts_of(data: Dataset, held_out: int) -> Data:

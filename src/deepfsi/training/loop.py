@@ -81,7 +81,7 @@ def optimise(
     def loss(step: int) -> Tensor:
         logits = classify(features.at(step))
         truth = side_by_side([each.labels(step) for each in streams])
-        return _loss(logits, truth, weights) / batch
+        return _loss(logits, truth, weights, isinstance(classifiers[0], Vit)) / batch
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:
@@ -154,17 +154,16 @@ def _classifiers(
     return [Mlp(inputs, classes, settings.hidden, settings.dropout, seed) for seed in seeds]
 
 
-def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
+def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None, rows: bool) -> Tensor:
     """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K answers.
 
-    Scenes have the weights (C,) of their classes, if there are any.
+    Scenes have the weights (C,) of their classes, if there are any. Classes are along the last
+    axis in memory with `rows`, else along the first: that is rounded otherwise.
     """
     answers = len(logits) // len(labels)
-    # sums over few classes are many times faster along a leading axis
-    by_class, truth = (
-        logits.flatten(0, 1).T.contiguous()[None],
-        labels.repeat(answers, 1).view(1, -1),
-    )
+    by_class, truth = logits.flatten(0, 1), labels.repeat(answers, 1).flatten()
+    if not rows:  # sums over few classes are many times faster along a leading axis
+        by_class, truth = by_class.T.contiguous()[None], truth[None]
     if answers == 1:
         return functional.cross_entropy(by_class, truth, weights, reduction="sum")
     each = functional.cross_entropy(by_class, truth, weights, reduction="none")

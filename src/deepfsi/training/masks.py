@@ -1,7 +1,6 @@
 """Masks of a training: the matrix that they are or start from, and what they are at its end."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch

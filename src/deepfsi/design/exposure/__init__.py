@@ -35,7 +35,7 @@ class Job(Protocol):
 
     @property
     def masks(self) -> int:
-        """m."""
+        """Number of masks, m."""
 
     @property
     def photons(self) -> float:
@@ -109,6 +109,10 @@ class Exposure(BaseModel):
     def seen(self, data: "Dataset") -> "Dataset":
         """The data as the masks see it: whole scenes."""
         return data
+
+    def scene(self, data: "Dataset") -> "Dataset":
+        """One training scene as the masks see it: its shape, and the classes."""
+        return self.seen(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
         """The exposure of a design that is to be trained on scenes of a shape.
