@@ -84,11 +84,22 @@ def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
     for name, places in wrong.items():
         value = sound.pop(str(name))
         if name in TABLES and isinstance(value, dict):
-            sound[name] = {key: each for key, each in value.items() if _reads(name, key, each)}
+            sound[name] = _sound_axes(name, value)
         elif all(place and isinstance(place[0], int) for place in places):
             bad = {place[0] for place in places}
             left = [each for number, each in enumerate(axis(value)) if number not in bad]
             sound |= {str(name): left} if left else {}
+    return sound
+
+
+def _sound_axes(table: str, axes: Settings) -> Settings:
+    """Axes of a table without the values that are wrong by themselves."""
+    sound = {}
+    for name, value in axes.items():
+        if _reads(table, name, value):
+            sound[name] = value
+        elif left := [each for each in axis(value) if _reads(table, name, each)]:
+            sound[name] = left
     return sound
 
 

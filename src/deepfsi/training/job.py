@@ -212,7 +212,9 @@ class Job(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    design: Annotated[str, AfterValidator(_design)] = Field("deepfsi", description="which design")
+    design: Annotated[str, AfterValidator(_design)] = Field(
+        "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
+    )
     masks: int = Field(ge=1, description="number of masks, m")
     photons: float = Field(
         ge=BUDGETS[0],
@@ -221,7 +223,9 @@ class Job(BaseModel):
         "budgets; flux times exposure of the camera unless given",
     )
     camera: Annotated[Camera, BeforeValidator(_camera)] = Field(
-        Camera(), description="the camera: dmd, two-arm, paper, a TOML file, or its fields"
+        Camera(),
+        description="the camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper) or a "
+        "TOML file; dmd unless given",
     )
     exposure: AnyExposure = Field(Fixed(), description="what is shown when")
     training: Training = Field(Training(), description="settings of the training")
