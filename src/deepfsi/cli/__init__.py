@@ -52,6 +52,7 @@ app.add_typer(camera.camera, name="camera", rich_help_panel="Camera")
 app.add_typer(data.app, name="data", rich_help_panel="Data")
 
 _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
+    "Describe the camera": {"describe": camera.camera_describe},
     "Record a run": {
         "prepare": acquisitions.camera_prepare,
         "simulate": camera.camera_simulate,

@@ -1,13 +1,15 @@
 """Acquisitions of a laboratory, prepared for the photon file that its counter will write."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.settings import laboratory_fields, with_settings
 
 
+@with_settings(laboratory_fields("exposure", "flux"))
 def camera_prepare(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
     scenes: Annotated[
@@ -17,24 +19,18 @@ def camera_prepare(
             "with or without a folder for each class"
         ),
     ],
+    settings: dict[str, Any],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
     inputs: options.Inputs = None,
     marker: options.Marker = None,
-    exposure: Annotated[
-        str | None,
-        typer.Option(
-            help="total exposure, such as 0.01 or 10ms; the longest that fits unless given"
-        ),
-    ] = None,
     settle: options.Settle = None,
     repeats: options.Repeats = None,
-    flux: Annotated[
-        float | None,
-        typer.Option(help="photons/s on the device for the mean training scene, where known"),
-    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Make the folder of a real acquisition; you then put the counter's photons.ptu into it.
+
+    Exposure and flux are those of the design's camera unless given; the longest exposure that fits
+    where it has none.
 
     Example: deepfsi camera prepare patterns --scenes scenes.csv --input 1 --marker 0 -o run_lab
     """
@@ -42,16 +38,17 @@ def camera_prepare(
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.recording.acquisition import name_inputs, plan_acquisition, prepare
+    from deepfsi.laboratory.camera import camera_of
     from deepfsi.laboratory.scenes import listed
 
-    manifest = read_patterns(patterns).manifest
+    manifest, known = read_patterns(patterns).manifest, camera_of(patterns, **settings)
     planned = plan_acquisition(
         manifest,
         listed(scenes),
-        exposure_s=options.optional_seconds("exposure", exposure),
+        exposure_s=known.exposure,
         settle_s=options.optional_seconds("settle", settle),
         repeats=repeats,
-        flux=flux,
+        flux=known.flux,
         **options.wiring(inputs, marker),
     )
     made = prepare(out, patterns, planned)

@@ -9,7 +9,10 @@ import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.files import write_atomically
+from deepfsi.optics.camera import Camera
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,15 +43,56 @@ EVENT_BYTES = 4
 """Bytes of a photon in its file."""
 
 
+@with_settings(laboratory_fields(*Camera.model_fields), leave=("camera",))
+def camera_describe(
+    settings: dict[str, Any],
+    source: Annotated[
+        Path | None,
+        typer.Argument(
+            help="camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design "
+            "file, or a folder of patterns or of a run; dmd unless given"
+        ),
+    ] = None,
+    template: Annotated[
+        Path | None, typer.Option(help="write a camera file, .toml, with a comment on each field")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say in words what a camera is, what it can show and what light it has.
+
+    Example: deepfsi camera describe --template my-lab.toml
+    """
+    from deepfsi.laboratory.camera import camera_of
+    from deepfsi.optics.camera import PRESETS
+    from deepfsi.optics.camera import template as commented
+
+    if template is not None:
+        paths.check_file(template, (".toml",))
+        paths.check_absent(template)
+        write_atomically(template, commented().encode())
+        print(f"camera file: {template}; then: deepfsi camera describe {template}")
+        return
+    name = "dmd" if source is None else str(source)
+    if name in PRESETS or name.endswith(".toml") or not Path(name).exists():
+        found = Camera.load(name, **settings)
+    else:
+        found = camera_of(name, **settings)
+    if as_json:
+        held = found.model_dump(mode="json")
+        counted = {"budget": found.budget, "dark_counts": found.dark_counts}
+        shown = {"shortest_share": found.shortest_share}
+        common.print_json("camera.describe", {"camera": held, **counted, **shown})
+        return
+    print(found.words)
+
+
+@with_settings(laboratory_fields("exposure", "flux", "dark", "dead_time", "dead_time_model"))
 def camera_simulate(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
+    settings: dict[str, Any],
     scene: options.Scenes,
-    flux: Annotated[
-        float, typer.Option(help="photons/s on the device, for the mean training scene")
-    ],
-    exposure: Annotated[str, typer.Option(help="total exposure, such as 0.01 or 10ms")],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
-    settings: options.CameraSettings = "pmt",
+    virtual: options.Virtual = None,
     settle: options.Settle = None,
     repeats: options.Repeats = None,
     inputs: options.Inputs = None,
@@ -58,17 +102,21 @@ def camera_simulate(
 ) -> None:
     """Record scenes with a virtual camera, in a photon file such as a real counter writes.
 
+    Exposure, flux, dark counts and dead time are those of the design's camera unless given.
+
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
     paths.check_new_folder(out)
     from deepfsi.hardware.patterns.folder import read_patterns
     from deepfsi.hardware.virtual.camera import RecordingSettings, expected_events, record
+    from deepfsi.laboratory.camera import camera_of, exposure_of, flux_of
     from deepfsi.laboratory.scenes import displayed
 
+    known = camera_of(patterns, **settings)
     recording = RecordingSettings(
-        find_camera(settings),
-        flux,
-        options.seconds("exposure", exposure),
+        find_camera(virtual, patterns, settings),
+        flux_of(known),
+        exposure_of(known),
         options.optional_seconds("settle", settle),
         repeats,
         seed,
@@ -77,7 +125,7 @@ def camera_simulate(
     shown = read_patterns(patterns)
     images = displayed(scene, patterns)
     if not yes:
-        ask_for_room(expected_events(shown, images.x, recording.camera, flux))
+        ask_for_room(expected_events(shown, images.x, recording.camera, recording.flux))
     with common.progress("photons", quiet=as_json) as report:
         made = record(patterns, images.x, images.names, images.labels, out, recording, report)
     if as_json:
@@ -97,8 +145,10 @@ def camera_simulate(
     )
 
 
+@with_settings(laboratory_fields("dead_time", "dead_time_model"))
 def camera_count(
     folder: options.Run,
+    settings: dict[str, Any],
     exposure: options.Exposure = None,
     settle: options.Settle = None,
     repeats: options.Repeats = None,
@@ -108,15 +158,14 @@ def camera_count(
     ] = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
-    dead_time: options.DeadTime = None,
-    dead_time_model: options.DeadTimeModel = None,
     as_json: options.Json = False,
 ) -> None:
     """Count the photons in each frame's gate; name missing, doubled and late markers.
 
     A shorter exposure than the recorded one is counted in shorter gates, and more of them. Frames
     that all last longer or shorter than planned are counted as they are, and the drift is said.
-    Inputs and marker are the acquisition's unless given.
+    Inputs and marker are the acquisition's, and the dead time is that of the folder's calibration
+    or of the design's camera, unless given.
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
@@ -124,9 +173,7 @@ def camera_count(
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if is_live(folder):
-        check_as_it_was(
-            (exposure, settle, repeats, tolerance, inputs, marker, dead_time, dead_time_model)
-        )
+        check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker, *settings.values()))
         with common.progress("counting", quiet=as_json) as report:
             _print_live_counts(count_live(folder, report), folder, as_json)
         return
@@ -138,7 +185,7 @@ def camera_count(
             repeats=repeats,
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
-            dead_time=options.dead_time(dead_time, dead_time_model),
+            dead_time=options.dead_time(folder, settings),
             report=report,
         )
     _print_counts(counts, folder, as_json)
@@ -301,17 +348,23 @@ def ask_for_room(events: float) -> None:
     )
 
 
-def find_camera(text: str) -> "VirtualCamera":
-    """Virtual camera of a name or a TOML file, or `InputError`."""
-    from deepfsi.errors import closest
-    from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "VirtualCamera":
+    """Virtual camera of a name or a TOML file, else as the design's camera is described.
 
-    if text in CAMERAS:
-        return CAMERAS[text]
-    if not text.endswith(".toml"):
-        raise InputError(f"unknown camera {text!r}: {closest(text, CAMERAS)}; or give a TOML file")
+    Where that has no exposure time it is no laboratory's, and a photomultiplier is taken.
+    """
+    from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+    from deepfsi.laboratory.camera import camera_of, virtual_of
+
+    if name is None:
+        described = camera_of(source, camera=settings.get("camera")).exposure is not None
+        return virtual_of(camera_of(source, **settings)) if described else CAMERAS["pmt"]
+    if name in CAMERAS:
+        return CAMERAS[name]
+    if not name.endswith(".toml"):
+        raise InputError(f"unknown camera {name!r}: {closest(name, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return VirtualCamera.model_validate(common.read_toml(text, Path(text)))
+        return VirtualCamera.model_validate(common.read_toml(name, Path(name)))
 
 
 def _span(values: "np.ndarray") -> str:

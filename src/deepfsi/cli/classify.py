@@ -1,11 +1,12 @@
 """Classes of exposures from counts: of an acquisition's folder, or a table of any counter."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepfsi.cli import common, options, paths
+from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -14,7 +15,9 @@ if TYPE_CHECKING:
     from deepfsi.laboratory.results import ClassifiedRun, LiveScene, ReplayedRun
 
 
+@with_settings(laboratory_fields("dead_time", "dead_time_model"))
 def camera_classify(
+    settings: dict[str, Any],
     file: Annotated[
         Path,
         typer.Argument(help="design file whose patterns were shown, or the folder of its patterns"),
@@ -54,10 +57,6 @@ def camera_classify(
         float | None,
         typer.Option(help="table of an analogue detector: read noise of a value, counts rms"),
     ] = None,
-    dead_time: Annotated[
-        str | None, typer.Option(help="table: correct for this dead time of the counter")
-    ] = None,
-    dead_time_model: options.DeadTimeModel = None,
     trust: options.Trust = False,
     force: Annotated[
         bool,
@@ -77,8 +76,8 @@ def camera_classify(
     paths.check_design(file)
     options_of_tables = {
         "background": background, "settle": settle, "exposures": exposures, "gain": gain,
-        "read-noise": read_noise, "dead-time": dead_time, "dead-time-model": dead_time_model,
-        "repeats": None if repeats == 1 else repeats,
+        "read-noise": read_noise, "repeats": None if repeats == 1 else repeats,
+        **{name.replace("_", "-"): value for name, value in settings.items()},
     }  # fmt: skip
     from deepfsi.laboratory.classify import classify_run, classify_table
     from deepfsi.laboratory.live.replay import COUNTS, count_live, is_live
@@ -99,11 +98,12 @@ def camera_classify(
         from deepfsi.hardware.recording.tables import TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
-        dead = options.dead_time(dead_time, dead_time_model) or NO_DEAD_TIME
-        settings = TableSettings(
-            photons, background, settle_s, exposures, repeats, gain, read_noise, dead
+        dead = options.dead_time(file, settings) if settings else None
+        table = TableSettings(
+            *(photons, background, settle_s, exposures, repeats, gain, read_noise),
+            dead or NO_DEAD_TIME,
         )
-        found = classify_table(file, counted, settings, force=force, trust=trust)
+        found = classify_table(file, counted, table, force=force, trust=trust)
     else:
         raise InputError(
             f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu "

@@ -1,16 +1,16 @@
 """Commands of the micromirror device: patterns written and checked."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
-from deepfsi.errors import InputError, as_input_error
+from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
-    from deepfsi.devices import Device
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
     from deepfsi.hardware.patterns.timing import Cost
@@ -25,10 +25,12 @@ dmd = typer.Typer(
 
 
 @dmd.command("export")
+@with_settings(laboratory_fields("device", "exposure"))
 def dmd_export(
     file: Annotated[
         Path, typer.Argument(help="design file; or raster or hadamard, to calibrate with")
     ],
+    settings: dict[str, Any],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the patterns, new")],
     size: Annotated[
         str | None,
@@ -43,9 +45,6 @@ def dmd_export(
             "the cells of each; 1 unless given",
         ),
     ] = None,
-    device: Annotated[
-        str, typer.Option(help="name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a TOML file")
-    ] = "dlp7000",
     shortest: Annotated[
         str | None, typer.Option(help="shortest picture time of the device; its own unless given")
     ] = None,
@@ -53,9 +52,12 @@ def dmd_export(
         str | None, typer.Option(help="time for its mirrors to settle; its own unless given")
     ] = None,
     dwell: Annotated[
-        str,
-        typer.Option(help="mean picture time of a frame, settling included, such as 1ms or 44us"),
-    ] = "1ms",
+        str | None,
+        typer.Option(
+            help="mean picture time of a frame, settling included, such as 1ms or 44us; what the "
+            "camera's exposure takes unless given, or 1ms"
+        ),
+    ] = None,
     selection: Annotated[
         str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
     ] = "ordered",
@@ -72,44 +74,39 @@ def dmd_export(
 ) -> None:
     """Write the frames of a design for a micromirror device, with a manifest.
 
+    Device and exposure are those of the design's camera unless given; a DLP7000 where it has none.
+
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
 
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --dwell 1ms -o patterns
     """
     paths.check_new_folder(out)
+    from deepfsi.devices import find_device
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
+    from deepfsi.laboratory.camera import camera_of, picture_time
 
-    shown_by = _device(device).timed(
+    rails = _rails(file, size, detectors)
+    known = camera_of(file, **settings)
+    shown_by = (known.device or find_device("dlp7000")).timed(
         options.optional_seconds("shortest", shortest), options.optional_seconds("settle", settle)
     )
-    settings = FrameSettings(
+    asked = options.optional_seconds("dwell", dwell)
+    frames = FrameSettings(
         shown_by,
-        options.seconds("dwell", dwell),
+        picture_time(rails, shown_by, known) if asked is None else asked,
         selection,  # type: ignore[arg-type]
         seed,
         kind or ("planes" if shown_by.packed else "npy"),  # type: ignore[arg-type]
     )
-    rails = _rails(file, size, detectors)
     with common.progress("patterns", quiet=as_json) as report:
-        patterns = export_patterns(rails, settings, out, report)
-    if settings.raised and not as_json:
+        patterns = export_patterns(rails, frames, out, report)
+    if frames.raised and not as_json:
         print(
-            f"--dwell {dwell} was raised to {settings.device.shortest_us} µs: "
-            f"{settings.device.name} shows no shorter picture (--shortest)"
+            f"the mean picture time was raised to {frames.device.shortest_us} µs: "
+            f"{frames.device.name} shows no shorter picture (--shortest)"
         )
     _print_patterns("dmd.export", patterns, out, as_json)
-
-
-def _device(text: str) -> "Device":
-    """Device of a name, of so many mirrors, or of a TOML file."""
-    from deepfsi.devices import Device, find_device
-
-    if not text.endswith(".toml"):
-        return find_device(text)
-    given = common.read_toml(text, Path(text))
-    with as_input_error(text):
-        return Device.model_validate({"name": Path(text).stem, **given})
 
 
 def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":

@@ -10,6 +10,7 @@ import typer
 
 from deepfsi.cli import camera, common, options, paths
 from deepfsi.cli.classify import print_right
+from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
@@ -23,18 +24,21 @@ PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed
 _OWN = {
     "counter_config": "--counter picoquant",
     "alp_version": "--projector vialux",
-    **dict.fromkeys(("flux", "settings", "latency", "seed", "yes"), "virtual devices"),
+    **dict.fromkeys(("flux", "dark", "virtual", "latency", "seed", "yes"), "virtual devices"),
 }
 """Parameters that only some devices take."""
 
 
+@with_settings(
+    laboratory_fields("exposure", "flux", "dark", "dead_time", "dead_time_model", "shortest_dwell")
+)
 def camera_live(
     context: typer.Context,
+    settings: dict[str, Any],
     source: Annotated[
         Path, typer.Argument(help="folder of patterns; or a design file, shown on a DLP7000")
     ],
     scene: options.Scenes,
-    exposure: Annotated[str, typer.Option(help="exposure of all looks, such as 0.01 or 10ms")],
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
     projector: Annotated[str, typer.Option(help="virtual, or vialux")] = "virtual",
     counter: Annotated[
@@ -48,11 +52,7 @@ def camera_live(
     alp_version: Annotated[
         str | None, typer.Option(help="vialux: version of the ALP interface, 4.3 unless given")
     ] = None,
-    flux: Annotated[
-        float | None,
-        typer.Option(help="photons/s on the device, for the mean training scene; virtual"),
-    ] = None,
-    settings: options.CameraSettings = "pmt",
+    virtual: options.Virtual = None,
     latency: Annotated[
         list[str] | None,
         typer.Option(
@@ -66,13 +66,7 @@ def camera_live(
             help="confidence above which an exposure stops; that of the design's rule unless given"
         ),
     ] = None,
-    shortest_dwell: Annotated[
-        str | None,
-        typer.Option(help="shortest frame to show; at least that of the device and of the design"),
-    ] = None,
     photons: options.Budget = None,
-    dead_time: options.DeadTime = None,
-    dead_time_model: options.DeadTimeModel = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     seed: options.CameraSeed = 0,
@@ -86,28 +80,30 @@ def camera_live(
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """
     paths.check_new_folder(out)
-    virtual = _check_devices(context, projector, counter)
+    simulated = _check_devices(context, projector, counter, settings)
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
-    if virtual and not (flux or 0.0) > 0:
-        raise InputError("virtual devices need a flux above 0: give --flux, such as --flux 1e6")
-    times, exposure_s = _latencies(latency or []), options.seconds("exposure", exposure)
-    shortest_s = options.optional_seconds("shortest-dwell", shortest_dwell)
+    times = _latencies(latency or [])
+    from deepfsi.laboratory.camera import camera_of, exposure_of, flux_of
     from deepfsi.laboratory.live.bench import most_events, virtual_bench
     from deepfsi.laboratory.live.run import plan_live, run_live
     from deepfsi.laboratory.scenes import displayed, scenes_of
 
-    told: dict[str, Any] = {"flux": flux, **options.wiring(inputs, marker)}
-    if dead := options.dead_time(dead_time, dead_time_model):
+    known = camera_of(source, **settings)
+    exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
+    told: dict[str, Any] = {"flux": known.flux, **options.wiring(inputs, marker)}
+    if dead := options.dead_time(source, settings):
         told["dead_time"] = dead
-    if virtual:
-        told |= {"seed": seed, "camera": camera.find_camera(settings).model_dump(mode="json")}
+    if simulated:
+        flux_of(known)
+        seen = camera.find_camera(virtual, source, settings)
+        told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
     with _patterns(source, as_json) as patterns:
         images = displayed(scene, patterns)
         acquisition = plan_live(
             patterns, scenes_of(images), exposure_s, shortest_s, photons, until, **told
         )
-        if virtual:
+        if simulated:
             if not yes:
                 camera.ask_for_room(most_events(patterns, images.x, acquisition))
             with common.progress("light of the scenes", quiet=as_json) as report:
@@ -125,7 +121,9 @@ def camera_live(
     _print_run(answers, out, images.preprocessing, exposure_s, as_json)
 
 
-def _check_devices(context: typer.Context, projector: str, counter: str) -> bool:
+def _check_devices(
+    context: typer.Context, projector: str, counter: str, settings: dict[str, Any]
+) -> bool:
     """True of virtual devices; `InputError` for devices or options that do not go together."""
     check_known("projector", projector, PROJECTORS)
     check_known("counter", counter, COUNTERS)
@@ -135,7 +133,8 @@ def _check_devices(context: typer.Context, projector: str, counter: str) -> bool
     chosen = f"--counter {counter}", "virtual devices" if virtual else f"--projector {projector}"
     words = {each.name: each.opts[0] for each in context.command.params}
     for parameter, owner in _OWN.items():
-        if owner not in chosen and common.is_given(context, parameter):
+        given = parameter in settings or common.is_given(context, parameter)
+        if owner not in chosen and given:
             raise InputError(f"{words[parameter]} is for {owner}: leave it out")
     return virtual
 

@@ -9,7 +9,7 @@ import typer
 
 from deepfsi import units
 from deepfsi.cli.settings import values
-from deepfsi.errors import InputError, check_known
+from deepfsi.errors import InputError
 from deepfsi.optics.camera import Camera
 from deepfsi.training.job import owner, sorted_settings
 
@@ -128,37 +128,14 @@ Marker = Annotated[
 ]
 
 
-DeadTime = Annotated[
-    str | None,
-    typer.Option(
-        help="correct for this dead time of the counter, such as 20ns; unless given `count` takes "
-        "that of the folder's calibration, others none"
-    ),
-]
-DeadTimeModel = Annotated[
-    str | None,
-    typer.Option(
-        help="non-paralysable (a SPAD, a counter's electronics; the default), or paralysable (a "
-        "photomultiplier)"
-    ),
-]
+def dead_time(source: Path, settings: Mapping[str, Any]) -> "CounterDeadTime | None":
+    """Dead time of a design's, a run's or another camera, or None where it has none."""
+    from deepfsi.laboratory.camera import camera_of, dead_time_of
 
-
-def dead_time(text: str | None, model: str | None) -> "CounterDeadTime | None":
-    """Dead time of --dead-time and --dead-time-model, or None where none is given."""
-    from deepfsi.hardware.recording.dead_time import LONGEST_S, DeadTime
-
-    models = {"non-paralysable": False, "paralysable": True}
-    if model is not None:
-        check_known("--dead-time-model", model, models)
-    if text is None:
-        if model is not None:
-            raise InputError("--dead-time-model is of a dead time: give --dead-time, such as 20ns")
-        return None
-    length = seconds("dead-time", text)
-    if length > LONGEST_S:
-        raise InputError(f"--dead-time {text} is not allowed: give up to {LONGEST_S * 1e6:g}us")
-    return DeadTime(seconds=length, paralysable=models[model or "non-paralysable"])
+    camera = camera_of(source, **settings)
+    if "dead_time_model" in settings and not camera.dead_time:
+        raise InputError("--dead-time-model is of a dead time: give --dead-time, such as 20ns")
+    return dead_time_of(camera)
 
 
 def words(text: str | None) -> list[str] | None:
@@ -213,8 +190,12 @@ def optional_seconds(option: str, text: str | None) -> float | None:
 Scenes = Annotated[
     Path, typer.Option(help="image, or folder of images, with or without a folder for each class")
 ]
-CameraSettings = Annotated[
-    str, typer.Option("--camera", help="ideal, pmt, spad, or a TOML file of camera settings")
+Virtual = Annotated[
+    str | None,
+    typer.Option(
+        help="virtual camera: ideal, pmt, spad, or a TOML file; with the dark counts and dead time "
+        "of the design's camera unless given, or pmt where that is no laboratory's"
+    ),
 ]
 CameraSeed = Annotated[
     int,

@@ -50,6 +50,12 @@ def _named(
     }
 
 
+def laboratory_fields(*names: str) -> dict[str, tuple[str, FieldInfo]]:
+    """Help panel and field of the options of a run: its camera, and some fields of that."""
+    fields = {"camera": Job.model_fields["camera"]} | {n: Camera.model_fields[n] for n in names}
+    return {name: ("Camera", field) for name, field in fields.items()}
+
+
 def with_settings(
     fields: Mapping[str, tuple[str, FieldInfo]], *, axes: bool = False, leave: Iterable[str] = ()
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:

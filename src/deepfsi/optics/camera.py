@@ -35,10 +35,13 @@ from deepfsi.units import Seconds
 if TYPE_CHECKING:
     from deepfsi.optics.detection import Detection
 
+UNIT_EXPOSURE_S = 1.0
+"""Exposure where none is given, seconds: rates are then the counts of an exposure."""
+
 GUARD_S = 2e-6
 """Time of a frame, besides settling, that is not counted, seconds."""
 
-LONGEST_DEAD_TIME_S = 1e-3
+LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time of a counter, seconds."""
 
 ONE_DEVICE = (
@@ -171,7 +174,9 @@ class Camera(BaseModel):
         description="shortest time for which a frame is counted, such as 32us; the device's "
         "shortest picture less settling and 2 us unless given",
     )
-    exposure: Seconds = Field(1.0, gt=0, description="time of a whole exposure, such as 10ms")
+    exposure: Seconds | None = Field(
+        None, gt=0, description="time of a whole exposure, such as 10ms"
+    )
     levels: Levels | None = Field(
         None,
         description="grey levels of the masks, dark included: 2 for ON and OFF, 0 for continuous "
@@ -240,9 +245,9 @@ class Camera(BaseModel):
 
     @field_validator("exposure")
     @classmethod
-    def _shows_frames(cls, exposure: float, info: ValidationInfo) -> float:
+    def _shows_frames(cls, exposure: float | None, info: ValidationInfo) -> float | None:
         shortest = info.data.get("shortest_dwell", 0.0)
-        if shortest >= exposure:
+        if exposure is not None and shortest >= exposure:
             raise ValueError(
                 f"a frame is counted for {shortest:g} s at least: give a longer exposure, which "
                 "has room for more than one frame, or another device or shortest_dwell"
@@ -292,19 +297,24 @@ class Camera(BaseModel):
         return {name: getattr(self, name) for name in self.model_fields_set}
 
     @property
+    def exposure_s(self) -> float:
+        """Time of a whole exposure, seconds."""
+        return UNIT_EXPOSURE_S if self.exposure is None else self.exposure
+
+    @property
     def shortest_share(self) -> float:
         """Shortest dwell of a frame that is shown, a share of the exposure."""
-        return self.shortest_dwell / self.exposure
+        return self.shortest_dwell / self.exposure_s
 
     @property
     def dark_counts(self) -> float:
         """Expected dark counts of a detector in an exposure."""
-        return self.dark * self.exposure
+        return self.dark * self.exposure_s
 
     @property
     def budget(self) -> float | None:
         """Budget Φ of an exposure of the mean scene, counts; None where no flux is known."""
-        return None if self.flux is None else self.flux * self.exposure
+        return None if self.flux is None else self.flux * self.exposure_s
 
     @property
     def rail_count(self) -> int:
@@ -392,14 +402,13 @@ def _describe(camera: Camera) -> list[str]:
         device = camera.device
         lines.append(f"device {device.name}: {device.columns} x {device.rows} mirrors")
     if camera.shortest_dwell:
+        lines.append(f"frames are counted for {camera.shortest_dwell * 1e6:.4g} µs or longer")
+    if camera.shortest_dwell and camera.exposure is not None:
         most = int(1 / camera.shortest_share)
-        lines.append(
-            f"an exposure of {camera.exposure:g} s shows up to {most} frames, each counted for "
-            f"{camera.shortest_dwell * 1e6:.4g} µs or longer"
-        )
+        lines[-1] += f": up to {most} in an exposure of {camera.exposure:g} s"
     if camera.budget is not None:
         lines.append(
-            f"budget {camera.budget:.4g} counts in {camera.exposure:g} s, at {camera.flux:.4g} "
+            f"budget {camera.budget:.4g} counts in {camera.exposure_s:g} s, at {camera.flux:.4g} "
             "counts/s with all mirrors ON"
         )
     if camera.dark:

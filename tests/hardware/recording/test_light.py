@@ -139,3 +139,18 @@ def test_dark_counts_alone_are_no_light(shown, tmp_path):
     lit.record(tmp_path / "run", folder)
     with pytest.raises(InputError, match="no all-ON frame is brighter than the all-OFF ones"):
         count(tmp_path / "run")
+
+
+def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
+    """Stray light that is steady while one mask is shown is told by its brightness alone."""
+    folder, patterns = shown["free-dwell"]
+    lit, place = Lit.sound(patterns, np.random.default_rng(8)), int(patterns.manifest.shown[3])
+    begin, dark = lit.starts()[2, place], lit.stray(np.zeros(1))[0]
+    end = lit.starts()[2, place + 1]
+    lit.stray = lambda t: np.where((t >= begin) & (t < end), 1.5 * lit.flux, dark)
+    lit.record(tmp_path / "run", folder)
+    counts = count(tmp_path / "run")
+    assert [(each.kind, each.scene, each.frame) for each in counts.faults] == [
+        ("brighter", 2, place)
+    ]
+    assert np.flatnonzero(counts.spoilt).tolist() == [2]

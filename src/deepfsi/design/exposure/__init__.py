@@ -11,7 +11,7 @@ These are the settings. What a trained design does with them is in the modules b
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
 
@@ -22,7 +22,44 @@ if TYPE_CHECKING:
 
     from deepfsi.datasets import Dataset
     from deepfsi.design.exposure.trained import TrainedExposure as Trained
-    from deepfsi.training.job import Job
+    from deepfsi.optics.camera import Camera
+    from deepfsi.optics.codes import Code
+
+
+class Job(Protocol):
+    """A job, as far as its exposure asks for it: `training.job.Job`."""
+
+    @property
+    def design(self) -> str:
+        """Name of the design."""
+
+    @property
+    def masks(self) -> int:
+        """m."""
+
+    @property
+    def photons(self) -> float:
+        """Lowest budget."""
+
+    @property
+    def training(self) -> Any:
+        """Settings of the training."""
+
+    @property
+    def code(self) -> "Code":
+        """All that the design's name implies."""
+
+    @property
+    def optics(self) -> "Camera":
+        """The camera as the design has it."""
+
+    @property
+    def noise(self) -> str:
+        """Name of the noise that is trained under."""
+
+    def features(self, image_shape: tuple[int, ...]) -> int:
+        """Numbers that are read of the masks of scenes of a shape, k."""
+
 
 LOOKING = ("free-dwell", "two-arm")
 """Light laws under which dwells can be chosen."""
@@ -73,7 +110,7 @@ class Exposure(BaseModel):
         """The data as the masks see it: whole scenes."""
         return data
 
-    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
         """The exposure of a design that is to be trained on scenes of a shape.
 
         Where it has a network of its own, that is untrained.
@@ -82,7 +119,7 @@ class Exposure(BaseModel):
 
         return FixedExposure()
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: Job) -> list[str]:
         """Everything that a job asks of this exposure and that cannot be had."""
         return []
 
@@ -104,7 +141,7 @@ class Conditioned(Exposure):
         """The other end of the range."""
         return photons * self.span
 
-    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
         """One whose classifier has the budget and the number of masks as inputs."""
         from deepfsi.design.exposure.conditioned import ConditionedExposure
 
@@ -112,7 +149,7 @@ class Conditioned(Exposure):
         fewest = getattr(self, "nested", 0)
         return ConditionedExposure(job.photons, self.span, job.masks, fewest, width)
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: Job) -> list[str]:
         """Another training noise than MLGauss, or masks that learn under one."""
         if job.code.learned_under:
             left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
@@ -157,7 +194,7 @@ class Nested(Conditioned):
         """Those that are shown at least."""
         return self.nested
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: Job) -> list[str]:
         """Those of all conditioned ones, or more nested masks than there are."""
         found = super().faults(job)
         if self.nested > job.masks:
@@ -202,7 +239,7 @@ class Looks(Exposure):
         """One: a look may show nothing else."""
         return 1
 
-    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
         """One with a network that chooses dwells, of the classifier's hidden layers."""
         from deepfsi.design.classifiers import Mlp
         from deepfsi.design.exposure.looks import Dwells, LooksExposure
@@ -213,7 +250,7 @@ class Looks(Exposure):
         network = Mlp(inputs, dwells.count, job.training.hidden, 0.0, seed)
         return LooksExposure(dwells, network, self.looks, camera.shortest_share)
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: Job) -> list[str]:
         """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
         found, camera = [], job.optics
         if job.code.every_pixel or job.code.learned_under or job.code.own:
@@ -289,7 +326,7 @@ class Patches(Exposure):
             image_shape=(self.patch, self.patch),
         )
 
-    def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
         """One that cuts images in patches."""
         from deepfsi.design.exposure.trained import PatchExposure
 
@@ -299,7 +336,7 @@ class Patches(Exposure):
         """True on a GPU: a processor is slower with it at a transformer's size."""
         return device == "cuda"
 
-    def faults(self, job: "Job") -> list[str]:
+    def faults(self, job: Job) -> list[str]:
         """Optics that no patch has, and noise that was not tried."""
         found, camera = [], job.optics
         if camera.light != "column":

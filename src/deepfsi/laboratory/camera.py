@@ -1,0 +1,93 @@
+"""The camera of a design, of its patterns or of a run, and what runs take of it.
+
+No torch: a camera's computer reads the header of a design file.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+
+from deepfsi.devices import Device
+from deepfsi.errors import InputError, as_input_error
+from deepfsi.hardware.patterns.folder import DesignRails
+from deepfsi.hardware.recording.dead_time import DeadTime
+from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.optics.camera import Camera
+
+SLACK = 1.01
+"""Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
+
+DESIGN = "design.safetensors"
+"""Design of a folder of patterns."""
+
+
+def camera_of(source: str | os.PathLike[str], **settings: Any) -> Camera:
+    """Camera of a design file, of a folder of its patterns, or of a run, with other settings.
+
+    `camera` among the settings names another to begin with: a preset or a TOML file. Where none is
+    known it is the preset `dmd`.
+    """
+    given = settings.pop("camera", None)
+    found = Camera.load(_known(Path(source)) if given is None else given)
+    if "device" in settings and found.light == "column":
+        found = Camera.load(found, light="free-dwell")  # its masks are shown with less light
+    return Camera.load(found, **settings)
+
+
+def _known(path: Path) -> Camera | None:
+    folders = (path, path / "patterns") if path.is_dir() else ()
+    file = next((each / DESIGN for each in folders if (each / DESIGN).is_file()), path)
+    if file.is_dir() or not file.is_file():
+        return None
+    try:
+        with safe_open(file, framework="numpy") as tensors:
+            header = json.loads((tensors.metadata() or {})["deepfsi"])
+        known = header["info"].get("job", {}).get("camera")
+    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError):
+        return None  # whoever opens the design says what is wrong with it
+    with as_input_error(str(file), "train it again"):
+        return None if known is None else Camera.model_validate(known)
+
+
+def exposure_of(camera: Camera) -> float:
+    """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
+    if camera.exposure is None:
+        raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
+    return camera.exposure
+
+
+def picture_time(rails: DesignRails, device: Device, camera: Camera) -> float:
+    """Mean picture time of a frame in seconds: what the camera's exposure takes, or 1 ms."""
+    if camera.exposure is None:
+        return 1e-3
+    frames = int((rails.rails.max(axis=-1) > 0).sum())
+    return SLACK * camera.exposure / frames + device.settle_us * 1e-6
+
+
+def flux_of(camera: Camera) -> float:
+    """Flux in counts/s, or `InputError` where the camera has none."""
+    if camera.flux is None:
+        raise InputError("a virtual camera needs its light: give `flux`, such as 1e6, or a camera")
+    return camera.flux
+
+
+def dead_time_of(camera: Camera) -> DeadTime | None:
+    """Dead time to be corrected; None where the camera has none."""
+    if not camera.dead_time:
+        return None
+    return DeadTime(seconds=camera.dead_time, paralysable=camera.dead_time_model == "paralysable")
+
+
+def virtual_of(camera: Camera) -> VirtualCamera:
+    """Virtual camera with the dark counts and the dead time of one that a laboratory describes.
+
+    Its flux is of counts: the efficiency of the detector is in it.
+    """
+    return VirtualCamera(
+        dark=camera.dark,
+        dead_time_s=camera.dead_time,
+        paralysable=camera.dead_time_model == "paralysable",
+    )
