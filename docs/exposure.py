@@ -82,13 +82,9 @@ def expose() -> Run:
         data.hold_out(10000),
         photons=PHOTONS,
         masks=20,
-        nested=2,
-        light="equal-dwell",
-        rails="single",
-        levels=2,
-        start="class-pairs",
-        hidden=(256, 128),
-        epochs=30,
+        camera=deepfsi.Camera(light="equal-dwell", levels=2),
+        exposure=deepfsi.Nested(nested=2),
+        training=deepfsi.Training(start="class-pairs", hidden=(256, 128), epochs=30),
         device="cpu",
     )
     tested = stop(design, data, PHOTONS, held_out=10000, threshold=THRESHOLD)

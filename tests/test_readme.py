@@ -20,7 +20,7 @@ README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 LINES = {
-    "README": 1,
+    "README": 2,
     "docs/do/compare": 6,
     "docs/do/page": 2,
     "docs/do/plan": 1,
@@ -51,7 +51,7 @@ def lines(page: str) -> list[str]:
 def test_python(block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    exec(block.replace('"mnist"', '"digits"').replace("masks=10)", "masks=10, epochs=2)"), names)
+    exec(block.replace('"mnist"', '"digits"').replace("epochs=20", "epochs=2"), names)
     assert names["probabilities"].shape == (len(names["data"].x_test), 10)
 
 
@@ -128,6 +128,8 @@ def test_readme(run, tmp_path):
         for number in range(12):
             picture = Image.fromarray(rng.integers(0, 256, (40, 40), dtype=np.uint8))
             picture.save(tmp_path / "my-pictures" / name / f"{number}.png")
+    [camera] = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
+    (tmp_path / "my-lab.toml").write_text(camera)
     run("README")
     assert (tmp_path / "runs/mine/report.html").stat().st_size > 100
 

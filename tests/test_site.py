@@ -88,7 +88,7 @@ def test_every_heading_of_the_command_line_has_a_page():
 
 def test_every_option_is_in_the_reference():
     text = commands.reference("Design")
-    assert "| `--photons <str>` | budget: expected photons on the coding device;" in text
+    assert "| `--photons <str>` | budget Φ: expected photons on the coding device," in text
     assert "| `-o, --out <path>` | design file, .safetensors | required |" in text
     assert "$ deepfsi design --data mnist" in text
 

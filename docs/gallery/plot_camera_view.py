@@ -25,10 +25,11 @@ from deepfsi.report.style import STYLE
 plt.rcParams.update(STYLE)
 
 # %%
-# Twenty non-negative masks, each shown for its own share of the exposure.
+# Twenty non-negative masks of one device and one detector (the camera unless another is given), each
+# shown for its own share of the exposure.
 
 digits = deepfsi.load_dataset("digits")
-design = deepfsi.learn(digits, photons=1e5, masks=20, light="free-dwell", rails="single", epochs=30)
+design = deepfsi.learn(digits, photons=1e5, masks=20, training={"epochs": 30})
 
 # %%
 # Frames for a device of 64 × 48 mirrors, and a recording of four digits: 10 ms each at 10⁷ photons

@@ -39,14 +39,14 @@ class SinglePixelCamera(LinearPhysics):
 
 
 # %%
-# Thirty-two learned masks; the pseudo-inverse is deepinv's. Its networks take the same camera. At
+# Thirty-two learned masks of the paper's optics; the pseudo-inverse is deepinv's. Its networks take the same camera. At
 # 10⁴ photons hardly a picture is left, and the classes are still read from the same counts.
 
 digits = deepfsi.load_dataset("digits")
 scenes = torch.from_numpy(digits.x_test[:6])
 figure, axes = plt.subplots(3, 6, figsize=(6.4, 3.8), layout="constrained")
 budgets = (1e4, 1e6)
-design = deepfsi.learn(digits, photons=1e6, masks=32, epochs=20)
+design = deepfsi.learn(digits, camera="paper", photons=1e6, masks=32, training={"epochs": 20})
 camera = SinglePixelCamera(design, torch.Generator().manual_seed(0))
 for ax, scene in zip(axes[0], scenes, strict=True):
     ax.imshow(scene.reshape(8, 8), cmap="gray", vmin=0, vmax=1)

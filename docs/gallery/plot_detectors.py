@@ -25,10 +25,8 @@ for detectors, masks in parts.items():
         digits,
         photons=3e3,
         masks=masks,
-        light="free-dwell",
-        rails="single",
-        detectors=detectors,
-        epochs=20,
+        camera={"detectors": detectors},
+        training={"epochs": 20},
     )
     results += deepfsi.evaluate(design, digits, 3e3)
 

@@ -26,7 +26,7 @@ plt.rcParams.update(STYLE)
 # pixel of a mask is a cell of 96 × 96 mirrors.
 
 digits = deepfsi.load_dataset("digits")
-design = deepfsi.learn(digits, photons=1e5, masks=4, light="free-dwell", rails="single", epochs=20)
+design = deepfsi.learn(digits, photons=1e5, masks=4, training={"epochs": 20})
 device = find_device("dlp7000")
 with tempfile.TemporaryDirectory() as folder:
     file = design.save(Path(folder) / "design.safetensors")

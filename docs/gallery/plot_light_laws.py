@@ -15,18 +15,16 @@ plt.rcParams.update(STYLE)
 
 # %%
 # Eight masks at 3000 photons under each constraint. ``free-dwell`` and ``equal-dwell`` are one
-# device with one detector, ``two-arm`` has a second detector for the mirrors that are OFF.
+# device with one detector, ``two-arm`` has a second detector for the mirrors that are OFF. Masks are
+# signed, in two rails, where the camera can show both at once.
 
 digits = deepfsi.load_dataset("digits")
-laws = {
-    "column": "dual",
-    "two-arm": "dual",
-    "free-dwell": "single",
-    "equal-dwell": "single",
-}
+cameras = [
+    deepfsi.Camera(light=light) for light in ("column", "two-arm", "free-dwell", "equal-dwell")
+]
 results = []
-for light, rails in laws.items():
-    design = deepfsi.learn(digits, photons=3e3, masks=8, light=light, rails=rails, epochs=25)
+for camera in cameras:
+    design = deepfsi.learn(digits, camera=camera, photons=3e3, masks=8, training={"epochs": 25})
     results += deepfsi.evaluate(design, digits, 3e3)
 
 # %%
@@ -35,14 +33,14 @@ for light, rails in laws.items():
 # the time.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.4), sharey=True, layout="constrained")
-places = range(len(laws))
+places = range(len(cameras))
 accuracy = [each.accuracy for each in results]
 low = [each.accuracy - each.low for each in results]
 high = [each.high - each.accuracy for each in results]
 left.errorbar(accuracy, places, xerr=(low, high), fmt="o", color=COLOURS["deepfsi"], capsize=3)
 left.axvline(0.1, color="0.4", linestyle=":")
 left.text(0.12, 3.4, "guessing", va="bottom")
-names = [f"{light}, {rails}" for light, rails in laws.items()]
+names = [f"{camera.light}, {camera.rails}" for camera in cameras]
 left.set(yticks=places, yticklabels=names, xlim=(0, 1), ylim=(3.7, -0.5), xlabel="accuracy")
 left.set_title("95 % over 360 test pictures")
 right.barh(places, [each.counts for each in results], color="#5d6670", height=0.5)

@@ -23,11 +23,9 @@ design = deepfsi.learn(
     digits,
     photons=PHOTONS,
     masks=12,
-    looks=4,
-    levels=2,
-    light="free-dwell",
-    rails="single",
-    epochs=25,
+    camera={"levels": 2},
+    exposure=deepfsi.Looks(looks=4),
+    training={"epochs": 25},
 )
 
 # %%

@@ -2,7 +2,7 @@
 Masks against light
 ===================
 
-The same camera is learned three times, for 100, 10⁴ and 10⁶ photons an exposure. With 100 photons
+The paper's camera is learned three times, for 100, 10⁴ and 10⁶ photons an exposure. With 100 photons
 each mask takes all the light of a few pixels. With more light, all masks share every pixel.
 """
 
@@ -14,13 +14,16 @@ from deepfsi.report.style import STYLE, photons_text
 plt.rcParams.update(STYLE)
 
 # %%
-# A design is six masks and the network that reads their counts. It is tested on pictures that it
+# A design is six masks and the network that reads their counts. The optics split the light of each
+# pixel among all masks (``column``). It is tested on pictures that it
 # was not trained on, under exact photon noise.
 
 digits = deepfsi.load_dataset("digits")
 designs, results = {}, {}
 for photons in (1e2, 1e4, 1e6):
-    designs[photons] = deepfsi.learn(digits, photons=photons, masks=6, epochs=20)
+    designs[photons] = deepfsi.learn(
+        digits, camera="paper", photons=photons, masks=6, training={"epochs": 20}
+    )
     [results[photons]] = deepfsi.evaluate(designs[photons], digits, photons)
 
 # %%

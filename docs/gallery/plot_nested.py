@@ -20,7 +20,7 @@ plt.rcParams.update(STYLE)
 
 digits = deepfsi.load_dataset("digits")
 design = deepfsi.learn(
-    digits, photons=1e5, masks=16, nested=2, light="free-dwell", rails="single", epochs=60
+    digits, photons=1e5, masks=16, exposure=deepfsi.Nested(nested=2), training={"epochs": 60}
 )
 
 # %%

@@ -20,7 +20,8 @@ from deepfsi.sweeps.recipe import Recipe
 plt.rcParams.update(STYLE | {"text.parse_math": True})
 
 # %%
-# Three designs of ten masks on digits, with a target accuracy of 0.8.
+# Three designs of ten masks on digits, with a target accuracy of 0.8, for one micromirror device
+# with one detector.
 
 digits = deepfsi.load_dataset("digits")
 recipe = Recipe(

@@ -32,18 +32,22 @@ run = commands_in(work)
 # Learn a design
 # --------------
 #
-# Eight masks at 10⁴ photons, for one micromirror device and one detector (``free-dwell``; the next
-# page explains it). On the command line it is
+# Eight signed masks at 10⁴ photons, for one micromirror device and one detector. That is the camera
+# unless you say otherwise; its masks are then non-negative, and ``--rails dual`` makes them signed.
+# On the command line it is
 
 run(
     r"""deepfsi design --data my-pictures --photons 1e4 --masks 8 \
-    --light free-dwell --rails dual --epochs 30 \
-    -o mine.safetensors"""
+    --rails dual --epochs 30 -o mine.safetensors"""
 )
 
 # %%
-# and in Python ``deepfsi.learn(data, photons=1e4, masks=8, light="free-dwell", epochs=30)``. The
-# file holds everything; Python reads it with
+# and in Python::
+#
+#     camera, training = deepfsi.Camera(rails="dual"), deepfsi.Training(epochs=30)
+#     deepfsi.learn(data, camera=camera, photons=1e4, masks=8, training=training)
+#
+# The file holds everything; Python reads it with
 
 design = deepfsi.Design.load(work / "mine.safetensors")
 print(design)
@@ -122,7 +126,7 @@ plt.show()
 #    y = 50. Poisson variances add, also in a difference: √(200 + 150), about 19. So a mask whose
 #    rails are both bright has a noisy difference, which the training takes into account.
 #
-# **2.** Learn the same design with ``--rails single``: non-negative masks, one frame each. Which is
+# **2.** Learn the same design without ``--rails dual``: non-negative masks, one frame each. Which is
 # better here, and why may it be?
 #
 # .. dropdown:: Answer

@@ -30,17 +30,32 @@ write_digits(work / "my-pictures")
 run = commands_in(work)
 
 # %%
+# Your camera
+# -----------
+#
+# A laboratory describes its camera once, in a file, in its own units. This one has a DLP7000 of
+# 1024 × 768 mirrors and one detector, which counts 10⁷ photons per second when all mirrors are ON.
+# In an exposure of 1 ms that is a budget of 10⁴ photons. What is not said follows from the rest.
+
+(work / "my-lab.toml").write_text("""
+light = "free-dwell"    # one device, one detector
+device = "dlp7000"
+exposure = "1ms"
+flux = 1e7              # counts/s
+""")
+run(
+    r"""deepfsi design --camera my-lab.toml --data my-pictures \
+    --masks 8 --epochs 30 -o mine.safetensors"""
+)
+
+# %%
+# The design file keeps the camera.
+#
 # Frames
 # ------
 #
-# A design of non-negative masks for one device, and its frames for a DLP7000 of 1024 × 768 mirrors.
-# ``--dwell`` is the mean time of a frame on the device.
+# The masks become frames of the device. ``--dwell`` is the mean time of a frame on it.
 
-run(
-    r"""deepfsi design --data my-pictures --photons 1e4 --masks 8 \
-    --light free-dwell --rails single --epochs 30 \
-    -o mine.safetensors"""
-)
 run(
     r"""deepfsi dmd export mine.safetensors --device dlp7000 \
     --dwell 1ms -o frames"""

@@ -39,8 +39,7 @@ run = commands_in(work)
 run(
     r"""deepfsi plan --data my-pictures --target 0.8 \
     --designs pca,deepfsi --photons 1e2,1e3,1e4 --masks 8 \
-    --light free-dwell --rails single --trials 1 --epochs 15 \
-    --workers 1 -o plan"""
+    --trials 1 --epochs 15 --workers 1 -o plan"""
 )
 
 # %%
@@ -92,8 +91,8 @@ for flux in (1e5, 1e6, 1e7):
 
 run(
     r"""deepfsi design --data my-pictures --photons 1e4 --masks 12 \
-    --nested 2 --light equal-dwell --rails single \
-    --hold-out 300 --epochs 40 -o nested.safetensors"""
+    --nested 2 --light equal-dwell --hold-out 300 --epochs 40 \
+    -o nested.safetensors"""
 )
 run("deepfsi stop nested.safetensors --photons 1e4")
 
