@@ -271,11 +271,9 @@ def check_test(job: "Job") -> None:
 def job_settings(
     given: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
 ) -> dict[str, Any]:
-    """Fields of a job of the options of `design`, for `learn`.
-
-    The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
-    user's own.
-    """
+    """Fields of a job of the options of `design`, for `learn`."""
+    # The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
+    # user's own
     from deepfsi.optics.camera import Camera
     from deepfsi.training.job import sorted_settings
 
@@ -329,11 +327,9 @@ def recipe_fields(
 def recipe_settings(
     given: Mapping[str, Any], own: Mapping[str, Any], base: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Settings of the recipe that the options of `compare` or `plan` ask for.
-
-    Options of a job are axes, as text; `own` are fields of the recipe, None where one is not given;
-    settings of `base` hold where no option overrides them.
-    """
+    """Settings of the recipe that the options of `compare` or `plan` ask for."""
+    # Options of a job are axes, as text; `own` are fields of the recipe, None where one is not
+    # given; settings of `base` hold where no option overrides them
     from deepfsi.optics.camera import Camera
     from deepfsi.training.job import owner
 

@@ -165,7 +165,7 @@ def _option(name: str, panel: str, field: "FieldInfo", axes: bool) -> inspect.Pa
 
 
 def _has_default(panel: str, field: "FieldInfo") -> bool:
-    """True where a default holds whatever else is given: fields of a camera follow from its kind."""
+    """True where a default holds whatever else is given; fields of a camera follow others."""
     told = panel == "Camera" or field.annotation is bool or "unless given" in str(field.description)
     return not told and isinstance(field.default, str | int | float | tuple)
 

@@ -110,23 +110,9 @@ def impulse_imaging_error(
     noise: Literal["poisson", "gaussian"],
     sigma: float = 1.0,
 ) -> float:
-    """Root mean square error of impulse imaging in reflectance, the paper's noise axis.
-
-    With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
-    x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise.
-
-    Parameters
-    ----------
-    photons : float
-        Budget Φ.
-    mean_reflectance : float
-        x̄, mean reflectance of the training set's pixels.
-    pixels : int
-        N.
-    noise : {"poisson", "gaussian"}
-    sigma : float
-        Standard deviation of the gaussian noise, counts per readout.
-    """
+    """Root mean square error of impulse imaging in reflectance, the paper's noise axis."""
+    # With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
+    # x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise
     budget = check_budget(photons)
     if noise not in ("poisson", "gaussian"):
         raise InputError(f"no closed form for noise {noise!r}: choose poisson or gaussian")

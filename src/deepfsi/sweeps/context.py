@@ -66,10 +66,8 @@ class SweepContext:
         return self.training_set.device
 
     def batches(self, trials: Sequence[Trial], workers: int = 1) -> list[Batch]:
-        """Trials to be trained together, the longest work first, in the free memory.
-
-        `InputError` where one of them alone takes more than all that is free.
-        """
+        """Trials to be trained together, the longest work first, in the free memory."""
+        # `InputError` where one of them alone takes more than all that is free
         limit = MEMORY * memory_for(self.processor) / workers
         found = self.batches_within(trials, limit)
         for batch in found:
@@ -78,12 +76,10 @@ class SweepContext:
         return found
 
     def batches_within(self, trials: Sequence[Trial], limit: float) -> list[Batch]:
-        """Trials to be trained together, the longest work first.
-
-        On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share
-        their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
-        bytes is split.
-        """
+        """Trials to be trained together, the longest work first."""
+        # On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share
+        # their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
+        # bytes is split
         groups: dict[Any, Batch] = defaultdict(list)
         for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
             seed = None if self.processor.type == "cuda" else trial.job.seed
@@ -124,12 +120,10 @@ class SweepContext:
         return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
 
     def train(self, batch: Batch, report: Report = SILENT) -> list[Done[Trial]]:
-        """Train and test one batch.
-
-        In parts where this machine would batch otherwise than the one that planned or has less
-        memory free than was planned for, in halves where a GPU's memory does not hold it whole, and
-        one by one where a trial diverges; that one's record is None.
-        """
+        """Train and test one batch."""
+        # In parts where this machine would batch otherwise than the one that planned or has less
+        # memory free than was planned for, in halves where a GPU's memory does not hold it whole,
+        # and one by one where a trial diverges; that one's record is None
         held = self.training_set.full.nbytes
         parts = self.batches_within(batch, memory_for(self.processor) + held)
         if len(parts) > 1:

@@ -59,12 +59,11 @@ def forecast_cost(
     workers: int | None = None,
     report: Report = SILENT,
 ) -> Forecast:
-    """Cost of a sweep, less what its folder holds.
-
-    What only needs other tests of a design that is there is not counted, nor are the products of
-    all scenes that fixed designs take once. Every kind of training is timed with its fewest and its
-    most masks, on a few scenes and the threads of one worker; what lies between is interpolated.
-    """
+    """Cost of a sweep, less what its folder holds."""
+    # What only needs other tests of a design that is there is not counted, nor are the products of
+    # all scenes that fixed designs take once. Every kind of training is timed with its fewest and
+    # its most masks, on a few scenes and the threads of one worker; what lies between is
+    # interpolated
     trials = plan(recipe, data)
     records = Records(folder)
     open_trials = [trial for trial in trials if records.read(trial) is None]

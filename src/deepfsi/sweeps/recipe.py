@@ -292,11 +292,9 @@ def _product(axes: Mapping[str, tuple[Any, ...]]) -> Iterator[tuple[str, Setting
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
-    """Settings of each recipe of a file, by the name of its part.
-
-    A file without parts has one recipe, named "". `InputError` where `parts` or `quick` are
-    something else than tables, or nothing says what a coarse version is.
-    """
+    """Settings of each recipe of a file, by the name of its part."""
+    # A file without parts has one recipe, named "". `InputError` where `parts` or `quick` are
+    # something else than tables, or nothing says what a coarse version is
     common = {name: value for name, value in file.items() if name not in ("parts", "quick")}
     coarse, own = _table(file, "quick"), _table(file, "parts") or {"": {}}
     found = {}

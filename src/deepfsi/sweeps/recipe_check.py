@@ -27,10 +27,8 @@ def check_recipe(
     load: Callable[[Recipe], Dataset],
     matrix: np.ndarray | None = None,
 ) -> tuple[Recipe, Dataset]:
-    """Recipe of settings, and its data.
-
-    Shapes: matrix (m, N).
-    """
+    """Recipe of settings, and its data."""
+    # matrix (m, N)
     recipe, found, lost = _read(settings)
     if matrix is not None and "custom" not in recipe.designs:
         recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})

@@ -44,11 +44,9 @@ def summarise(
     command: str,
     seconds: float,
 ) -> Results:
-    """Points of a comparison: trials averaged, mask counts chosen on validation data.
-
-    The interval of a point is Student's over its trials (training seeds); of a single trial, the
-    one over its test images.
-    """
+    """Points of a comparison: trials averaged, mask counts chosen on validation data."""
+    # The interval of a point is Student's over its trials (training seeds); of a single trial, the
+    # one over its test images
     held_out = recipe.held_out(data)
     groups = defaultdict(list)
     for record in records:

@@ -68,24 +68,10 @@ class Trial(BaseModel):
 
 
 def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
-    """All trials of a recipe, each once.
-
-    Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
-    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail;
-    several detectors under the law of other optics, `column`.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    matrix : array, shape (m, N), optional
-        Sensing matrix of "custom" designs.
-
-    Raises
-    ------
-    InputError
-        That names all that its data or a constraint does not allow.
-    """
+    """All trials of a recipe, each once."""
+    # Left out is what cannot be: the control group, masks of gaussian noise under photon noise,
+    # where there is none; designs of one rail on two arms; the signed Hadamard basis on a single
+    # rail; several detectors under the law of other optics, `column`. matrix (m, N)
     if faults := [*mask_faults(recipe, data), *trial_faults(recipe, data, matrix)]:
         raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
@@ -127,10 +113,8 @@ def mask_faults(recipe: Recipe, data: Dataset) -> list[str]:
 
 
 def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
-    """Everything that trials of a recipe ask and that cannot be had, each once.
-
-    Parameters as of `plan`.
-    """
+    """Everything that trials of a recipe ask and that cannot be had, each once."""
+    # Parameters as of `plan`
     try:
         count = count_trials(recipe, data, matrix)
     except InputError as error:  # scenes that an exposure cannot see so
@@ -160,10 +144,8 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 
 
 def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> int:
-    """Number of trials of a recipe, by the lengths of its axes.
-
-    Parameters as of `plan`.
-    """
+    """Number of trials of a recipe, by the lengths of its axes."""
+    # Parameters as of `plan`
     return sum(
         len(_counts(recipe, design, named, exposure.scene(data), matrix))
         * math.prod(map(len, recipe.training_axes(design).values()))

@@ -360,11 +360,9 @@ ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
 
 
 def owner(setting: str) -> tuple[str, str]:
-    """Table of a job that holds a setting, "" for its own fields, and the setting's name there.
-
-    Three names have two owners. As single settings `dmd` is the camera's device, `train_noise` the
-    noise of the training, and `exposure` the camera's time.
-    """
+    """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
+    # Three names have two owners. As single settings `dmd` is the camera's device, `train_noise`
+    # the noise of the training, and `exposure` the camera's time
     if setting in ALIASES:
         return ALIASES[setting]
     tables: dict[str, Collection[str]] = {
@@ -388,10 +386,8 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
-    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts.
-
-    Of counts the budget of the job is these, until a training says what it is.
-    """
+    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts."""
+    # Of counts the budget of the job is these, until a training says what it is
     for name in settings.keys() - Job.model_fields.keys():
         table, field = owner(name)
         where = f"give `{table}={{{field!r}: ...}}`" if table else closest(name, Job.model_fields)

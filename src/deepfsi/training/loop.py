@@ -57,11 +57,9 @@ def optimise(
     exposures: Sequence[TrainedExposure],
     report: Report = SILENT,
 ) -> list[Classifier]:
-    """Train classifiers of jobs, the networks of their exposures, and masks where they learn.
-
-    Masks are of R replicas or of one for all, noise and exposures of the jobs. All but the
-    classifiers are trained in place. A classifier of a user's own trains alone.
-    """
+    """Train classifiers of jobs, the networks of their exposures, and masks where they learn."""
+    # Masks are of R replicas or of one for all, noise and exposures of the jobs. All but the
+    # classifiers are trained in place. A classifier of a user's own trains alone
     job, settings, labels = jobs[0], jobs[0].training, training_set.labels
     classifiers = _classifiers(jobs, training_set.data, exposures[0], labels.device)
     choosers = [each.network for each in exposures if each.network is not None]

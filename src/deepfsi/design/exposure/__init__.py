@@ -115,10 +115,8 @@ class Exposure(BaseModel):
         return self.seen(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """The exposure of a design that is to be trained on scenes of a shape.
-
-        Where it has a network of its own, that is untrained.
-        """
+        """The exposure of a design that is to be trained on scenes of a shape."""
+        # Where it has a network of its own, that is untrained
         from deepfsi.design.exposure.trained import FixedExposure
 
         return FixedExposure()
@@ -165,33 +163,22 @@ class Conditioned(Exposure):
 
 
 class Range(Conditioned):
-    """One design for a range of budgets.
+    """One design for a range of budgets."""
 
-    Attributes
-    ----------
-    span : float
-        Highest budget over the lowest, `photons`; those of the training are log-uniform between.
-    """
-
+    # Highest budget over the lowest, `photons`; those of the training are log-uniform between
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
 
 class Nested(Conditioned):
-    """One design of whose masks the first ones alone give an answer.
+    """One design of whose masks the first ones alone give an answer."""
 
-    Attributes
-    ----------
-    nested : int
-        Smallest number of first masks from which the network must classify.
-    span : float
-        Highest budget over the lowest; 1 for one budget.
-    """
-
+    # Smallest number of first masks from which the network must classify
     nested: int = Field(
         ge=1,
         description="nested masks: smallest number of first masks from which the network must "
         "classify",
     )
+    # Highest budget over the lowest; 1 for one budget
     span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
 
     def brightest(self, masks: int) -> int:
@@ -210,19 +197,14 @@ class Nested(Conditioned):
 
 
 class Looks(Exposure):
-    """Several looks, of which the counts so far choose the dwells of the next.
-
-    Attributes
-    ----------
-    looks : int
-        K, each 1 / K of the exposure.
-    """
+    """Several looks, of which the counts so far choose the dwells of the next."""
 
     training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
     """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
 
     rounds_products: ClassVar[bool] = False
 
+    # K, each 1 / K of the exposure
     looks: int = Field(
         ge=2,
         le=64,
@@ -287,14 +269,7 @@ class Looks(Exposure):
 
 
 class Patches(Exposure):
-    """An image seen patch by patch: one set of masks for all patches, a transformer behind.
-
-    Attributes
-    ----------
-    patch : int
-        Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
-        image, which the patches share as they share its light.
-    """
+    """An image seen patch by patch: one set of masks for all patches, a transformer behind."""
 
     training: ClassVar[dict[str, Any]] = {
         "start": "pca",
@@ -309,6 +284,8 @@ class Patches(Exposure):
     side_by_side: ClassVar[bool] = False
     rounds_products: ClassVar[bool] = False
 
+    # Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
+    # image, which the patches share as they share its light
     patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
 
     def seen(self, data: "Dataset") -> "Dataset":
