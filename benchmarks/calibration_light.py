@@ -25,7 +25,8 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.calibration_file import Calibration
-from deepfsi.hardware.virtual.camera import arrival_rates, draw_counts
+from deepfsi.hardware.virtual.camera import arrival_rates
+from deepfsi_paper.camera.gate_counts import draw_counts
 from deepfsi_paper.camera.laboratory import LAB
 
 DEVICE = Device(name="small", columns=256, rows=192)

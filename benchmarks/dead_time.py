@@ -24,10 +24,11 @@ from deepfsi.hardware.patterns.folder import export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
-from deepfsi.hardware.virtual.detector import Detector, draw
+from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.laboratory.rails import design_rails
 from deepfsi.tables.table_files import Table
 from deepfsi.training.learning import learn
+from deepfsi_paper.camera.gate_counts import draw
 
 RATE = 1e7
 """Arrivals/s of the mean scene with all mirrors ON."""

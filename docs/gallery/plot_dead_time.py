@@ -10,8 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from deepfsi.hardware.recording.dead_time import DeadTime
-from deepfsi.hardware.virtual.detector import Detector, draw
+from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.report.style import STYLE
+from deepfsi_paper.camera.gate_counts import draw
 
 plt.rcParams.update(STYLE | {"text.parse_math": True})
 

@@ -23,11 +23,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.devices import find_device
 from deepfsi.grid import find_grid
 from deepfsi.hardware.calibration import fit
-from deepfsi.hardware.calibration.background import (
-    black_rates,
-    expected_background,
-    subtract_background,
-)
+from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
@@ -37,19 +33,18 @@ from deepfsi.hardware.patterns.timing import find_gates
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.calibration_file import Calibration
 from deepfsi.hardware.recording.counting import count
-from deepfsi.hardware.virtual import detector
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    draw_counts,
     record,
 )
 from deepfsi.progress import Report
 from deepfsi.statistics.differences import Difference, of_trials
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
+from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background
 
 FLUX = 1e7
 """Photons/s on the device from a mean scene."""
@@ -331,7 +326,7 @@ def classify(
     arrivals = mounted.arrivals(camera)
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s
-    on, off = (detector.draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
+    on, off = (draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
     signal = subtract_background(counts, expected_background(mounted.patterns, exposure_s, off))
     chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)

@@ -1,15 +1,9 @@
-"""Counts that do not come from the scene: expected, and taken off."""
+"""Counts that do not come from the scene."""
 
 import numpy as np
-import pytest
 
 from deepfsi.devices import Device
-from deepfsi.errors import InputError
-from deepfsi.hardware.calibration.background import (
-    black_rates,
-    expected_background,
-    subtract_background,
-)
+from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.patterns.sequence import Frame, Manifest, Patterns
 
 
@@ -41,11 +35,6 @@ def test_background_counts_dark_always_and_ambient_through_open_mirrors():
     wanted = [[0.2 * 10 * (5 + 100 * 0.25), 0], [0, 0.4 * 10 * (5 + 100 * 0.75)]]
     found = expected_background(patterns, 10.0, 5.0, 100.0)
     np.testing.assert_allclose(found, wanted)
-    counts = np.full((3, 2, 2, 2), 1000)
-    left = np.broadcast_to(1000 - np.array(wanted), counts.shape)
-    np.testing.assert_allclose(subtract_background(counts, found), left)
-    with pytest.raises(InputError, match="not of these patterns"):
-        subtract_background(counts[..., :1], np.array(wanted))
 
 
 def test_background_on_two_arms():
@@ -60,11 +49,3 @@ def test_background_on_one_rail():
     frames = [(0, "plus", 0.5), (1, "plus", 0.5)]
     patterns = patterns_of(frames, [[16, 0, 0, 0], [16, 16, 16, 16]], 1)
     np.testing.assert_allclose(expected_background(patterns, 2.0, 3.0, 8.0), [[5, 11]])
-
-
-def test_rates_of_a_black_run():
-    on, off = np.array([12.0, np.nan, 14.0]), np.array([4.0, 5.0, 6.0])
-    assert black_rates(on, off) == (5.0, 8.0)
-    assert black_rates(off, off + 1) == (6.0, 0.0)
-    with pytest.raises(InputError, match="no pass"):
-        black_rates(np.array([np.nan]), np.array([1.0]))

@@ -11,8 +11,9 @@ from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.dead_time import MOST_BLIND, DeadTime
 from deepfsi.hardware.recording.tables import TableSettings, count_table
 from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, arrival_rates, record
-from deepfsi.hardware.virtual.detector import Detector, draw
+from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.tables.table_files import Table
+from deepfsi_paper.camera.gate_counts import draw
 
 TAU = 20e-9
 both = pytest.mark.parametrize("paralysable", [False, True], ids=["spad", "pmt"])

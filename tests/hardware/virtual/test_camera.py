@@ -25,13 +25,13 @@ from deepfsi.hardware.virtual.camera import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    draw_counts,
     expected_events,
     irradiance,
     record,
 )
 from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import SILENT, Report
+from deepfsi_paper.camera.gate_counts import draw_counts
 
 GRID = find_grid(DEVICE, SHAPE)
 MIRRORS = GRID.mirrors

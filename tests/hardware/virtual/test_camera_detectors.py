@@ -23,13 +23,13 @@ from deepfsi.hardware.virtual.camera import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    draw_counts,
     record,
     write_photons,
 )
 from deepfsi.optics import constraints
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.scanner import Scanner
+from deepfsi_paper.camera.gate_counts import draw_counts
 
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)
 """Detector of each of 3 x 4 cells: parts of 4, 2, 3 and 3 cells."""

@@ -29,11 +29,10 @@ from deepfsi.grid import Grid
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.mirrors import unpack
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
-from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
 from deepfsi.hardware.virtual.parts import (
     Parts,
     check_parts,
@@ -248,31 +247,6 @@ def _blocks(folder: str | os.PathLike[str], device: Device) -> Iterator[tuple[in
     while some := list(islice(frames, FRAMES_AT_ONCE)):
         yield place, np.stack([unpack(frame, device).ravel() for frame in some]).astype(np.float32)
         place += len(some)
-
-
-def draw_counts(
-    rates: np.ndarray,
-    manifest: Manifest,
-    gates: Gates,
-    camera: VirtualCamera,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """Draw what `count` would count, without a file."""
-    # rates (S, F, inputs)
-    shown = [manifest.frames[place] for place in manifest.shown]
-    flow = np.broadcast_to(
-        rates[:, None, manifest.shown], (len(rates), gates.repeats, len(shown), rates.shape[2])
-    )
-    counts = draw(camera, flow, gates.length_s[:, None], rng)
-    several = manifest.several
-    out = np.zeros((*counts.shape[:2], manifest.rails, manifest.masks, *several), dtype=np.int64)
-    arms = np.split(counts, 2 if manifest.two_arm else 1, axis=-1)
-    first, *second = (each.reshape(*each.shape[:-1], *several) for each in arms)
-    mask = [frame.mask for frame in shown]
-    out[:, :, [int(frame.rail == "minus") for frame in shown], mask] = first
-    if second:
-        out[:, :, 1, mask] = second[0]
-    return out
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,177 @@
+"""Counts of gates in sum are those of the virtual camera event by event, and of closed forms."""
+
+from decimal import Decimal, localcontext
+from math import comb, factorial
+
+import numpy as np
+import pytest
+from scipy.special import gammainc
+from scipy.stats import chi2
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
+from deepfsi_paper.camera import gate_counts as module
+from deepfsi_paper.camera.gate_counts import black_rates, draw, subtract_background
+
+TAU = 5e-8
+DEAD = round(TAU / TICK_S)
+PARALYSABLE = Detector(dead_time_s=TAU, paralysable=True)
+NON_PARALYSABLE = Detector(dead_time_s=TAU)
+DETECTORS = {
+    "ideal": Detector(),
+    "paralysable": PARALYSABLE,
+    "non-paralysable": NON_PARALYSABLE,
+    "afterpulses": Detector(afterpulse_probability=0.2),
+    "afterpulses after paralysis": Detector(
+        dead_time_s=TAU, paralysable=True, afterpulse_probability=0.1
+    ),
+    "all": Detector(dead_time_s=TAU, afterpulse_probability=0.1, jitter_s=1e-10),
+}
+every_detector = pytest.mark.parametrize("detector", DETECTORS.values(), ids=DETECTORS)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def record(detector: Detector, durations: np.ndarray, rates: np.ndarray, seed=0) -> np.ndarray:
+    """All events of a course of rates, sorted."""
+    stream, start, events = Stream(detector, rng(seed)), 0, []
+    for pieces, flow in divide(durations, rates[:, None]):
+        events.append(stream.events(start, pieces, flow[:, 0]))
+        start += int(pieces.sum())
+    return np.sort(np.concatenate(events))
+
+
+def steady(detector: Detector, rate: float, gates: int, length_s: float, seed=0) -> np.ndarray:
+    """Counts of equal gates, with pauses as long between them, in which the light stays on."""
+    gate = round(length_s / TICK_S)
+    pause = gate + round(20 * detector.afterpulse_s / TICK_S) + 2 * DEAD
+    durations = np.full(gates + 1, gate + pause)
+    events = record(detector, durations, np.full(gates + 1, rate), seed)
+    place, within = np.divmod(events, gate + pause)
+    kept = (within >= pause) & (place > 0) & (place <= gates)
+    return np.bincount(place[kept] - 1, minlength=gates)
+
+
+def assert_alike(one: np.ndarray, other: np.ndarray) -> None:
+    """Mean and variance of two samples agree to five sigma."""
+    for moment in (lambda a: a, lambda a: (a - a.mean()) ** 2):
+        first, second = moment(one.astype(float)), moment(other.astype(float))
+        sigma = np.sqrt(first.var() / len(one) + second.var() / len(other))
+        assert abs(first.mean() - second.mean()) <= 5 * sigma
+
+
+def assert_drawn_from(counts: np.ndarray, chances: np.ndarray) -> None:
+    """Chi-squared of the frequencies, at the level of five sigma."""
+    expected = chances * len(counts)
+    seen = np.bincount(counts, minlength=len(chances))
+    assert len(seen) == len(chances)
+    often = expected > 10
+    rest = len(counts) - seen[often].sum(), len(counts) - expected[often].sum()
+    squared = ((seen - expected)[often] ** 2 / expected[often]).sum()
+    squared += (rest[0] - rest[1]) ** 2 / max(rest[1], 1)
+    assert chi2.sf(squared, often.sum()) > 6e-7
+
+
+def paralysable_chances(load: float, length: float) -> np.ndarray:
+    """Exact distribution of the counts in a gate; load nτ, length T/τ."""
+    with localcontext() as context:
+        context.prec = 300
+        rate, whole = Decimal(load) * Decimal(-load).exp(), Decimal(length)
+        moments = [Decimal(1)]
+        while (room := whole - len(moments) + 1) > 0 and len(moments) < 400:
+            moments.append((rate * room) ** len(moments) / factorial(len(moments)))
+        return np.array(
+            [
+                float(
+                    sum((-1) ** (k - j) * comb(k, j) * moments[k] for k in range(j, len(moments)))
+                )
+                for j in range(len(moments))
+            ]
+        )
+
+
+def non_paralysable_chances(load: float, length: float) -> np.ndarray:
+    """The same without paralysis, averaged over how long the counter is still blind."""
+    most = int(length) + 2
+    blind = load / (1 + load)
+    waits = np.append((np.arange(2000) + 0.5) / 2000, 0.0)
+    weights = np.append(np.full(2000, blind / 2000), 1 - blind)
+    reach = np.ones(most + 2)
+    for k in range(1, most + 2):
+        live = np.maximum(length - waits - (k - 1), 0)
+        reach[k] = weights @ gammainc(k, load * live)
+    return -np.diff(reach)
+
+
+@pytest.mark.parametrize("load", [0.05, 0.5, 2.0])
+@pytest.mark.parametrize("length", [0.5, 1.5, 4.0, 20.0])
+def test_few_paralysable_counts_have_their_exact_distribution(load, length):
+    counts = draw(PARALYSABLE, load / TAU, np.full(200_000, length * TAU), rng())
+    chances = paralysable_chances(load, length)
+    assert_drawn_from(counts, chances)
+
+
+@pytest.mark.parametrize("load", [0.1, 0.3, 1.0])
+def test_many_paralysable_counts_are_close_to_their_exact_distribution(load):
+    """The smallest variance at which they are drawn from cumulants, the worst."""
+    rate = load * np.exp(-load)
+    length = (module.LEAST_DRAWN_VARIANCE * 1.01 - rate**2) / (rate - 2 * rate**2)
+    chances = paralysable_chances(load, length)
+    counts = draw(PARALYSABLE, load / TAU, np.full(4_000_000, length * TAU), rng())
+    seen = np.bincount(counts, minlength=len(chances)) / len(counts)
+    sampling = np.sqrt(chances.clip(0) / len(counts)).sum() / np.sqrt(2 * np.pi)
+    assert abs(seen - chances).sum() / 2 <= 0.0011 + 1.3 * sampling
+    mean = rate * length
+    variance = mean - rate**2 * (2 * length - 1)
+    assert abs(counts.mean() - mean) <= 5 * np.sqrt(variance / len(counts))
+    assert abs(counts.var() - variance) <= 5 * variance * np.sqrt(2 / len(counts))
+
+
+@pytest.mark.parametrize("load", [0.05, 0.5, 5.0])
+@pytest.mark.parametrize("length", [0.5, 1.5, 4.0, 20.0])
+def test_non_paralysable_counts_have_their_exact_distribution(load, length):
+    counts = draw(NON_PARALYSABLE, load / TAU, np.full(200_000, length * TAU), rng())
+    assert_drawn_from(counts, non_paralysable_chances(load, length))
+
+
+@every_detector
+@pytest.mark.parametrize(("rate", "length_s"), [(1e7, 4e-8), (1e7, 2e-6), (4e6, 3e-5)])
+def test_counts_in_sum_are_as_event_by_event(detector, rate, length_s):
+    one_by_one = steady(detector, rate, 20_000, length_s)
+    assert_alike(draw(detector, rate, np.full(100_000, length_s), rng(1)), one_by_one)
+    mean = detector.registered(rate) * length_s * (1 + detector.afterpulse_probability)
+    assert abs(one_by_one.mean() - mean) <= 5 * one_by_one.std() / len(one_by_one) ** 0.5
+
+
+@pytest.mark.parametrize("detector", [PARALYSABLE, NON_PARALYSABLE], ids=["pmt", "spad"])
+def test_gates_know_nothing_of_their_neighbours(detector):
+    """Dim gates between bright ones count what they should, and independently."""
+    rate = np.tile([0.1 / TAU, 3 / TAU], 200_000)
+    counts = draw(detector, rate, np.full(len(rate), 1.5 * TAU), rng())
+    mean = detector.registered(rate[:2]) * 1.5 * TAU
+    pairs = counts.reshape(-1, 2)
+    assert np.all(abs(pairs.mean(axis=0) - mean) <= 5 * pairs.std(axis=0) / len(pairs) ** 0.5)
+    assert abs(np.corrcoef(counts[:-1:2], counts[1::2])[0, 1]) <= 5 / len(pairs) ** 0.5
+
+
+def test_no_light_gives_no_counts():
+    for each in DETECTORS.values():
+        assert (draw(each, np.zeros(5), np.full(5, 1e-3), rng()) == 0).all()
+
+
+def test_rates_of_a_black_run():
+    on, off = np.array([12.0, np.nan, 14.0]), np.array([4.0, 5.0, 6.0])
+    assert black_rates(on, off) == (5.0, 8.0)
+    assert black_rates(off, off + 1) == (6.0, 0.0)
+    with pytest.raises(InputError, match="no pass"):
+        black_rates(np.array([np.nan]), np.array([1.0]))
+
+
+def test_background_is_taken_off_counts_of_the_same_patterns():
+    counts, background = np.full((3, 2, 2, 2), 1000), np.array([[60.0, 0], [0, 320]])
+    left = np.broadcast_to(1000 - background, counts.shape)
+    np.testing.assert_allclose(subtract_background(counts, background), left)
+    with pytest.raises(InputError, match="not of these patterns"):
+        subtract_background(counts[..., :1], background)
