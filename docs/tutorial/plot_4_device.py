@@ -89,7 +89,7 @@ plt.show()
 run("deepfsi data export my-pictures --per-class 2 -o scenes")
 run(
     r"""deepfsi camera simulate frames --scene scenes --flux 1e7 \
-    --exposure 1ms --repeats 1 --camera spad -o run_0001"""
+    --exposure 1ms --repeats 1 --virtual spad -o run_0001"""
 )
 
 # %%
