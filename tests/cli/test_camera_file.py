@@ -19,9 +19,9 @@ flux = 1e6                  # counts/s, all mirrors ON, mean scene
 dark = 200                  # counts/s of a detector
 dead_time = "20ns"
 """
-OPTICS = "--light free-dwell --rails single --detectors 1x1 --dmd dlp7000".split()
-TIMES = "--exposure 10ms --flux 1e6 --dark 200 --dead-time 20ns".split()
-TRAINED = "--data digits --masks 10 --epochs 3 --hold-out 0".split()
+OPTICS = ["--light", "free-dwell", "--rails", "single", "--detectors", "1x1", "--dmd", "dlp7000"]
+TIMES = ["--exposure", "10ms", "--flux", "1e6", "--dark", "200", "--dead-time", "20ns"]
+TRAINED = ["--data", "digits", "--masks", "10", "--epochs", "3", "--hold-out", "0"]
 
 
 @pytest.fixture(scope="module")

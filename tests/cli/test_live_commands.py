@@ -198,7 +198,16 @@ def test_virtual_devices_need_a_flux(refuse, lab, tmp_path):
 
 def test_a_run_in_which_no_scene_has_light_ends_with_an_error(call, lab, tmp_path):
     """Its scenes are named, and its folder is kept."""
-    words = ["--scene", lab / "images", "--exposure", "10ms", "--flux", "1e-9", "--virtual", "ideal"]
+    words = [
+        "--scene",
+        lab / "images",
+        "--exposure",
+        "10ms",
+        "--flux",
+        "1e-9",
+        "--virtual",
+        "ideal",
+    ]
     run = ["camera", "live", lab / "patterns", *words, "-o", tmp_path / "run"]
     code, out, errors = call(*map(str, run))
     assert code == 2
