@@ -22,7 +22,7 @@ def matrix_faults(job: Job, data: Dataset, matrix: np.ndarray | None) -> list[st
     """Everything that a job asks of its matrix (m, N) and that cannot be had on this data."""
     try:
         constraints.check_light(job.optics.light, job.optics.rails)
-        scene = job.exposure.seen(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
+        scene = job.exposure.scene(data)
         job.optics.mask_levels(scene.image_shape)
         if matrix is not None:
             codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
