@@ -35,7 +35,7 @@ from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import measure, project
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, Training
 from deepfsi.training.training_set import TrainingSet
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
@@ -340,10 +340,12 @@ class Study:
         """Train once and classify the scenes of a part."""
         longer = self.arguments.longer if name == LONGER else 1
         lr, mask_lr = rates
-        settings = TrainingSettings(
+        settings = Training(
             epochs=self.arguments.epochs * longer, lr=lr, mask_lr=mask_lr, precision="float32"
         )
-        job = Job(masks=masks, photons=photons, seed=seed, training=settings)
+        job = Job(
+            masks=masks, photons=photons, camera="paper", seed=seed, training=settings
+        )
         began = time.perf_counter()
         design = learn(self.training_set, job, ESTIMATORS.get(name))
         if name in (RETRAINED, TWICE):

@@ -21,7 +21,7 @@ from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.noise import attach_gradient
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -130,8 +130,8 @@ def test_a_step_with_straight_slopes_is_what_autograd_gives():
 
 def test_the_comparison_trains_as_the_package(digits):
     scenes = TrainingSet(digits, "cpu")
-    settings = TrainingSettings(epochs=2, precision="float32")
-    job = Job(masks=6, photons=300, seed=3, training=settings)
+    settings = Training(epochs=2, precision="float32")
+    job = Job(masks=6, photons=300, camera="paper", seed=3, training=settings)
     (theirs,) = train(scenes, [job])
     ours = benchmark("gradients").learn(scenes, job, None)
     assert torch.allclose(ours.rails.stacked, theirs.rails.stacked, rtol=0, atol=1e-4)
@@ -145,7 +145,12 @@ def test_the_comparison_trains_as_the_package(digits):
 
 def test_masks_to_keep_stay_while_their_classifier_learns(digits):
     gradients, scenes = benchmark("gradients"), TrainingSet(digits, "cpu")
-    job = Job(masks=6, photons=300, training=TrainingSettings(epochs=1, precision="float32"))
+    job = Job(
+        masks=6,
+        photons=300,
+        camera="paper",
+        training=Training(epochs=1, precision="float32"),
+    )
     first = gradients.learn(scenes, job, None)
     again = gradients.learn(scenes, job, gradients.straight, keep=first.matrix)
     assert torch.allclose(again.rails.stacked, first.rails.stacked, rtol=0, atol=1e-5)

@@ -33,6 +33,7 @@ STEPS = {
     "dmd export": "one.safetensors --device 64x64 -o patterns",
     "dmd check": "patterns",
     "dmd devices": "",
+    "camera describe": "one.safetensors",
     "camera prepare": "patterns --scenes images -o lab",
     "camera simulate": "patterns --scene images --flux 1e7 --exposure 2ms --virtual ideal -o run",
     "camera count": "run",
