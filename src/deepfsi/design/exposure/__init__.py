@@ -129,7 +129,14 @@ class Exposure(BaseModel):
 
 
 class Fixed(Exposure):
-    """Every mask is shown once, for a dwell of its own, and all are needed for an answer."""
+    """Every mask is shown once, for a dwell of its own, and all are needed for an answer.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=10, photons=1e4).exposure == deepfsi.Fixed()
+    True
+    """
 
 
 class Conditioned(Exposure):
@@ -161,12 +168,13 @@ class Conditioned(Exposure):
 
 
 class Range(Conditioned):
-    """One design for a range of budgets.
+    """One design for a range of budgets, which are log-uniform in its training.
 
-    Attributes
-    ----------
-    span : float
-        Highest budget over the lowest, `photons`; those of the training are log-uniform between.
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Range(span=1e4).highest(1e2)
+    1000000.0
     """
 
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
@@ -175,12 +183,11 @@ class Range(Conditioned):
 class Nested(Conditioned):
     """One design of whose masks the first ones alone give an answer.
 
-    Attributes
-    ----------
-    nested : int
-        Smallest number of first masks from which the network must classify.
-    span : float
-        Highest budget over the lowest; 1 for one budget.
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=16, photons=1e5, exposure=deepfsi.Nested(nested=2)).exposure.span
+    1.0
     """
 
     nested: int = Field(
@@ -206,12 +213,13 @@ class Nested(Conditioned):
 
 
 class Looks(Exposure):
-    """Several looks, of which the counts so far choose the dwells of the next.
+    """Several looks of one length, of which the counts so far choose the dwells of the next.
 
-    Attributes
-    ----------
-    looks : int
-        K, each 1 / K of the exposure.
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=16, photons=1e4, exposure=deepfsi.Looks(looks=4)).noise
+    'poisson'
     """
 
     training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
@@ -285,11 +293,15 @@ class Looks(Exposure):
 class Patches(Exposure):
     """An image seen patch by patch: one set of masks for all patches, a transformer behind.
 
-    Attributes
-    ----------
-    patch : int
-        Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
-        image, which the patches share as they share its light.
+    A patch has a detector for each mask, and a budget is of the whole image, which the patches
+    share as they share its light.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> seen = deepfsi.Patches(patch=4)
+    >>> deepfsi.Job(masks=8, photons=1e4, camera="paper", exposure=seen).training.classifier
+    'vit'
     """
 
     training: ClassVar[dict[str, Any]] = {
