@@ -5,10 +5,11 @@ BIN := $(VENV)/bin
 .PHONY: run test docs clean
 
 run: $(VENV)/installed
-	$(BIN)/deepfsi compare -o runs/digits
-	$(BIN)/deepfsi design --photons 1e4 --masks 16 --light free-dwell --rails single --looks 4 \
-	  --hold-out 287 -o runs/digits/looks.safetensors
-	$(BIN)/deepfsi page runs/digits/looks.safetensors -o runs/digits/page.html
+	$(BIN)/deepfsi compare --camera paper -o runs/paper
+	$(BIN)/deepfsi compare --camera dmd --designs impulse,raster,truncated-hadamard,pca,deepfsi -o runs/dmd
+	$(BIN)/deepfsi design --camera dmd --photons 1e4 --masks 16 --looks 4 --hold-out 287 \
+	  -o runs/dmd/looks.safetensors
+	$(BIN)/deepfsi page runs/dmd/looks.safetensors -o runs/dmd/page.html
 
 test: $(VENV)/installed
 	$(BIN)/ruff check .

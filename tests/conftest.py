@@ -20,7 +20,7 @@ from deepfsi.datasets import Dataset, from_arrays, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.rails import Rails
-from deepfsi.training.learning import learn
+from shared.jobs import learn
 
 PHOTONS = 1e4
 FLOAT32 = 2e-6

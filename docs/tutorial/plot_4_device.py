@@ -110,7 +110,7 @@ for number, (scene, marker, colour) in enumerate(
     at = np.arange(1, 9) + 0.12 * (number - 1)
     style = {"color": colour, "linestyle": "none", "marker": marker, "capsize": 2}
     ax.errorbar(at, signal[scene], spread[scene], label=f"a {scene // 2}", **style)
-ax.set(xlabel="mask", ylabel="counts in 1 ms", xticks=range(1, 9), ylim=(0, 520))
+ax.set(xlabel="mask", ylabel="counts in 1 ms", xticks=range(1, 9), ylim=(0, 750))
 ax.legend(title="scene", ncols=3, loc="upper center")
 folder.cleanup()
 plt.show()

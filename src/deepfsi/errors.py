@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
+LONGEST_GIVEN = 120
+"""Characters of what was given that a message repeats, at most."""
+
 __all__ = ["InputError", "as_input_error", "check_known", "closest", "faults"]
 
 
@@ -64,13 +67,19 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
 def faults(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
-        (f"{_place(fault)} = {fault['input']!r}: " if fault["loc"] else "") + _words(fault)
+        (f"{_place(fault)} = {_given(fault)}: " if fault["loc"] else "") + _words(fault)
         for fault in error.errors()
+        if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]
 
 
 def _place(fault: "ErrorDetails") -> str:
     return ".".join(map(str, fault["loc"]))
+
+
+def _given(fault: "ErrorDetails") -> str:
+    text = " ".join(repr(fault["input"]).split())
+    return text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ..."
 
 
 def _words(fault: "ErrorDetails") -> str:

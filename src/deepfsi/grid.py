@@ -7,11 +7,13 @@ columns, and all cells have mirrors at the same places in theirs.
 """
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Grid:
         columns = self.across * self.width
         return self.down * self.height, 2 * columns if self.diamond else columns
 
-    def at_mirrors(self, values: np.ndarray) -> np.ndarray:
+    def at_mirrors(self, values: "np.ndarray") -> "np.ndarray":
         """Values at the mirrors of all cells, of those on `lattice_shape`."""
         if not self.diamond:
             return values

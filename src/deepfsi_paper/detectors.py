@@ -10,12 +10,10 @@ from functools import partial
 from itertools import pairwise
 from math import prod
 
-from deepfsi.datasets.cifar import where
 from deepfsi.report.style import BUDGET_AXIS, COLOURS, PAPER, photons_text
 from deepfsi.statistics.differences import Difference, above, difference
-from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import Point, Results
-from deepfsi_paper.experiment import Experiment, Finding, budgets
+from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
 
@@ -61,13 +59,6 @@ OWN_PAPER = (
 
 Chosen = Mapping[tuple[int, float], Point]
 """Points at their chosen number of frames and start, by detectors and budget."""
-
-
-def adapt(recipe: Recipe) -> Recipe:
-    """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
-    if where("cifar10") or not where("cifar10-jpeg"):
-        return recipe
-    return recipe.model_copy(update={"data": "cifar10-jpeg"})
 
 
 def detectors_of(point: Point) -> int:
@@ -319,5 +310,5 @@ CIFAR10 = Experiment(
     title="How many detectors do you need on CIFAR-10?",
     paper=OWN_PAPER,
     show=partial(show, targets={}),
-    adapt=adapt,
+    adapt=cifar10_here,
 )

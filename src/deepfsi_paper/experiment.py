@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import polars
-from pydantic import BaseModel
 
 from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.datasets.cifar import where
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
 from deepfsi.progress import SILENT, Report
@@ -59,8 +59,8 @@ class Experiment:
         Data → data that designs are trained on and tested with.
     adapt : callable, optional
         Recipe → recipe for this machine, such as other data where those that it names are missing.
-    settings : type of BaseModel
-        Of a recipe.
+    label : str
+        Of learned designs, where it is another here.
     """
 
     name: str
@@ -69,10 +69,10 @@ class Experiment:
     show: Callable[[Results], Finding]
     measure: Measure | None = None
     prepare: Callable[[Dataset], Dataset] = lambda data: data
-    adapt: Callable[[Any], Any] = lambda recipe: recipe
-    settings: type[BaseModel] = Recipe
+    adapt: Callable[[Recipe], Recipe] = lambda recipe: recipe
+    label: str = ""
 
-    def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Any]:
+    def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Recipe]:
         """The recipes, or their coarse versions, by part; a single one has the experiment's name.
 
         `trials` takes the place of theirs.
@@ -81,7 +81,7 @@ class Experiment:
         given = {} if trials is None else {"trials": trials}
         with as_input_error():
             return {
-                part or self.name: self.adapt(self.settings.model_validate({**settings, **given}))
+                part or self.name: self.adapt(Recipe.model_validate({**settings, **given}))
                 for part, settings in parts(tomllib.loads(file.read_text("utf-8")), quick).items()
             }
 
@@ -134,9 +134,10 @@ class Experiment:
                 workers=Workers(workers, ray),
                 report=span,
             )
-            split = {"data": recipe.data, "split": recipe.split} if recipe.split else {}
+            named = {"recipe": name}
+            named |= {"data": recipe.data, "split": recipe.split} if recipe.split else {}
             compared.append(part)
-            points += [p.model_copy(update={"recipe": name, **split}) for p in part.points]
+            points += [p.model_copy(update={**named, **self._label(p)}) for p in part.points]
             records += own
         results = _together(compared, points, records)
         if self.measure:
@@ -146,10 +147,17 @@ class Experiment:
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
 
+    def _label(self, point: Point) -> dict[str, str]:
+        own = self.label and point.learned
+        return {"label": self.label, "title": self.label} if own else {}
+
     def _data(self, recipes: Mapping[str, Recipe]) -> dict[str, Dataset]:
         """Prepared data of each recipe, loaded once where recipes share it."""
         load = cache(lambda *source: self.prepare(_load(*source)))
-        return {name: load(each.data, each.size, each.split) for name, each in recipes.items()}
+        return {
+            name: load(each.data, each.size, each.images, each.split)
+            for name, each in recipes.items()
+        }
 
     def keep(self, folder: Path, results: Results, trials: polars.DataFrame) -> None:
         """Write the results, a row for each point, and one for each test of a trial.
@@ -213,9 +221,18 @@ def _together(
     return compared[0].with_points(points).model_copy(update=spent)
 
 
-def _load(name: str, size: tuple[int, int] | None, split: str | None) -> Dataset:
-    data = load_dataset(name, size=size, split=split)
+def _load(
+    name: str, size: tuple[int, int] | None, images: int | None, split: str | None
+) -> Dataset:
+    data = load_dataset(name, size=size, images=images, split=split)
     return replace(data, name=f"{data.name}, {split} split") if split else data
+
+
+def cifar10_here(recipe: Recipe) -> Recipe:
+    """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
+    if where("cifar10") or not where("cifar10-jpeg"):
+        return recipe
+    return recipe.model_copy(update={"data": "cifar10-jpeg"})
 
 
 def points(results: Results, **fields: Any) -> list[Point]:

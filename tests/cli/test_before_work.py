@@ -24,7 +24,7 @@ trials = 0
 colour = "red"
 validation = 5000
 training.epochs = [1, 0]
-training.nested = 9
+exposure.nested = 9
 training.lurch = 1
 tuned.pac.lr = 1e-3
 tuned.pca.lr = -1.0
@@ -86,9 +86,9 @@ def test_a_recipe_of_a_billion_trials_is_refused_with_its_size(refuse, tmp_path,
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--dark 5", "dark counts are not of poisson"),
-        ("--train-noise camera --dark 5", "dark counts are not of poisson"),
-        ("--looks 2 --noise camera --train-noise poisson", "several looks is for photon noise"),
+        ("--noise poisson --dark 5", "poisson noise has no dark counts"),
+        ("--train-noise camera --noise none --dark 5", "none noise has no dark counts"),
+        ("--looks 2 --noise gaussian --train-noise poisson", "several looks are for photon noise"),
         ("--noise nowhere:noise --train-noise ml_gauss", "nowhere"),
     ],
 )

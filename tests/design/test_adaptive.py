@@ -12,7 +12,7 @@ from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.exposure.looks import Dwells, expose
+from deepfsi.design.exposure.looks import Dwells, LooksExposure, expose
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
@@ -21,11 +21,11 @@ from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.training.draws import SeedStream
-from deepfsi.training.features import AdaptiveFeatures
-from deepfsi.training.job import Job, training_for
-from deepfsi.training.learning import learn, train
+from deepfsi.training.features import LooksFeatures
+from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
+from shared.jobs import job, learn
 
 LOOKS = 3
 ONE_DMD = {"light": "free-dwell", "rails": "single"}
@@ -183,9 +183,7 @@ def test_gradients_through_all_looks_are_those_of_finite_differences():
 
 def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
     """Through the looks, the standardisation and the peaks, in the step that training takes."""
-    job = Job(
-        photons=1e4, masks=3, training=training_for("deepfsi", **{**RECIPE, "looks": 2}), **ONE_DMD
-    )
+    one = job(photons=1e4, masks=3, looks=2, noise="ml_gauss", **RECIPE, **ONE_DMD)
     scenes = TrainingSet(digits, "cpu")
     scenes.full = scenes.full.double()
     start = torch.from_numpy(scenes.matrix("class-pairs", 3, 0)).abs()[None]
@@ -195,12 +193,12 @@ def test_gradients_of_masks_in_a_step_are_those_of_finite_differences(digits):
     x, gain = scenes.centred("free-dwell", torch.float32, ONE), 1e4 / scenes.summed_reflectance
 
     def loss():
-        noise = FeatureNoise.of(job.noise, [gain], [1.0], [0], scenes.device)
+        noise = FeatureNoise.of(one.noise, [gain], [1.0], [0], scenes.device)
         stream = SeedStream(0, slice(0, 1), noise, scenes.labels, 200)
         stream.shuffle()
-        dwells = Dwells(3, each_rail=False)
-        features = AdaptiveFeatures(
-            [stream], masks, x, choose, 2, noise.gain, RECIPE["scale"], ONE, dwells
+        exposure = LooksExposure(Dwells(3, each_rail=False), network, 2)
+        features = LooksFeatures(
+            [stream], masks, x, choose, exposure, noise.gain, RECIPE["scale"], ONE
         )
         normal = torch.Generator().manual_seed(5)
         stream.normal = lambda m: torch.randn(200, 1, m, generator=normal, dtype=torch.float64)
@@ -247,15 +245,14 @@ def test_two_looks_tell_what_one_cannot():
 
 
 def test_replicas_learn_as_they_would_alone(digits):
-    how = training_for("deepfsi", **{**RECIPE, "looks": 2})
     jobs = [
-        Job(photons=photons, masks=4, training=how, seed=seed, **ONE_DMD)
+        job(photons=photons, masks=4, looks=2, seed=seed, **RECIPE, **ONE_DMD)
         for seed in (0, 1)
         for photons in (1e3, 1e5)
     ]
     together = train(TrainingSet(digits, "cpu"), jobs)
-    for job, design in zip(jobs, together, strict=True):
-        (alone,) = train(TrainingSet(digits, "cpu"), [job])
+    for each, design in zip(jobs, together, strict=True):
+        (alone,) = train(TrainingSet(digits, "cpu"), [each])
         assert torch.allclose(alone.rails.stacked, design.rails.stacked, rtol=1e-3, atol=1e-5)
         for mine, other in zip(
             alone.exposure.network.parameters(), design.exposure.network.parameters(), strict=True
@@ -317,8 +314,8 @@ def test_the_light_that_is_counted_is_measured(digits, design):
         ({"light": "column"}, "free-dwell"),
         ({"light": "equal-dwell"}, "free-dwell"),
         ({"rails": "dual"}, 'use `readout="both"`'),
-        ({"nested": 2}, "one budget"),
-        ({"span": 10.0}, "one budget"),
+        ({"nested": 2}, "nested and looks are of different exposures"),
+        ({"span": 10.0}, "span and looks are of different exposures"),
         ({"noise": "gaussian"}, "photon noise"),
         ({"design": "control"}, "one look only"),
         ({"design": "impulse", "masks": 64}, "one look only"),
@@ -358,15 +355,15 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
 def test_at_the_command_line(call, tmp_path):
     file = tmp_path / "looks.safetensors"
     words = ["--photons", "3e3", "--masks", 12, "--looks", 3, "--hold-out", 300, "--epochs", 2]
-    one_dmd = ["--light", "free-dwell", "--rails", "single"]
-    code, _, err = call("design", *words, "-o", file)
+    code, _, err = call("design", *words, "--camera", "paper", "-o", file)
     assert code == 2
     assert "--light free-dwell" in err
     assert not file.exists()
-    code, out, _ = call("design", *words, *one_dmd, "-o", file, "--json")
+    code, out, _ = call("design", *words, "-o", file, "--json")
     assert code == 0
     job = json.loads(out)["info"]["job"]
-    assert job["noise"] == "poisson"
+    assert job["exposure"] == {"looks": 3}
+    assert job["camera"]["noise"] == "poisson"
     assert job["training"]["start"] == "class-pairs"
     code, out, _ = call("evaluate", file, "--photons", "3e3")
     assert code == 0

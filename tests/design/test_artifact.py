@@ -20,10 +20,10 @@ from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, lig
 from deepfsi.design.artifact import Design
 from deepfsi.design.artifact_file import SCHEMA
 from deepfsi.errors import InputError
-from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import header_of, refused, rewrite
+from shared.jobs import job
 
 
 @pytest.fixture
@@ -35,6 +35,7 @@ def saved(made, tmp_path) -> Path:
 def test_saved_and_loaded_designs_agree_bit_for_bit(made, digits, tmp_path, design, light, rails):
     before = made(design, light, rails)
     after = Design.load(before.save(tmp_path / "design.safetensors"))
+    assert before.camera == after.camera
     for name in ("rails.stacked", "mean", "std", "shares"):
         mine, theirs = attrgetter(name)(before), attrgetter(name)(after)
         assert torch.equal(mine, theirs)
@@ -46,8 +47,7 @@ def test_saved_and_loaded_designs_agree_bit_for_bit(made, digits, tmp_path, desi
 
 
 def test_a_design_trained_with_others_saves_only_itself(digits, tmp_path):
-    how = TrainingSettings(**RECIPE)
-    jobs = [Job(masks=5, photons=photons, training=how) for photons in (1e3, 1e5)]
+    jobs = [job(masks=5, photons=photons, **RECIPE) for photons in (1e3, 1e5)]
     for design in train(TrainingSet(digits, "cpu"), jobs):
         path = design.save(tmp_path / "design.safetensors")
         assert path.stat().st_size < 20_000
@@ -64,7 +64,8 @@ def test_the_file_says_where_the_design_comes_from(made, digits, saved):
     assert info["data"]["hash"] == digits.hash
     assert info["preprocessing"] == digits.preprocessing
     job = info["job"]
-    assert (job["photons"], job["noise"], job["seed"], job["masks"]) == (1e4, "ml_gauss", 0, 7)
+    assert (job["photons"], job["seed"], job["masks"]) == (1e4, 0, 7)
+    assert (job["camera"]["light"], job["camera"]["noise"]) == ("column", "poisson")
 
 
 def test_the_file_names_the_package_version(saved):

@@ -16,10 +16,12 @@ from deepfsi.optics import constraints
 from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.features import mean_over_exposures
 from deepfsi.optics.scanner import measure
-from deepfsi.training.job import BFLOAT16_COUNTS, Job, TrainingSettings, product_dtype
+from deepfsi.training.job import Job
 from deepfsi.training.learning import train
+from deepfsi.training.precision import BFLOAT16_COUNTS, product_dtype
 from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
+from shared.jobs import job
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
 LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale": "common"}
@@ -84,12 +86,8 @@ def test_chances_are_of_the_fewest_masks_and_more():
 @pytest.mark.parametrize(("span", "nested"), [(50.0, 0), (1.0, 2), (50.0, 2)])
 def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale, span, nested):
     """Simulated with noise of its own, to five standard errors of the mean square."""
-    job = Job(
-        masks=6,
-        photons=300.0,
-        training=TrainingSettings(epochs=1, scale=scale, span=span, nested=nested),
-    )
-    [design] = train(TrainingSet(digits, "cpu"), [job])
+    one = job(masks=6, photons=300.0, epochs=1, scale=scale, span=span, nested=nested)
+    [design] = train(TrainingSet(digits, "cpu"), [one])
     rng = np.random.default_rng(2)
     n, repeats = len(digits.x_train), 20
     squares = []
@@ -164,14 +162,14 @@ def test_nested_masks_do_alone_and_others_do_not(digits):
 
 
 def test_designs_of_two_lowest_budgets_train_together_as_alone(digits):
-    how = TrainingSettings(epochs=2, span=30.0, nested=2, precision="float32", hidden=(8,))
-    jobs = [Job(masks=5, photons=p, training=how) for p in (100.0, 1e4)]
+    how = {"epochs": 2, "span": 30.0, "nested": 2, "precision": "float32", "hidden": (8,)}
+    jobs = [job(masks=5, photons=p, **how) for p in (100.0, 1e4)]
     scenes = TrainingSet(digits, "cpu")
     together = train(scenes, jobs)
-    for job, design in zip(jobs, together, strict=True):
-        [alone] = train(scenes, [job])
+    for each, design in zip(jobs, together, strict=True):
+        [alone] = train(scenes, [each])
         torch.testing.assert_close(design.rails.stacked, alone.rails.stacked, rtol=1e-3, atol=1e-5)
-        assert design.exposure == alone.exposure == ConditionedExposure(job.photons, 30.0, 5, 2)
+        assert design.exposure == alone.exposure == ConditionedExposure(each.photons, 30.0, 5, 2)
 
 
 @pytest.mark.parametrize("design", ["pca", "raster", "random"])
@@ -200,18 +198,18 @@ def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
 
 
 def test_products_are_rounded_by_the_largest_budget():
-    def job(span: float) -> Job:
-        return Job(masks=1, photons=BFLOAT16_COUNTS, training=TrainingSettings(span=span))
+    def of(span: float) -> Job:
+        return job(masks=1, photons=BFLOAT16_COUNTS, span=span)
 
-    if product_dtype(job(1.0), torch.device("cpu")) is torch.float32:
+    if product_dtype(of(1.0), torch.device("cpu")) is torch.float32:
         pytest.skip("this processor has no bfloat16")
-    assert product_dtype(job(4.0), torch.device("cpu")) is torch.float32
+    assert product_dtype(of(4.0), torch.device("cpu")) is torch.float32
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"span": 0.5}, "greater than or equal to 1"),
+        ({"span": 0.5}, "greater than 1"),
         ({"nested": 9, "masks": 8}, "9 of 8 masks"),
         ({"span": 10.0, "noise": "poisson"}, "ml_gauss"),
         ({"nested": 2, "noise": "gaussian"}, "ml_gauss"),

@@ -17,8 +17,8 @@ from deepfsi.design.onnx_graph import to_onnx
 from deepfsi.errors import InputError
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
-from deepfsi.training.learning import learn
 from shared.design_files import header_of, refused, rewrite
+from shared.jobs import learn
 from shared.networks import Branching, Cnn, Tied, linear
 
 BRIEF = {name: value for name, value in RECIPE.items() if name != "hidden"}
@@ -307,7 +307,8 @@ def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, rea
     with own.seeded(0):
         network = nn.Linear(3 * detection.width(rails), 10)
         network.weight.data /= 1e3
-    path = deepfsi.design_of(scanner, network, digits, 1e4).save(tmp_path / "mine.safetensors")
+    made = deepfsi.design_of(scanner, network, digits, 1e4, light="free-dwell")
+    path = made.save(tmp_path / "mine.safetensors")
     design = Design.load(path, classifier=network)
     x = torch.from_numpy(digits.x_test[:20])
     photons = deepfsi.photons_per_pixel(x, 1e4, design.summed_reflectance)
@@ -318,7 +319,8 @@ def test_a_loop_of_ones_own_keeps_its_detectors(digits, tmp_path, detectors, rea
     assert np.allclose(design.classify(counts, 1e4), mine, atol=1e-5)
     assert design.shares.sum() == pytest.approx(float(masks.sum(dim=(0, 1)).mean()), rel=0.2)
     assert design.detection.count == detection.count
-    assert design.info["job"]["readout"] == (readout if rails == 2 else None)
+    assert design.camera.readout == readout
+    assert design.camera.rails == ("dual" if rails == 2 else "single")
 
 
 def test_a_loop_of_ones_own_is_checked(digits):
@@ -328,9 +330,14 @@ def test_a_loop_of_ones_own_is_checked(digits):
         deepfsi.design_of(scanner, nn.Linear(3, 9), digits, 1e4)
     with pytest.raises(InputError, match="breaks the column constraint"):
         deepfsi.design_of(deepfsi.Scanner.from_rails(rails * 2), nn.Linear(3, 10), digits, 1e4)
-    dark = deepfsi.Scanner.from_rails(rails, "camera", sigma=0.0)
+    dark = deepfsi.Scanner.from_rails(rails, "camera", sigma=-1.0)
     with pytest.raises(InputError, match="sigma"):
         deepfsi.design_of(dark, nn.Linear(3, 10), digits, 1e4)
+    apart = Detection.of("2x2", (8, 8))
+    with pytest.raises(InputError, match="column is other optics: give light equal-dwell"):
+        deepfsi.design_of(
+            deepfsi.Scanner.from_rails(rails, detection=apart), nn.Linear(12, 10), digits, 1e4
+        )
     with pytest.raises(InputError, match="do not fit digits"):
         deepfsi.design_of(
             deepfsi.Scanner.from_rails(rails[..., :60]), nn.Linear(3, 10), digits, 1e4

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import RECIPE
-from deepfsi.cli import options
+from conftest import RECIPE, quick, same
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.masks import LearnedMasks
-from deepfsi.training.job import Job, check_job, training_for
-from deepfsi.training.learning import learn
+from shared.jobs import job, learn
 
 SHORTEST = 0.06
 """Share of the exposure: five frames of a look of three, of ten masks."""
@@ -88,29 +86,20 @@ def test_a_file_keeps_the_shortest_dwell(looking, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"light": "column"}, "learned or chosen"),
-        ({"light": "equal-dwell"}, "learned or chosen"),
-        ({**ONE_DMD, "design": "pca"}, "learned or chosen"),
-        ({**ONE_DMD, "looks": 20, "noise": "poisson"}, "a look 0.05: give fewer looks"),
-    ],
+    "settings",
+    [{"light": "column"}, {"light": "equal-dwell"}, {**ONE_DMD, "design": "pca"}],
+    ids=str,
 )
-def test_what_has_no_shortest_dwell_is_refused(digits, settings, told):
-    words = dict(settings)
-    name, looks = words.pop("design", "deepfsi"), words.pop("looks", 1)
-    training = training_for(name, epochs=1, looks=looks, shortest_dwell=SHORTEST)
-    job = Job(design=name, photons=1e3, masks=4, training=training, **words)
-    with pytest.raises(InputError, match=told):
-        check_job(job, digits)
+def test_dwells_that_are_neither_learned_nor_chosen_stay_as_they_are(digits, settings):
+    assert same(quick(digits, **settings), quick(digits, shortest_dwell=SHORTEST, **settings))
 
 
-def test_times_become_a_share_of_the_exposure():
-    assert options.dwell_settings("44us", "10ms") == {"shortest_dwell": pytest.approx(0.0044)}
-    assert options.dwell_settings(None, None) == {}
-    for given in ((None, "10ms"), ("44us", None), ("10ms", "10ms"), ("44", "10ms")):
-        with pytest.raises(InputError, match="exposure"):
-            options.dwell_settings(*given)
+def test_a_look_is_longer_than_a_frame(digits):
+    words = {**ONE_DMD, "photons": 1e3, "masks": 4}
+    job(looks=16, shortest_dwell=SHORTEST, **words).check(digits)
+    with pytest.raises(InputError, match=r"a look 0\.05: give fewer looks, or a longer"):
+        job(looks=20, shortest_dwell=SHORTEST, **words).check(digits)
+    job(looks=20, shortest_dwell=SHORTEST, exposure=2.0, **words).check(digits)
 
 
 def test_dwells_of_masks_are_those_of_the_first_look(looking):

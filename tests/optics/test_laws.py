@@ -26,9 +26,9 @@ from deepfsi.optics.detection import ONE
 from deepfsi.optics.noise import variance
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
-from deepfsi.training.job import Job, TrainingSettings
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared.jobs import job as job_of
 
 N = 64
 DRAWS = 20_000
@@ -227,13 +227,11 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         y_test=whole.y_train[-1_000:],
     )
     training_set = TrainingSet(data, "cpu")
-    settings = TrainingSettings(
-        **{**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
-    )
+    settings = {**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
     accuracy = []
     counts = {"impulse": 1024, "deepfsi": 10, "pca": 10, "truncated-hadamard": 41, "raster": 1024}
     for design, masks in counts.items():
-        job = Job(design=design, masks=masks, photons=PHOTONS, training=settings)
+        job = job_of(design=design, masks=masks, photons=PHOTONS, **settings)
         (one,) = train(training_set, [job])
         accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
     assert accuracy == sorted(accuracy, reverse=True)

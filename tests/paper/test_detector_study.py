@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi_paper import detectors as study
+from deepfsi_paper import experiment
 from shared.figures import assert_legible, assert_sound
 from shared.results import a_point, some_results
 
@@ -125,5 +126,5 @@ def test_both_data_sets_have_the_same_designs(quick):
     ],
 )
 def test_a_copy_in_jpeg_is_taken_where_the_original_is_not_here(monkeypatch, here, taken):
-    monkeypatch.setattr(study, "where", lambda name: name in here)
+    monkeypatch.setattr(experiment, "where", lambda name: name in here)
     assert {each.data for each in study.CIFAR10.recipes(True).values()} == {taken}

@@ -9,11 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from conftest import synthetic
 from deepfsi.errors import InputError
+from deepfsi.sweeps.trial import plan
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.camera import claims as camera
 from deepfsi_paper.mnist import accuracy as mnist
-from shared.experiments import ALL, EVERY, run_all
+from shared.experiments import ALL, EVERY, OVIT, run_all
 from shared.results import a_point, some_results
 
 WITHOUT_CAMERA = [each for each in EVERY if each is not camera.EXPERIMENT]
@@ -121,6 +123,19 @@ def test_an_unknown_experiment_is_one_clear_line():
 def test_every_recipe_is_whole_and_takes_a_number_of_trials(each, quick):
     assert all(recipe.trials >= 3 for recipe in each.recipes(quick).values())
     assert all(recipe.trials == 2 for recipe in each.recipes(quick, trials=2).values())
+
+
+SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}
+
+
+@pytest.mark.parametrize("each", ALL, ids=lambda each: each.name)
+@pytest.mark.parametrize("quick", [False, True])
+def test_every_recipe_can_be_planned(each, quick):
+    """On scenes of the data's shape."""
+    data = synthetic(SHAPES.get(each.name, (32, 32)))
+    for recipe in each.recipes(quick, trials=1).values():
+        trials = plan(recipe.model_copy(update={"validation": 20}), data)
+        assert {trial.job.design for trial in trials} == set(recipe.designs)
 
 
 def test_both_noises_cover_one_axis():

@@ -181,7 +181,7 @@ def test_the_full_recipe_is_the_papers():
     assert recipe.training == {"epochs": (2000,), "batch": (5000,), "lr": (5e-3,)}
     assert recipe.photons == tuple(10.0**k for k in range(1, 11))
     assert not recipe.ratios
-    assert set(recipe.noise) == {"poisson", "gaussian"}
+    assert set(recipe.noises) == {"poisson", "gaussian"}
 
 
 LEVEL = {"deepfsi": 0.8, "pca": 0.7, "truncated-hadamard": 0.6, "control": 0.65,
@@ -226,7 +226,7 @@ def answers(recall=(0.9, 0.8), **changed):
             )
     results = some_results(
         points,
-        recipe={"data": SIMULATED, "sigma": 1.0},
+        recipe={"data": SIMULATED},
         data={"classes": ("a", "b"), "image_shape": (4,)},
         extra=asdict(
             measured(

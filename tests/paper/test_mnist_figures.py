@@ -49,7 +49,9 @@ def results_of(noises=("poisson", "gaussian"), budgets=BUDGETS, designs=DESIGNS,
                     best=ratio == own[0],
                 )
             )
-    return some_results(points, recipe={"sigma": 2.0}, data={"mean_reflectance": 0.37})
+    return some_results(
+        points, recipe={"camera": {"sigma": [2.0]}}, data={"mean_reflectance": 0.37}
+    )
 
 
 def mask_rows(budgets=(1e3, 1e5, 1e8), shape=(6, 4), counts=(9, 7)):

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,21 +12,34 @@ from conftest import synthetic
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.sweeps import patch_trials
-from deepfsi.sweeps.patch_trials import PatchRecipe, plan_patches
-from deepfsi_paper import studies
+from deepfsi.report.comparison_page import page_text
+from deepfsi.sweeps import context
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.run import compare
+from deepfsi.sweeps.trial import plan
+from deepfsi.training.learning import Diverged, learn
+from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.ovit.claims import EXPERIMENT, IMAGES
+from shared.experiments import OVIT
 from shared.results import a_point, some_results
 
-TINY = PatchRecipe(
+TINY = Recipe(
     data="synthetic",
     validation=24,
-    patch=4,
+    masks=16,
     designs=("impulse", "raster", "hadamard", "pca", "deepfsi"),
     photons=(1e2, 1e5),
     trials=2,
-    training={"epochs": 1, "batch": 24, "width": 8, "heads": 2, "depth": 1, "hidden": 8},
+    draws=1,
+    camera="paper",
+    exposure={"patch": 4},
+    training={
+        "epochs": 1,
+        "batch": 24,
+        "scale": "common",
+        "classifier_arguments": {"width": 8, "heads": 2, "depth": 1, "hidden": 8},
+    },
 )
 
 
@@ -32,12 +47,12 @@ TINY = PatchRecipe(
 def images(monkeypatch):
     """Make the study one of small synthetic images, of a moment."""
     data = synthetic((8, 8))
-    monkeypatch.setattr(PatchRecipe, "load", lambda self: data)
+    monkeypatch.setattr(experiment, "load_dataset", lambda name, **how: data)
 
     def recipes(self, quick, trials=None):
         return {"ovit": TINY if trials is None else TINY.model_copy(update={"trials": trials})}
 
-    monkeypatch.setattr(ovit.PatchExperiment, "recipes", recipes)
+    monkeypatch.setattr(experiment.Experiment, "recipes", recipes)
     return data
 
 
@@ -79,15 +94,15 @@ def test_points_are_means_over_seeds_of_what_the_trials_hold(images, tmp_path):
 
 def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
     trained, most = [], 3
-    train = patch_trials.train
+    train = context.train
 
-    def counted(patches, job, progress=None):
+    def counted(training_set, jobs, *others):
         if len(trained) == most:
             raise KeyboardInterrupt
-        trained.append(job)
-        return train(patches, job, progress)
+        trained.extend(jobs)
+        return train(training_set, jobs, *others)
 
-    monkeypatch.setattr(patch_trials, "train", counted)
+    monkeypatch.setattr(context, "train", counted)
     with pytest.raises(KeyboardInterrupt):
         EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
     assert len(list((tmp_path / "trials").glob("*.json"))) == 3
@@ -101,15 +116,15 @@ def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
 
 
 def test_a_trial_that_diverges_is_named_and_the_others_are_done(images, tmp_path, monkeypatch):
-    real = patch_trials.train
+    real = context.train
 
-    def train(patches, job, report):
-        if (job.design, job.photons, job.seed) == ("pca", 1e2, 0):
-            raise patch_trials.Diverged("training diverged")
-        return real(patches, job, report)
+    def train(training_set, jobs, *others):
+        if [(job.design, job.photons, job.seed) for job in jobs] == [("pca", 1e2, 0)]:
+            raise Diverged("training diverged")
+        return real(training_set, jobs, *others)
 
-    monkeypatch.setattr(patch_trials, "train", train)
-    with pytest.raises(InputError, match="diverged and the others are done: pca, 100 photons"):
+    monkeypatch.setattr(context, "train", train)
+    with pytest.raises(InputError, match="diverged and the others are done: pca, 16 masks"):
         EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
     assert len(list((tmp_path / "trials").glob("*.json"))) == 9
 
@@ -138,18 +153,57 @@ def test_damaged_results_are_one_clear_line(images, tmp_path):
 
 def test_everything_a_result_depends_on_is_in_its_name():
     data = synthetic((8, 8))
-    keys = {trial.key for trial in plan_patches(TINY, data)}
+    keys = {trial.key for trial in plan(TINY, data)}
     assert len(keys) == 20
     for change in (
         {"validation": 25},
         {"draws": 2},
-        {"training": TINY.training.model_copy(update={"lr": 1e-5})},
-        {"tuned": {design: {"scale": "each"} for design in TINY.designs}},
+        {"training": {**TINY.training, "lr": (1e-5,)}},
+        {"tuned": {design: {"scale": ("each",)} for design in TINY.designs}},
     ):
-        assert not keys & {t.key for t in plan_patches(TINY.model_copy(update=change), data)}
-    assert not keys & {trial.key for trial in plan_patches(TINY, synthetic((8, 8), scenes=150))}
-    again = {t.design_key for t in plan_patches(TINY.model_copy(update={"draws": 2}), data)}
-    assert again == {trial.design_key for trial in plan_patches(TINY, data)}
+        assert not keys & {t.key for t in plan(TINY.model_copy(update=change), data)}
+    assert not keys & {trial.key for trial in plan(TINY, synthetic((8, 8), scenes=150))}
+    again = {t.design_key for t in plan(TINY.model_copy(update={"draws": 2}), data)}
+    assert again == {trial.design_key for trial in plan(TINY, data)}
+
+
+@pytest.mark.parametrize("quick", [False, True])
+@pytest.mark.parametrize("each", OVIT, ids=lambda each: each.name)
+def test_every_design_has_as_many_masks_as_a_patch_has_pixels(each, quick):
+    """The full bases are those of a patch, too, not of the image."""
+    [recipe] = each.recipes(quick).values()
+    trials = plan(recipe.model_copy(update={"validation": 24}), synthetic((64, 64)))
+    assert {trial.job.design for trial in trials} == set(recipe.designs)
+    assert {trial.job.masks for trial in trials} == {64}
+    assert {trial.job.camera.light for trial in trials} == {"column"}
+    assert len(trials) == len(recipe.designs) * len(recipe.photons) * recipe.trials
+
+
+def test_points_have_the_share_of_the_masks_in_the_pixels_of_a_patch(images, tmp_path):
+    results = EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu")
+    assert {(point.masks, point.ratio) for point in results.points} == {(16, 1.0)}
+
+
+def test_a_comparison_of_patches_has_a_page_with_their_masks(tmp_path):
+    results, _ = compare(TINY, synthetic((8, 8)), tmp_path, command="deepfsi", device="cpu")
+    page = page_text(results, tmp_path / "designs")
+    assert "all 16 masks" in page or "of 16 masks" in page
+
+
+def test_pixels_of_a_patch_that_never_vary_stay_dark():
+    """Those of the first column of every patch."""
+    data = synthetic((8, 8))
+    x = data.x_train.reshape(-1, 2, 4, 2, 4).copy()
+    x[..., 0] = 0.5
+    still = replace(data, x_train=x.reshape(len(x), -1))
+    training = {name: value for name, [value] in TINY.training.items()}
+    made = learn(
+        still, design="deepfsi", masks=4, photons=1e4, camera="paper", exposure={"patch": 4},
+        training=training, device="cpu",
+    )  # fmt: skip
+    masks = made.matrix.reshape(4, 4, 4)
+    assert not masks[..., 0].any()
+    assert masks[..., 1:].any(axis=0).all()
 
 
 @pytest.mark.parametrize(
@@ -161,15 +215,17 @@ def test_everything_a_result_depends_on_is_in_its_name():
         ("not here", "not here", "cifar10"),
     ],
 )
-def test_the_jpeg_copy_stands_in_only_where_it_must(monkeypatch, original, jpeg, loaded):
-    from deepfsi.datasets.catalog import DatasetInfo
+def test_the_jpeg_copy_stands_in_only_where_it_must(tmp_path, monkeypatch, original, jpeg, loaded):
+    here = {"cifar10": original == "here", "cifar10-jpeg": jpeg == "here"}
+    monkeypatch.setattr(experiment, "where", here.get)
 
-    listed = [DatasetInfo("cifar10", 1, 1, 1, original), DatasetInfo("cifar10-jpeg", 1, 1, 1, jpeg)]
-    asked = []
-    monkeypatch.setattr(patch_trials, "list_datasets", lambda: listed)
-    monkeypatch.setattr(patch_trials, "load_dataset", lambda name, **how: asked.append((name, how)))
-    EXPERIMENT.recipes(quick=False)["ovit"].load()
-    assert asked == [(loaded, {"size": (64, 64), "images": 12_000})]
+    def load(name, **how):
+        raise InputError(f"asked for {name}, {how}")
+
+    monkeypatch.setattr(experiment, "load_dataset", load)
+    how = {"size": (64, 64), "images": 12_000, "split": None}
+    with pytest.raises(InputError, match=re.escape(f"asked for {loaded}, {how}")):
+        EXPERIMENT.run(tmp_path, command="")
 
 
 def results_of(gap: float):
@@ -226,4 +282,5 @@ def test_names_keep_their_distance_on_a_short_axis():
 def test_more_images_are_trained_as_fewer_are():
     [few], [many] = (each.recipes(quick=False).values() for each in (EXPERIMENT, IMAGES))
     assert (many.images, few.images) == (None, 12_000)
-    assert (many.training, many.patch, many.size) == (few.training, few.patch, few.size)
+    for name in ("training", "exposure", "camera", "masks", "size", "draws"):
+        assert getattr(many, name) == getattr(few, name)

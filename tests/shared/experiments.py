@@ -11,10 +11,12 @@ from deepfsi_paper.camera import laboratory
 from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
+from deepfsi_paper.ovit import claims as ovit
 
 ALL = [each for members in studies.STUDIES.values() for each in members]
-APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT)  # they need data of their own
-EVERY = [each for each in ALL if each.settings is Recipe and each not in APART]
+OVIT = (ovit.EXPERIMENT, ovit.IMAGES, ovit.FULL)
+APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT, *OVIT)  # they need data of their own
+EVERY = [each for each in ALL if each not in APART]
 TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}
 
 
@@ -39,7 +41,8 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
     if experiment.name == "flexible":
         changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
         changes["tuned"] = {}
-        training |= {"nested": 2} if "nested" in training else {}
+        if "nested" in kept.get("exposure", {}):
+            changes["exposure"] = {**kept["exposure"], "nested": 2}
     return type(quick)(**{**kept, **changes})
 
 

@@ -11,6 +11,7 @@ from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import Workers
+from deepfsi.training.job import owner
 
 
 def train_trials(
@@ -27,13 +28,22 @@ def train_trials(
 
 
 def small(**changes: Any) -> Recipe:
-    """Recipe of a moment on digits."""
+    """Recipe of a moment on digits; single settings of a job are sorted into its tables.
+
+    Light law and rails are the paper's unless others, or a camera, are given.
+    """
+    optics = {} if "camera" in changes else {"light": "column", "rails": "dual"}
     settings = {
         "designs": ("pca", "deepfsi"),
         "photons": (1e2, 1e3),
         "masks": (3, 6),
         "draws": 1,
         "training": {"epochs": 2},
+        **optics,
         **changes,
     }
-    return Recipe(**settings)
+    fields = {name: value for name, value in settings.items() if name in Recipe.model_fields}
+    for name in settings.keys() - fields.keys():
+        table, key = owner(name)
+        fields[table] = {**fields.get(table, {}), key: settings[name]}
+    return Recipe(**fields)

@@ -5,16 +5,17 @@ import weakref
 import numpy as np
 import pytest
 import torch
+from deepfsi.training.footprint import footprint
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan
-from deepfsi.training import loop
-from deepfsi.training.learning import learn, train
-from deepfsi.training.loop import footprint
+from deepfsi.training import footprint as memory
+from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared.jobs import learn
 from shared.trials import small, train_trials
 
 
@@ -63,7 +64,7 @@ def test_a_batch_is_split_where_less_memory_is_free_than_was_planned_for(
     trials = plan(small(designs="deepfsi", masks=6, photons=(1e1, 1e2, 1e3, 1e4)), digits)
     sweep, sizes, real = SweepContext(digits, 0, "cpu"), [], context.train
     need = footprint(sweep.training_set, [trial.job for trial in trials[:2]])
-    monkeypatch.setattr(loop, "free_memory", lambda: need - sweep.training_set.full.nbytes)
+    monkeypatch.setattr(memory, "free_memory", lambda: need - sweep.training_set.full.nbytes)
     monkeypatch.setattr(
         context, "train", lambda at, jobs, *rest: sizes.append(len(jobs)) or real(at, jobs, *rest)
     )
@@ -95,7 +96,7 @@ def test_memory_that_torch_keeps_on_a_gpu_is_free(monkeypatch):
     for name, value in (("mem_get_info", (5e9, 80e9)), ("memory_reserved", 10e9)):
         monkeypatch.setattr(torch.cuda, name, lambda device, value=value: value)
     monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2e9)
-    assert loop.memory_for(torch.device("cuda")) == 13e9
+    assert memory.memory_for(torch.device("cuda")) == 13e9
 
 
 def test_every_trial_is_in_one_batch(digits):
@@ -151,12 +152,12 @@ def test_what_does_not_fit_the_memory_is_refused_before_any_work(digits, monkeyp
     sweep = SweepContext(digits, 0, "cpu")
     need = footprint(sweep.training_set, [trials[0].job])
     held = sweep.training_set.full.nbytes
-    monkeypatch.setattr(loop, "free_memory", lambda: need - held - 1)
+    monkeypatch.setattr(memory, "free_memory", lambda: need - held - 1)
     with pytest.raises(InputError, match=r"1437 scenes of 64 pixels.*GB are free: give fewer"):
         learn(digits, photons=1e3, masks=6, device="cpu")
     with pytest.raises(InputError, match=r"6 masks and 1 processes need"):
         sweep.batches(trials[:1])
-    monkeypatch.setattr(loop, "free_memory", lambda: need - held)
+    monkeypatch.setattr(memory, "free_memory", lambda: need - held)
     assert len(sweep.batches(trials[:1])) == 1
     with pytest.raises(InputError, match=r"2 processes.*fewer `workers`"):
         sweep.batches(trials, workers=2)

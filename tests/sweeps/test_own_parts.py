@@ -8,7 +8,7 @@ from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import rows
 from deepfsi.sweeps.trial import plan
-from deepfsi.training.learning import learn
+from shared.jobs import learn
 from shared.trials import small, train_trials
 
 CNN = "shared.networks:Cnn"

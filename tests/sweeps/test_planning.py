@@ -144,6 +144,7 @@ QUICK = Recipe(
     designs=("pca", "raster"),
     photons=(1e3, 1e4, 1e6),
     masks=(2, 8),
+    camera="paper",
     trials=2,
     training={"epochs": 6, "lr": 2e-2},
 )
@@ -201,7 +202,7 @@ def test_a_plan_goes_on_where_it_was(digits, answer, monkeypatch):
         (0.05, {}, "guessing"),
         (0.8, {"photons": (1e3, 1e4)}, "three budgets"),
         (0.8, {"validation": 0}, "held out"),
-        (0.8, {"noise": ("poisson", "gaussian")}, "one noise"),
+        (0.8, {"camera": {"light": "column", "noise": ("poisson", "gaussian")}}, "one noise"),
         (0.8, {"training": {"lr": (1e-2, 1e-3)}}, "one training"),
         (0.8, {"test_photons": (1e3,)}, "budget of the training"),
     ],

@@ -10,11 +10,11 @@ FILE = {
     "training": {"epochs": 40, "batch": 500},
     "quick": {"trials": 3, "training": {"epochs": 8}},
     "parts": {
-        "one": {"training": {"span": 2.0}},
+        "one": {"training": {"decay": 2.0}},
         "two": {"data": "digits", "quick": {"training": {"epochs": 4}}},
     },
 }
-ONE = {"data": "mnist", "training": {"epochs": 40, "batch": 500, "span": 2.0}}
+ONE = {"data": "mnist", "training": {"epochs": 40, "batch": 500, "decay": 2.0}}
 TWO = {"data": "digits", "training": {"epochs": 40, "batch": 500}}
 
 

@@ -32,9 +32,9 @@ COARSE = {
 
 
 def test_levels_are_an_axis_and_a_column(digits, tmp_path):
-    recipe = small(designs="deepfsi", masks=3, training={"epochs": 1, "levels": [0, 2, 769]})
+    recipe = small(designs="deepfsi", masks=3, levels=[0, 2, 769], training={"epochs": 1})
     trials = plan(recipe, digits)
-    levels = [trial.job.training.levels for trial in trials]
+    levels = [trial.job.camera.levels for trial in trials]
     assert set(levels) == {0, 2, 769}
     assert {Trial.model_validate_json(t.model_dump_json()).key for t in trials} == {
         t.key for t in trials

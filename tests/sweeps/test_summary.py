@@ -14,12 +14,14 @@ def record(photons, masks, seed, validation, test, noise="ml_gauss", detectors="
     result |= {"levels": 0, "balanced": 0.4, "balanced_low": 0.2, "balanced_high": 0.6}
     result["rates"] = [0.4] * 10
     result["confusion"] = np.ones((10, 10)).tolist()
-    job = {"light": "column", "rails": "dual", "design": "pca", "photons": photons, "masks": masks}
-    job |= {"noise": noise, "readout": "difference", "detectors": detectors}
+    camera = {"light": "column", "rails": "dual", "readout": "difference"}
+    camera["detectors"] = detectors
+    job = {"design": "pca", "photons": photons, "masks": masks}
+    job |= {"camera": camera, "exposure": {}}
     return {
         "key": f"{masks}-{seed}",
         "design": f"{masks}-{seed}",
-        "trial": {"job": job, "variant": "", "detectors": detectors},
+        "trial": {"job": job, "trained_under": noise, "variant": "", "detectors": detectors},
         "validation": [{**result, "accuracy": validation}],
         "test": [{**result, "accuracy": test}],
         "info": {"seconds": 1.0, "device": "cpu"},
@@ -79,8 +81,9 @@ def test_trials_of_other_detectors_are_other_points_with_masks_of_their_own(digi
 
 def test_trials_that_read_rails_otherwise_are_other_points(digits):
     records = [record(1e3, 3, 0, 0.8, 0.5) for _ in range(3)]
-    for entry, readout in zip(records, ("difference", "both", None), strict=True):
-        entry["trial"]["job"]["readout"] = readout
+    ways = (("dual", "difference"), ("dual", "both"), ("single", "difference"))
+    for entry, (rails, readout) in zip(records, ways, strict=True):
+        entry["trial"]["job"]["camera"] |= {"rails": rails, "readout": readout}
     points = summary(digits, records)
     assert [(p.readout, p.trials) for p in points] == [("difference", 1), ("both", 1), ("", 1)]
 

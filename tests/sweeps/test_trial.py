@@ -6,6 +6,7 @@ import pytest
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.recipe_check import check_recipe
 from deepfsi.sweeps.trial import plan
 from shared.trials import small
 
@@ -26,8 +27,8 @@ def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
 
 @pytest.mark.parametrize("change", [{"nested": 2}, {"span": 10.0}])
 def test_a_control_group_that_cannot_be_trained_is_refused_before_any_work(digits, change):
-    recipe = small(designs=("deepfsi", "control"), training=change)
-    with pytest.raises(InputError, match="leave out the control group"):
+    recipe = small(designs=("deepfsi", "control"), **change)
+    with pytest.raises(InputError, match="leave out control"):
         plan(recipe, digits)
 
 
@@ -41,7 +42,7 @@ def test_paper_ratios_are_the_default(digits):
     [
         {"photons": (2e2, 1e3)},
         {"training": {"epochs": 3}},
-        {"training": {"levels": 2}},
+        {"levels": 2},
         {"draws": 2},
         {"validation": 100},
         {"light": "free-dwell"},
@@ -65,8 +66,9 @@ def test_other_data_changes_the_key(digits):
 
 def test_all_mistakes_of_a_recipe_are_reported():
     with pytest.raises(ValueError, match="photons") as error:
-        Recipe(photons=(-1.0,), trials=0, light="colum")
-    assert {fault["loc"][0] for fault in error.value.errors()} == {"photons", "trials", "light"}
+        Recipe(photons=(-1.0,), trials=0, camera={"light": "colum"})
+    assert {fault["loc"][0] for fault in error.value.errors()} == {"photons", "trials", "camera"}
+    assert "light = 'colum'" in str(error.value)
 
 
 def test_gaussian_noise_may_have_budgets_of_its_own(digits):
@@ -126,8 +128,10 @@ def test_the_control_group_is_for_photon_noise(digits):
 
 
 def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
-    with pytest.raises(InputError, match="two-arm"):
-        plan(small(light="two-arm", rails="single"), digits)
+    with pytest.raises(ValueError, match="two-arm with a single rail"):
+        small(light="two-arm", rails="single")
+    with pytest.raises(InputError, match=r"nothing to compare: raster cannot be had.*two-arm"):
+        plan(small(designs="raster", light="two-arm"), digits)
 
 
 TILES = {"light": "free-dwell", "rails": "single", "photons": 1e3}
@@ -139,17 +143,19 @@ def test_detectors_and_readout_are_axes_with_keys_of_their_own(digits):
     assert [trial.detectors for trial in trials] == ["1x1"] * 4 + ["2x2"] * 4
     assert len({trial.key for trial in trials}) == 8
     dual = {**TILES, "rails": "dual", "readout": ("both", "difference"), "masks": 3}
-    found = [(trial.job.design, trial.job.readout) for trial in plan(small(**dual), digits)]
-    assert found == [(d, r) for d in ("pca", "deepfsi") for r in ("both", "difference")]
+    found = [(trial.job.design, trial.job.camera.readout) for trial in plan(small(**dual), digits)]
+    assert found == [(d, r) for r in ("both", "difference") for d in ("pca", "deepfsi")]
 
 
 def test_readout_is_that_in_force(digits):
     """A single rail has none, and to name the usual one makes no other trial."""
-    single = [plan(small(**TILES, readout=each), digits) for each in ((), "both")]
+    single = [plan(small(**TILES, **each), digits) for each in ({}, {"readout": "both"})]
     assert [each.key for each in single[0]] == [each.key for each in single[1]]
-    usual, told = (plan(small(light="two-arm", readout=each), digits) for each in ((), "both"))
+    usual, told = (
+        plan(small(light="two-arm", **each), digits) for each in ({}, {"readout": "both"})
+    )
     assert [each.key for each in usual] == [each.key for each in told]
-    assert {each.job.readout for each in told} == {"both"}
+    assert {each.job.camera.readout for each in told} == {"both"}
 
 
 def test_the_precision_asked_for_is_that_of_every_design(digits):
@@ -187,17 +193,21 @@ def test_a_map_of_detectors_is_known_by_its_content(digits, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"detectors": "2x2"}, "column is other optics"),
-        ({**TILES, "detectors": ("9x9", "none.npy")}, "do not divide scenes of 8x8.*none.npy"),
+        ({"light": "column", "detectors": "2x2"}, ["column is other optics"]),
+        (
+            {"light": "free-dwell", "detectors": ["9x9", "none.npy"]},
+            ["do not divide scenes of 8x8", "none.npy"],
+        ),
     ],
 )
 def test_detectors_that_cannot_be_had_are_all_told(digits, settings, told):
-    with pytest.raises(InputError, match=told):
-        plan(small(**settings), digits)
+    with pytest.raises(InputError) as error:
+        check_recipe({"camera": settings}, lambda recipe: digits)
+    assert all(part in str(error.value) for part in told)
 
 
 def test_several_detectors_are_left_out_where_light_is_that_of_other_optics(digits):
     settings = {**TILES, "light": ("column", "free-dwell"), "detectors": ("1x1", "2x2")}
     trials = plan(small(designs="pca", masks=3, **settings), digits)
-    found = [(trial.job.light, trial.detectors) for trial in trials]
+    found = [(trial.job.camera.light, trial.detectors) for trial in trials]
     assert found == [("column", "1x1"), ("free-dwell", "1x1"), ("free-dwell", "2x2")]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from conftest import RECIPE, every_design, own_matrix
-from deepfsi import evaluate, learn
+from deepfsi import evaluate
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT
 from deepfsi.training.counts import MOST_TRAININGS, NEAR, train_for_counts
-from deepfsi.training.job import Job
+from shared.jobs import job, learn
 
 BRIEF = {**RECIPE, "masks": 6, "device": "cpu"}
 
@@ -101,4 +101,4 @@ def test_light_is_told_once(digits):
     for bad in (-3.0, float("nan"), 1e16):
         with pytest.raises(InputError):
             learn(digits, masks=4, counts=bad)
-    assert Job(masks=4, photons=30).photons == 30
+    assert job(masks=4, photons=30).photons == 30

@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from conftest import quick
+from deepfsi.optics.detection import Readouts
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.training.draws import SeedStream
 
@@ -19,7 +20,8 @@ def stream(seed: int, kind: str = "ml_gauss") -> SeedStream:
 
 
 def drawn(seed: int, kind: str) -> Tensor:
-    return stream(seed, kind).noisy(torch.zeros(100, 1, 3), torch.ones(100, 1, 3), torch.ones(1, 3))
+    read = Readouts(torch.ones(2, 1, 3, dtype=torch.bool), torch.ones(2, 1, 3) / 6)
+    return stream(seed, kind).noisy(torch.zeros(100, 1, 3), torch.ones(100, 1, 3), read)
 
 
 def test_each_seed_has_its_own_order_of_all_scenes():

@@ -25,11 +25,12 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints
-from deepfsi.training.job import Job, TrainingSettings
-from deepfsi.training.learning import learn, train
+from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
+from shared.jobs import job as job_of
+from shared.jobs import learn
 
-SETTINGS = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
+SETTINGS = {**RECIPE, "epochs": 3, "dropout": 0.1}
 
 
 @every_optics
@@ -150,10 +151,9 @@ def test_a_design_has_no_more_levels_than_its_device(digits, light, rails, level
 @pytest.mark.parametrize(("light", "rails"), [("column", "dual"), ("free-dwell", "single")])
 def test_two_level_designs_train_together_as_alone(digits, light, rails):
     """But for cells so near half their frame's peak that float32 rounding decides them."""
-    settings = SETTINGS.model_copy(update={"levels": 2, "mask_lr": 0.1})
-    optics = {"light": light, "rails": rails, "training": settings}
+    optics = {**SETTINGS, "light": light, "rails": rails, "levels": 2, "mask_lr": 0.1}
     jobs = [
-        Job(masks=6, photons=photons, seed=seed, **optics)
+        job_of(masks=6, photons=photons, seed=seed, **optics)
         for seed, photons in ((3, 1e3), (3, 1e5), (4, 1e4))
     ]
     training_set = TrainingSet(digits, "cpu")
@@ -194,7 +194,7 @@ def test_levels_survive_the_design_file(digits, tmp_path):
     one = quick(digits, light="free-dwell", levels=2)
     again = Design.load(one.save(tmp_path / "one.safetensors"))
     assert torch.equal(again.rails.stacked, one.rails.stacked)
-    assert again.info["job"]["training"]["levels"] == 2
+    assert again.camera.levels == 2
 
 
 def test_scenes_that_are_all_alike_can_still_be_trained_on():
@@ -255,13 +255,13 @@ def test_designs_that_do_not_learn_have_no_start(digits):
     with pytest.raises(InputError, match="pca has its own: leave it out"):
         quick(digits, "pca", start="random")
     with pytest.raises(InputError, match="did you mean 'hadamard'"):
-        quick(digits, "hadamrd", start="random")
+        quick(digits, "hadamrd", masks=7, start="random")
     assert quick(digits, "control", start="random").masks
 
 
 def test_the_control_group_is_refused_what_its_masks_cannot_be_learned_for(digits):
     """They are learned under gaussian noise, and nested masks are not."""
-    with pytest.raises(InputError, match="trained under ml_gauss: leave out the control group"):
+    with pytest.raises(InputError, match="trained under ml_gauss: leave out control, whose masks"):
         quick(digits, "control", nested=2)
 
 

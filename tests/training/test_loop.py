@@ -13,12 +13,13 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import Report
-from deepfsi.training import learning, loop
-from deepfsi.training.job import BFLOAT16_WIDTH, Job, TrainingSettings
+from deepfsi.training import loop, masks
 from deepfsi.training.learning import train
+from deepfsi.training.precision import BFLOAT16_WIDTH
 from deepfsi.training.training_set import TrainingSet
+from shared.jobs import job as job_of
 
-SETTINGS = TrainingSettings(**{**RECIPE, "epochs": 3, "dropout": 0.1})
+SETTINGS = {**RECIPE, "epochs": 3, "dropout": 0.1}
 
 
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "random", "control"])
@@ -48,8 +49,8 @@ def together_and_alone(
     digits, design: str, light: str, rails: str, noise: str = "ml_gauss"
 ) -> list[tuple[Design, Design]]:
     training_set = TrainingSet(digits, "cpu")
-    same = {"design": design, "light": light, "rails": rails, "noise": noise}
-    jobs = [Job(masks=6, photons=photons, training=SETTINGS, **same) for photons in (1e3, 1e6)]
+    same = {**SETTINGS, "design": design, "light": light, "rails": rails, "noise": noise}
+    jobs = [job_of(masks=6, photons=photons, **same) for photons in (1e3, 1e6)]
     return list(
         zip(train(training_set, jobs), [train(training_set, [job])[0] for job in jobs], strict=True)
     )
@@ -88,14 +89,12 @@ def test_replicas_draw_the_same_counts_together_as_alone(digits, light, rails):
 
 def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
     """Photons do not change them; seeds do."""
-    made, fixed = [], learning.FixedMasks
-    monkeypatch.setattr(
-        learning, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails)
-    )
-    alike = {"design": "random", "masks": 6, "training": SETTINGS}
+    made, fixed = [], masks.FixedMasks
+    monkeypatch.setattr(masks, "FixedMasks", lambda rails: made.append(len(rails)) or fixed(rails))
+    alike = {"design": "random", "masks": 6, **SETTINGS}
     for seeds in ((3, 3, 3), (3, 4, 5)):
         pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)
-        jobs = [Job(seed=seed, photons=photons, **alike) for seed, photons in pairs]
+        jobs = [job_of(seed=seed, photons=photons, **alike) for seed, photons in pairs]
         train(TrainingSet(digits, "cpu"), jobs)
     assert made == [1, 3]
 
@@ -117,14 +116,14 @@ def test_rounding_does_not_move_masks_where_pixels_never_vary(digits):
         ("deepfsi", {"light": "two-arm"}),
         ("deepfsi", {"rails": "single", "light": "free-dwell"}),
         ("control", {}),
-        ("pca", {"training": SETTINGS.model_copy(update={"span": 100.0})}),
+        ("pca", {"span": 100.0}),
     ],
 )
 def test_seeds_train_together_as_alone(digits, monkeypatch, design, change, seeds):
     """With their weights stacked, as on a GPU, or not; alone they are not."""
-    change = {"training": SETTINGS.model_copy(update={"start": "random"}), **change}
+    change = {**SETTINGS, "start": "random", **change}
     jobs = [
-        Job(design=design, masks=6, photons=photons, seed=seed, **change)
+        job_of(design=design, masks=6, photons=photons, seed=seed, **change)
         for seed, photons in zip(seeds, (1e3, 1e5, 1e3), strict=True)
     ]
     training_set = TrainingSet(digits, "cpu")
@@ -145,7 +144,7 @@ def test_wide_networks_have_products_of_the_type_asked_for(digits, monkeypatch, 
     """Also the one that chooses dwells; the seed repeats exactly, and the design reads digits."""
     wide = {"hidden": (BFLOAT16_WIDTH,), "looks": looks, "precision": precision}
     optics = {"light": "free-dwell", "rails": "single", "noise": "poisson"}
-    job = Job(masks=6, photons=1e4, training=SETTINGS.model_copy(update=wide), **optics)
+    job = job_of(masks=6, photons=1e4, **{**SETTINGS, **wide}, **optics)
     dtypes, forward = set(), Mlp.forward
 
     def watched(self, features):
@@ -163,7 +162,7 @@ def test_wide_networks_have_products_of_the_type_asked_for(digits, monkeypatch, 
 
 
 def test_replicas_learn_for_their_own_budget(digits):
-    jobs = [Job(masks=6, photons=photons, training=SETTINGS) for photons in (1e2, 1e6)]
+    jobs = [job_of(masks=6, photons=photons, **SETTINGS) for photons in (1e2, 1e6)]
     starved, bright = train(TrainingSet(digits, "cpu"), jobs)
     assert not torch.allclose(starved.rails.stacked, bright.rails.stacked, atol=1e-3)
     assert (starved.std > 2 * bright.std).all()
@@ -171,7 +170,7 @@ def test_replicas_learn_for_their_own_budget(digits):
 
 def test_replicas_under_gaussian_noise_may_differ_in_sigma(digits):
     jobs = [
-        Job(design="pca", masks=6, photons=1e3, noise="gaussian", sigma=sigma, training=SETTINGS)
+        job_of(design="pca", masks=6, photons=1e3, noise="gaussian", sigma=sigma, **SETTINGS)
         for sigma in (1.0, 30.0)
     ]
     quiet, loud = train(TrainingSet(digits, "cpu"), jobs)

@@ -44,7 +44,7 @@ def test_features_are_standardised_with_dark_counts_and_read_noise(digits, desig
 @pytest.mark.parametrize("design", ["pca", "deepfsi"])
 def test_features_are_standardised_under_a_noise_of_ones_own(digits, design, own):
     one = quick(digits, design, noise=own)
-    assert one.info["job"]["noise"] == f"shared.noises:{own.__name__}"
+    assert one.info["job"]["camera"]["noise"] == f"shared.noises:{own.__name__}"
     assert_standardised(one, digits, own, trained=len(digits.x_train))
 
 
@@ -98,14 +98,11 @@ def test_a_seed_repeats(digits):
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"noise": "poisson", "dark": 3.0}, "not of poisson noise"),
+        ({"camera": {"noise": "poisson", "dark": 3.0}}, "poisson noise has no dark counts"),
         ({"noise": "camera", "span": 10.0}, "trained under ml_gauss"),
         ({"noise": photons, "nested": 3}, "trained under ml_gauss"),
-        (
-            {"noise": "camera", "looks": 2, "light": "free-dwell", "rails": "single"},
-            "one budget under photon noise",
-        ),
-        ({"noise": "camera", "dark": -1.0}, "give 0 or more"),
+        ({"noise": photons, "looks": 2, "camera": "dmd"}, "several looks are for photon noise"),
+        ({"noise": "camera", "dark": -1.0}, "dark = -1.0: .* greater than or equal to 0"),
     ],
 )
 def test_what_goes_not_together_is_refused(digits, settings, match):
@@ -115,12 +112,16 @@ def test_what_goes_not_together_is_refused(digits, settings, match):
 
 def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):
     recipe = small(
-        designs="pca", photons=1e4, masks=4, noise=["camera", "shared.noises:saturating"],
-        test_noise=["camera", "poisson", "shared.noises:exact"], sigma=2.0, dark=5e3,
+        designs="pca", photons=1e4, masks=4,
+        camera={
+            "noise": ["camera", "shared.noises:saturating"], "sigma": 2.0, "dark": [5e3, 0.0],
+        },
+        test_noise=["camera", "poisson", "shared.noises:exact"],
     )  # fmt: skip
     trials = plan(recipe, digits)
     assert {trial.job.noise for trial in trials} == {"camera", "shared.noises:saturating"}
-    assert all(trial.job.dark == 5e3 and trial.source_hash for trial in trials)
+    assert [trial.job.camera.dark for trial in trials] == [5e3, 0.0, 0.0]  # dark counts of camera
+    assert all(trial.source_hash for trial in trials)
     records = train_trials(trials, digits, tmp_path, device="cpu")
     assert [test["noise"] for test in records[0]["test"]] == list(recipe.test_noise)
     made = Design.load(tmp_path / f"designs/{records[0]['design']}.safetensors")
@@ -133,10 +134,11 @@ def test_recipes_have_camera_noise_and_ones_own(digits, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
-        ({"noise": "ml_gauss"}, "noise"),
-        ({"noise": "camrea"}, "did you mean 'camera'"),
-        ({"dark": 5.0}, "give noise camera"),
-        ({"noise": "shared:"}, "unknown noise"),
+        ({"noise": "poisson"}, "noise"),
+        ({"camera": {"noise": "camrea"}}, "did you mean 'camera'"),
+        ({"camera": {"noise": "poisson", "dark": 5.0}}, "give noise camera"),
+        ({"camera": {"noise": "shared:"}}, "unknown noise"),
+        ({"test_noise": "camrea"}, "did you mean 'camera'"),
     ],
 )
 def test_a_recipe_says_what_is_no_noise(changes, match):
@@ -150,4 +152,5 @@ def test_camera_noise_on_the_command_line(done, refuse, tmp_path):
     done("design", "--photons", "1e4", "--masks", "5", "--epochs", "1", *noise, "-o", out)
     assert "camera noise" in done("evaluate", out, "--photons", "1e4", *noise)
     done("evaluate", out, "--photons", "1e4", "--noise", "shared.noises:exact")
-    assert "--noise camera" in refuse("evaluate", out, "--photons", "1e4", "--dark", "3")
+    dark = ("--noise", "poisson", "--dark", "3")
+    assert "give noise camera" in refuse("evaluate", out, "--photons", "1e4", *dark)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from deepfsi.training.patches import Patches, PatchJob, PatchTraining, train
 
-from conftest import FLOAT32, assert_moments, generator, synthetic
+from conftest import FLOAT32, assert_moments, generator, same, synthetic
+from deepfsi import Patches
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.trained import cut
@@ -16,11 +16,23 @@ from deepfsi.optics import codes
 from deepfsi.optics.budget import photons_per_pixel
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner
+from deepfsi.training.learning import train
+from deepfsi.training.masks import initial_masks
+from deepfsi.training.training_set import TrainingSet
 from shared.design_files import refused, rewrite
+from shared.jobs import job, learn
 
 DESIGNS = ("impulse", "raster", "hadamard", "pca", "deepfsi")
 BUDGET = 1e4
-SMALL = PatchTraining(epochs=2, batch=30, width=16, heads=2, depth=1, hidden=16)
+SMALL = {
+    "camera": "paper",
+    "patch": 4,
+    "masks": 16,
+    "photons": BUDGET,
+    "epochs": 2,
+    "batch": 30,
+    "classifier_arguments": {"width": 16, "heads": 2, "depth": 1, "hidden": 16},
+}
 
 every_design = pytest.mark.parametrize("design", DESIGNS)
 
@@ -30,27 +42,78 @@ def data():
     return synthetic((16, 8))
 
 
+class Cut:
+    """Training images cut in patches (n, P, N), and what masks of a design start from."""
+
+    def __init__(self, data) -> None:
+        self.training_set = TrainingSet(data, "cpu")
+        self.summed_reflectance = self.training_set.summed_reflectance
+        self.x = cut(self.training_set.full, data.image_shape, 4)
+
+    def masks(self, design: str) -> FixedMasks | LearnedMasks:
+        one = job(**SMALL, design=design)
+        exposure = one.exposure.begin(one, self.training_set.data.image_shape, generator())
+        return initial_masks(self.training_set.seen(one.exposure), [one], exposure)
+
+    def counts(self, design: str, photons: torch.Tensor, noise: str = "poisson") -> torch.Tensor:
+        """Features (..., m) of photons (..., N)."""
+        return Scanner(self.masks(design), noise)(photons).squeeze(-2)
+
+
 @pytest.fixture(scope="module")
 def patches(data):
-    return Patches(data, side=4, device="cpu")
+    return Cut(data)
 
 
 @pytest.fixture(scope="module")
-def learned(patches):
+def learned(data):
     """A learned design, trained for a moment."""
-    return train(patches, PatchJob(photons=BUDGET, patch=4, training=SMALL))
+    return learn(data, **SMALL)
 
 
 def test_spectra_have_no_patches():
     with pytest.raises(InputError, match="no images"):
-        Patches(synthetic((16,)), side=4, device="cpu")
+        learn(synthetic((16,)), **SMALL)
+
+
+def test_a_training_on_patches_has_settings_of_its_own(data):
+    one = job(camera="paper", patch=4, masks=16, photons=BUDGET)
+    assert one.exposure == Patches(patch=4)
+    assert (one.training.classifier, one.training.epochs, one.training.batch) == ("vit", 15, 100)
+    assert one.training.lr == 2e-3
+    assert job(camera="paper", patch=4, masks=16, photons=BUDGET, lr=1e-3).training.lr == 1e-3
+    one.check(data)
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"camera": "dmd"}, "give the light law column"),
+        ({"design": "random"}, "random is not for patches"),
+        ({"design": "control"}, "control is not for patches"),
+        ({"levels": 2}, "with continuous masks"),
+        ({"train_noise": "poisson"}, "trained under photon noise"),
+        ({"classifier": "mlp", "classifier_arguments": {}}, "give classifier vit"),
+        ({"hidden": (8,)}, "are of the usual classifier"),
+        ({"patch": 0, "classifier": "vit"}, "vit reads patches, and nothing else does"),
+        ({"patch": 3, "masks": 9}, "cannot be cut in patches of 3x3"),
+        ({"patch": 4, "span": 10.0}, "of different exposures"),
+        ({"classifier_arguments": {"breadth": 3}}, "whole numbers of width, depth, heads, hidden"),
+        ({"classifier_arguments": {"width": 0}}, "whole numbers of width, depth, heads, hidden"),
+        ({"classifier_arguments": {"width": 16, "heads": 5}}, "5 heads cannot share a width of 16"),
+    ],
+)
+def test_what_patches_cannot_have_is_one_clear_line(data, settings, match):
+    with pytest.raises(InputError, match=match) as error:
+        learn(data, **{**SMALL, **settings})
+    assert "\n" not in str(error.value)
 
 
 @every_design
 def test_all_readouts_together_count_at_most_the_images_light(patches, design):
     masks = patches.masks(design)
     rates = Scanner(masks).rates(photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance))
-    counted = rates.sum(dim=(1, 2, 3))
+    counted = rates.flatten(1).sum(dim=1)
     light = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance).sum(dim=(1, 2))
     assert (counted <= light * (1 + FLOAT32)).all()
     assert light.mean() == pytest.approx(BUDGET, rel=1e-5)
@@ -62,9 +125,9 @@ def test_all_readouts_together_count_at_most_the_images_light(patches, design):
 @every_design
 def test_each_patch_gets_its_own_light(patches, design):
     """The counts of a patch do not depend on the other patches of its image."""
-    scanner = Scanner(patches.masks(design), "none")
-    together = scanner(patches.x[:3])
-    alone = torch.stack([scanner(patch) for patch in patches.x[:3].flatten(0, 1)])
+    together = patches.counts(design, patches.x[:3], "none")
+    every = patches.x[:3].flatten(0, 1)
+    alone = torch.stack([patches.counts(design, patch, "none") for patch in every])
     assert torch.allclose(together.flatten(0, 1), alone, rtol=1e-5, atol=1e-6)
 
 
@@ -75,9 +138,9 @@ def test_noise_of_a_patchs_readout_is_its_light(patches, design, noise):
     x = photons_per_pixel(patches.x[place[0] : place[0] + 1], BUDGET, patches.summed_reflectance)
     scanner = Scanner(patches.masks(design), noise)
     with torch.no_grad():
-        rates = scanner.rates(x)[0, place[1]].double()
+        rates = scanner.rates(x)[0, place[1], 0].double()
         patch = x[:, place[1] : place[1] + 1]
-        counts = scanner(patch.expand(draws, 1, -1), generator(2))[:, 0]
+        counts = scanner(patch.expand(draws, 1, -1), generator(2))[:, 0, 0]
     plus, minus = rates[0], rates[1] if len(rates) == 2 else torch.zeros_like(rates[0])
     for mask in (0, 1, 7):
         mean, variance = float(plus[mask] - minus[mask]), float(plus[mask] + minus[mask])
@@ -97,8 +160,7 @@ def test_masks_follow_the_gradient_of_the_loss(patches):
 
 
 def test_learned_masks_start_from_the_principal_components_and_leave_them(patches, learned):
-    start = patches.masks("deepfsi")().difference
-    fixed = patches.masks("pca")().difference
+    start, fixed = (patches.masks(design)().difference[0] for design in ("deepfsi", "pca"))
     assert torch.allclose(start, fixed, atol=1e-6)
     moved = (torch.from_numpy(learned.matrix) - start.detach()).norm() / start.norm()
     assert moved > 0.01
@@ -107,16 +169,15 @@ def test_learned_masks_start_from_the_principal_components_and_leave_them(patche
 def test_principal_components_are_those_of_the_patches(data, patches):
     blocks = data.x_train.reshape(-1, 4, 4, 2, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16)
     _, _, axes = np.linalg.svd(blocks - blocks.mean(axis=0), full_matrices=False)
-    assert np.abs(patches.matrix("pca")[0] @ axes[0]) == pytest.approx(1, abs=1e-4)
+    seen = patches.training_set.seen(Patches(patch=4))
+    assert np.abs(seen.matrix("pca", 16, 0)[0] @ axes[0]) == pytest.approx(1, abs=1e-4)
 
 
 @every_design
-def test_features_are_standardised_as_they_were_in_training(patches, design):
-    made = train(patches, PatchJob(design=design, photons=BUDGET, patch=4, training=SMALL))
-    x = photons_per_pixel(patches.x.flatten(1), BUDGET, patches.summed_reflectance)
-    # flattened patches are not images: only what the statistics are of matters here
-    scanner = made.scanner("ml_gauss")
-    features = scanner(x.view_as(patches.x), generator(4))
+def test_features_are_standardised_as_they_were_in_training(data, patches, design):
+    made = learn(data, **SMALL, design=design)
+    x = photons_per_pixel(patches.x, BUDGET, patches.summed_reflectance)
+    features = made.scanner("ml_gauss")(x, generator(4))
     scaled = (features / BUDGET - made.mean) / made.std
     readouts = scaled.numel() / scaled.shape[-1]
     assert scaled.mean(dim=(0, 1)).abs().max() < 6 * scaled.std(dim=(0, 1)).max() / readouts**0.5
@@ -124,26 +185,29 @@ def test_features_are_standardised_as_they_were_in_training(patches, design):
 
 
 @pytest.mark.parametrize("design", ["raster", "deepfsi"])
-def test_a_seed_gives_the_same_design_again(patches, design):
-    job = PatchJob(design=design, photons=BUDGET, patch=4, seed=3, training=SMALL)
-    first, again = train(patches, job), train(patches, job)
+def test_a_seed_gives_the_same_design_again(data, design):
+    first, again = (learn(data, **SMALL, design=design, seed=3) for _ in range(2))
     torch.manual_seed(99)
-    other = train(patches, job.model_copy(update={"seed": 4}))
-    for one, two in zip(first.classifier.parameters(), again.classifier.parameters(), strict=True):
-        assert torch.equal(one, two)
-    assert torch.equal(first.rails.stacked, again.rails.stacked)
+    other = learn(data, **SMALL, design=design, seed=4)
+    assert same(first, again)
     assert not torch.equal(first.classifier.head.weight, other.classifier.head.weight)
 
 
-def test_the_global_generator_is_left_alone(patches):
+def test_jobs_of_patches_train_one_by_one(patches):
+    """Their transformers are not stacked: jobs of two budgets are no companions."""
+    jobs = [job(**{**SMALL, "photons": photons}) for photons in (BUDGET, 2 * BUDGET)]
+    with pytest.raises(ValueError, match="may differ in"):
+        train(patches.training_set, jobs)
+
+
+def test_the_global_generator_is_left_alone(data):
     before = torch.get_rng_state()
-    train(patches, PatchJob(photons=BUDGET, patch=4, training=SMALL))
+    learn(data, **SMALL)
     assert torch.equal(before, torch.get_rng_state())
 
 
-def test_it_learns_in_bright_light(data, patches):
-    settings = SMALL.model_copy(update={"epochs": 15, "lr": 5e-3})
-    made = train(patches, PatchJob(photons=1e6, patch=4, training=settings))
+def test_it_learns_in_bright_light(data):
+    made = learn(data, **{**SMALL, "photons": 1e6, "epochs": 15, "lr": 5e-3})
     result = evaluate(made, data, 1e6, draws=1)[0]
     assert result.accuracy > 0.8
     assert 0 < result.throughput <= 1 + FLOAT32
@@ -209,21 +273,27 @@ def test_what_patches_cannot_do_is_refused(data, learned):
             attempt()
 
 
-def test_fixed_masks_stay_as_they_are(patches):
+def test_fixed_masks_stay_as_they_are(data, patches):
     masks = patches.masks("hadamard")
     assert isinstance(masks, FixedMasks)
     assert torch.allclose(masks().difference.abs(), torch.tensor(1 / 16))
-    made = train(patches, PatchJob(design="hadamard", photons=BUDGET, patch=4, training=SMALL))
-    assert np.array_equal(made.matrix, masks().difference.numpy())
+    made = learn(data, **SMALL, design="hadamard")
+    assert np.array_equal(made.matrix, masks().difference[0].numpy())
 
 
 def test_a_hadamard_basis_is_whole():
     """64 functions of 8 x 8 pixels are needed for patches of 6 x 6; the first 36 are no basis."""
+    words = {**SMALL, "patch": 6, "masks": 36, "design": "hadamard"}
     with pytest.raises(InputError, match="36 masks are not allowed for hadamard"):
-        Patches(synthetic((12, 12)), 6, "cpu").masks("hadamard")
+        learn(synthetic((12, 12)), **words)
 
 
-def test_diverging_is_said(patches):
-    wild = SMALL.model_copy(update={"mask_lr": 1e38, "lr": 1e38})
+def test_counts_are_those_of_whole_images(data):
+    """A budget of counts is met by all patches together."""
+    made = learn(data, counts=500.0, design="pca", **{**SMALL, "photons": None})
+    assert made.info["job"]["photons"] * float(made.shares.sum()) == pytest.approx(500, rel=1e-4)
+
+
+def test_diverging_is_said(data):
     with pytest.raises(InputError, match="diverged"):
-        train(patches, PatchJob(photons=BUDGET, patch=4, training=wild))
+        learn(data, **SMALL, mask_lr=1e38, lr=1e38)

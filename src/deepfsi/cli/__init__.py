@@ -12,6 +12,7 @@ from deepfsi.cli import acquisitions, calibrations, camera, classify, common, da
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
+from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
 from deepfsi.interrupts import STOPPED, say_stopped
@@ -46,7 +47,7 @@ _HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
 }
 for _heading, _commands in _HEADINGS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_heading)(_command)
+        app.command(cls=SettingsCommand, rich_help_panel=_heading)(_command)
 app.add_typer(dmd.dmd, name="dmd", rich_help_panel="Camera")
 app.add_typer(camera.camera, name="camera", rich_help_panel="Camera")
 app.add_typer(data.app, name="data", rich_help_panel="Data")
@@ -72,7 +73,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
 }
 for _heading, _named in _OF_CAMERA.items():
     for _name, _command in _named.items():
-        camera.camera.command(_name, rich_help_panel=_heading)(_command)
+        camera.camera.command(_name, cls=SettingsCommand, rich_help_panel=_heading)(_command)
 
 
 def main() -> NoReturn:

@@ -9,7 +9,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
 
 
-@with_settings(laboratory_fields("exposure", "flux"))
+@with_settings(laboratory_fields, "exposure", "flux")
 def camera_prepare(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
     scenes: Annotated[

@@ -12,7 +12,6 @@ from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.files import write_atomically
-from deepfsi.optics.camera import Camera
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,7 +42,7 @@ EVENT_BYTES = 4
 """Bytes of a photon in its file."""
 
 
-@with_settings(laboratory_fields(*Camera.model_fields), leave=("camera",))
+@with_settings(laboratory_fields, leave=("camera",))
 def camera_describe(
     settings: dict[str, Any],
     source: Annotated[
@@ -63,7 +62,7 @@ def camera_describe(
     Example: deepfsi camera describe --template my-lab.toml
     """
     from deepfsi.laboratory.camera import camera_of
-    from deepfsi.optics.camera import PRESETS
+    from deepfsi.optics.camera import PRESETS, Camera
     from deepfsi.optics.camera import template as commented
 
     if template is not None:
@@ -86,7 +85,7 @@ def camera_describe(
     print(found.words)
 
 
-@with_settings(laboratory_fields("exposure", "flux", "dark", "dead_time", "dead_time_model"))
+@with_settings(laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model")
 def camera_simulate(
     patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
     settings: dict[str, Any],
@@ -145,7 +144,7 @@ def camera_simulate(
     )
 
 
-@with_settings(laboratory_fields("dead_time", "dead_time_model"))
+@with_settings(laboratory_fields, "dead_time", "dead_time_model")
 def camera_count(
     folder: options.Run,
     settings: dict[str, Any],

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deepfsi.laboratory.results import ClassifiedRun, LiveScene, ReplayedRun
 
 
-@with_settings(laboratory_fields("dead_time", "dead_time_model"))
+@with_settings(laboratory_fields, "dead_time", "dead_time_model")
 def camera_classify(
     settings: dict[str, Any],
     file: Annotated[

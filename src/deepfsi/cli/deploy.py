@@ -56,7 +56,7 @@ def export(
     )
 
 
-@with_settings(job_fields(), axes=True, leave=("design", "seed"))
+@with_settings(job_fields, axes=True, leave=("design", "seed"))
 def plan(
     target: Annotated[str, typer.Option(help="target accuracy, such as 0.95")],
     settings: dict[str, Any],

@@ -9,7 +9,6 @@ import typer
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
-from deepfsi.training.job import find_job
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from deepfsi.design.stopping import Stopped
 
 
-@with_settings(job_fields())
+@with_settings(job_fields)
 def design(
     out: options.DesignFile,
     settings: dict[str, Any],
@@ -42,6 +41,7 @@ def design(
     paths.check_file(out, paths.DESIGNS)
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
+    from deepfsi.training.job import find_job
     from deepfsi.training.learning import learn
 
     own = common.read_matrix(matrix)
@@ -50,6 +50,7 @@ def design(
     asked = options.job_settings(settings, scenes, own)
     job = find_job(asked, counted)
     options.check_sigma(settings, (job.camera.noise_name, job.noise))
+    options.check_test(job)
     shown = scenes.hold_out(hold_out) if hold_out else scenes
     with common.progress(f"{job.design}, {job.masks} masks", as_json) as report:
         made = learn(shown, counts=counted, matrix=own, device=device, report=report, **asked)
@@ -106,6 +107,7 @@ def evaluate(
     """
     paths.check_design(file)
     common.check_data(data, view)
+    from deepfsi.design.evaluation import camera_for
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.design.posterior import ideal_observer
     from deepfsi.laboratory.data import data_of
@@ -115,7 +117,7 @@ def evaluate(
     told = {"noise": noise, "sigma": sigma, "dark": dark}
     told = {name: value for name, value in told.items() if value is not None}
     made = common.open_design(file, trust).to(find_device(device))
-    camera = made.camera_with(**told)
+    camera = camera_for(made, None, **told)
     options.check_sigma(told, [camera.noise_name])
     if ideal and camera.noise_name != "poisson":
         raise InputError(

@@ -7,7 +7,7 @@ import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
-from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settings
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ dmd = typer.Typer(
 )
 
 
-@dmd.command("export")
-@with_settings(laboratory_fields("device", "exposure"))
+@dmd.command("export", cls=SettingsCommand)
+@with_settings(laboratory_fields, "device", "exposure")
 def dmd_export(
     file: Annotated[
         Path, typer.Argument(help="design file; or raster or hadamard, to calibrate with")

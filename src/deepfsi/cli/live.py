@@ -30,7 +30,7 @@ _OWN = {
 
 
 @with_settings(
-    laboratory_fields("exposure", "flux", "dark", "dead_time", "dead_time_model", "shortest_dwell")
+    laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model", "shortest_dwell"
 )
 def camera_live(
     context: typer.Context,

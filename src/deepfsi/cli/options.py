@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepfsi import units
 from deepfsi.cli.settings import values
 from deepfsi.errors import InputError
-from deepfsi.optics.camera import Camera
-from deepfsi.training.job import owner, sorted_settings
 
 if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
     from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
+    from deepfsi.training.job import Job
 
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
@@ -176,6 +174,8 @@ def whole_number(option: str, text: str) -> int:
 
 def seconds(option: str, text: str) -> float:
     """Seconds of a time such as 0.01, 10ms or 44us, or `InputError`."""
+    from deepfsi import units
+
     try:
         return units.seconds(text)
     except ValueError as error:
@@ -259,14 +259,24 @@ def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
         )
 
 
+def check_test(job: "Job") -> None:
+    """Raise `InputError` unless a design can be tested under its camera's noise."""
+    from deepfsi.optics.noise import resolve
+
+    resolve(job.camera.noise)
+    if faults := job.exposure.test_faults((job.camera.noise_name,)):
+        raise InputError("; ".join(faults))
+
+
 def job_settings(
     given: Mapping[str, Any], data: "Dataset", matrix: "np.ndarray | None"
 ) -> dict[str, Any]:
-    """Fields of a job of the options of `design`, for `learn`.
+    """Fields of a job of the options of `design`, for `learn`."""
+    # The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
+    # user's own
+    from deepfsi.optics.camera import Camera
+    from deepfsi.training.job import sorted_settings
 
-    The data decides how many masks a design of a fixed number has; the matrix, (m, N), is the
-    user's own.
-    """
     settings = dict(given)
     if "photons" in settings:
         lowest, highest = budget_range(settings["photons"])
@@ -317,11 +327,12 @@ def recipe_fields(
 def recipe_settings(
     given: Mapping[str, Any], own: Mapping[str, Any], base: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Settings of the recipe that the options of `compare` or `plan` ask for.
+    """Settings of the recipe that the options of `compare` or `plan` ask for."""
+    # Options of a job are axes, as text; `own` are fields of the recipe, None where one is not
+    # given; settings of `base` hold where no option overrides them
+    from deepfsi.optics.camera import Camera
+    from deepfsi.training.job import owner
 
-    Options of a job are axes, as text; `own` are fields of the recipe, None where one is not given;
-    settings of `base` hold where no option overrides them.
-    """
     fields = {name: value for name, value in own.items() if value is not None}
     if "masks" in given and "ratios" in fields:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from deepfsi.sweeps.results import Point, Results
 
 
-@with_settings(job_fields(), axes=True, leave=("design", "seed"))
+@with_settings(job_fields, axes=True, leave=("design", "seed"))
 def compare(
     settings: dict[str, Any],
     out: options.Folder = Path("runs/compare"),

@@ -104,11 +104,9 @@ def split_arrays(
     values: str | None = None,
     white: float | None = None,
 ) -> Dataset:
-    """`from_arrays` with a description of the values, for `Dataset.preprocessing`.
-
-    Parameters as of `from_arrays` and `load_dataset`; without a test part, it is drawn from the
-    training part, and without a description the values are described as they are.
-    """
+    """`from_arrays` with a description of the values, for `Dataset.preprocessing`."""
+    # Parameters as of `from_arrays` and `load_dataset`; without a test part, it is drawn from the
+    # training part, and without a description the values are described as they are
     check_seed(seed)
     x_test, y_test = test
     if (x_test is None) != (y_test is None):
@@ -240,11 +238,9 @@ def assemble(
     rescale: Range | None,
     wavelengths: npt.NDArray[np.float64] | None = None,
 ) -> Dataset:
-    """Data set of scenes that are ready but for rescaling, which is done in place.
-
-    Parameters as of `split_arrays` and `Dataset`; each part is reflectance, (n, H, W) or (n, N),
-    and classes, (n,).
-    """
+    """Data set of scenes that are ready but for rescaling, which is done in place."""
+    # Parameters as of `split_arrays` and `Dataset`; each part is reflectance, (n, H, W) or (n, N),
+    # and classes, (n,)
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
@@ -271,10 +267,8 @@ def assemble(
 def draw_stratified(
     labels: npt.ArrayLike, count: int, seed: int, name: str
 ) -> npt.NDArray[np.intp]:
-    """Sorted indices of scenes drawn so that each class has as nearly its share as can be.
-
-    Shapes: labels (n,).
-    """
+    """Sorted indices of scenes drawn so that each class has as nearly its share as can be."""
+    # labels (n,)
     check_seed(seed)
     labels = np.asarray(labels)
     values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)

@@ -61,12 +61,10 @@ def list_datasets() -> list[DatasetInfo]:
 
 
 def download(name: str) -> Path:
-    """Make sure that the files of a data set are here, and undamaged.
-
-    What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
-    into it, each from the first mirror that gives it whole. Of names that cannot be downloaded,
-    this finds the files that are here. Gives their folder.
-    """
+    """Make sure that the files of a data set are here, and undamaged."""
+    # What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
+    # into it, each from the first mirror that gives it whole. Of names that cannot be downloaded,
+    # this finds the files that are here. Gives their folder
     if name == "digits":
         raise InputError("digits is part of scikit-learn: there is nothing to download, load it")
     check_known("data set", name, NAMES)
@@ -74,11 +72,9 @@ def download(name: str) -> Path:
 
 
 def check(name: str) -> list[FileCheck]:
-    """Compare the files of a data set with the hashes of the originals.
-
-    They are in the folder where all are, or else where they belong. Where no hash is known, the
-    content is looked at instead.
-    """
+    """Compare the files of a data set with the hashes of the originals."""
+    # They are in the folder where all are, or else where they belong. Where no hash is known, the
+    # content is looked at instead
     check_known("data set", name, NAMES)
     if name == "digits":
         return [FileCheck("digits", True, "embedded in scikit-learn")]

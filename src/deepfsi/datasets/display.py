@@ -29,11 +29,9 @@ class Display(NamedTuple):
 
 
 def read_display(path: str | os.PathLike[str], white: float | None = None) -> Display:
-    """Read one picture, a folder of them, or a folder with one sub-folder for each class.
-
-    Pictures have one size and one depth, or raise `InputError`; colours are turned to grey. Those
-    of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given.
-    """
+    """Read one picture, a folder of them, or a folder with one sub-folder for each class."""
+    # Pictures have one size and one depth, or raise `InputError`; colours are turned to grey. Those
+    # of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given
     source = Path(path)
     labels: tuple[str, ...] | None = None
     if source.is_file():

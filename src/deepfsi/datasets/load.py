@@ -120,11 +120,9 @@ def as_dataset(data: Source) -> Dataset:
 
 
 def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:
-    """Load a hyperspectral image with its label map, as a whole: for maps and overviews.
-
-    The source is one of the names that begin with ``indian-pines``, or the path of a cube, as in
-    `load_dataset`; the image's `dataset` makes the scenes that `load_dataset` gives.
-    """
+    """Load a hyperspectral image with its label map, as a whole: for maps and overviews."""
+    # The source is one of the names that begin with ``indian-pines``, or the path of a cube, as in
+    # `load_dataset`; the image's `dataset` makes the scenes that `load_dataset` gives
     name = os.fspath(source)
     if name in indian_pines.SOURCES:
         return indian_pines.load_scene(name)

@@ -55,10 +55,8 @@ def load_pictures(path: Path, options: Options) -> Dataset:
 def from_listings(
     listings: list[list[Picture]], name: str, options: Options, bilinear: bool = False
 ) -> Dataset:
-    """Data set of the images of one part, or of a training and a test part.
-
-    Parameters as of `load_dataset` and `read_all`.
-    """
+    """Data set of the images of one part, or of a training and a test part."""
+    # Parameters as of `load_dataset` and `read_all`
     shape, images = as_shape(options.size), options.images
     train, *test = listings
     if images is not None:
@@ -202,10 +200,8 @@ def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> 
 
 
 def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:
-    """Images of all class folders, in the order of their names; what else lies there is ignored.
-
-    `entries` are names from `where` on, with None for a folder.
-    """
+    """Images of all class folders, in the order of their names; what else lies there is ignored."""
+    # `entries` are names from `where` on, with None for a folder
     classes: dict[str, list[tuple[str, Picture]]] = {}
     for names, picture in entries:
         if names[0].startswith(".") or (len(names) == 1 and picture):

@@ -95,11 +95,9 @@ class SpectralImage:
         return low, high
 
     def scenes(self, bands: int | None = None) -> Reflectance:
-        """Every pixel as a scene, (H W, N) float32 in [0, 1], labelled or not, row by row.
-
-        The spectra are padded with darkness to N = `bands`, by default as many as there are. Raises
-        `InputError` if there are more.
-        """
+        """Every pixel as a scene, (H W, N) float32 in [0, 1], labelled or not, row by row."""
+        # The spectra are padded with darkness to N = `bands`, by default as many as there are.
+        # Raises `InputError` if there are more
         given = self.cube.shape[2]
         bands = given if bands is None else bands
         if bands < given:
@@ -112,14 +110,12 @@ class SpectralImage:
         return np.clip(spectra, 0, 1, out=spectra)
 
     def parts(self, split: str = "random", seed: int = 0) -> tuple[Mask, Mask]:
-        """Divide the labelled pixels into a training and a test part, where they are in (H, W).
-
-        ``"random"``: a stratified fifth is for testing. ``"blocks"``: so are the pixels of about a
-        fifth of the 9x9 blocks into which the image is cut: of thirty draws the one with the most
-        classes in both parts. Training pixels that touch a test pixel are left out. A class that
-        lies in one block is not tested. Raises `InputError` if the split is unknown or the classes
-        are too small for it.
-        """
+        """Divide the labelled pixels into a training and a test part, where they are in (H, W)."""
+        # ``"random"``: a stratified fifth is for testing. ``"blocks"``: so are the pixels of about
+        # a fifth of the 9x9 blocks into which the image is cut: of thirty draws the one with the
+        # most classes in both parts. Training pixels that touch a test pixel are left out. A class
+        # that lies in one block is not tested. Raises `InputError` if the split is unknown or the
+        # classes are too small for it
         check_seed(seed)
         check_known("split", split, SPLITS)
         counts = np.unique(self.labels[self.labels != 0], return_counts=True)[1]

@@ -67,10 +67,8 @@ OPTICS = 0.5
 def simulate(
     labels: npt.NDArray[np.integer], wavelengths: Floats, seed: int
 ) -> npt.NDArray[np.uint16]:
-    """Simulate the readings of an imaging spectrometer over a label map.
-
-    Shapes: labels (H, W); wavelengths (B,).
-    """
+    """Simulate the readings of an imaging spectrometer over a label map."""
+    # labels (H, W); wavelengths (B,)
     rng = np.random.default_rng(seed)
     shares, chlorophyll, water = _cover(labels, rng)
     soil_light = np.exp(0.25 * _smooth(rng, labels.shape, SOIL_PATCH))

@@ -52,10 +52,9 @@ class Levels(NamedTuple):
 
 
 def measure(parts: Mapping[str, Values], white: float | None = None) -> Levels:
-    """Range of the values of scenes of one type, and their white.
-
-    Parameters as of `levels_of`; the parts are those to train on and, if there are any, to test on.
-    """
+    """Range of the values of scenes of one type, and their white."""
+    # Parameters as of `levels_of`; the parts are those to train on and, if there are any, to test
+    # on
     families = {_family(part.dtype, what) for what, part in parts.items()}
     if len(families) > 1:
         given = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
@@ -116,10 +115,8 @@ def reflectance(values: Values, levels: Levels) -> npt.NDArray[np.float32]:
 
 
 def grey(values: Values, what: str) -> Values:
-    """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out.
-
-    Integers keep their type, rounded. `what` is their name in messages.
-    """
+    """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out."""
+    # Integers keep their type, rounded. `what` is their name in messages
     family = _family(values.dtype, what)
     if values.shape[3] == 1:
         return values[..., 0]

@@ -66,9 +66,9 @@ class Design:
 
     Examples
     --------
-    >>> from deepfsi import learn, load_dataset
-    >>> digits = load_dataset("digits")
-    >>> design = learn(digits, photons=1e4, masks=6, epochs=1, device="cpu")
+    >>> import deepfsi
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn("digits", camera="paper", photons=1e4, masks=6, training=few)
     >>> design.matrix.shape
     (6, 64)
     >>> design.classify(np.full((2, 6), 50), photons=1e4).shape  # counts of both rails
@@ -137,24 +137,16 @@ class Design:
         return self.exposure.fewest_masks(self.masks)
 
     @property
-    def used(self) -> float:
-        """Share of the light law that the masks take within the whole sequence."""
-        return self.exposure.used
-
-    @property
     def camera(self) -> Camera:
-        """The camera that it was trained for, as the file keeps it."""
+        """The camera that it was trained for, as the file keeps it; of older files its optics."""
         known = self.info.get("job", {}).get("camera")
         if known is None:
-            return Camera.load(light=self.light)
+            known = {"light": self.light, "rails": self.rails.kind}
+            known["readout"] = self.detection.readout
+            if self.detection.labels is not None and self.light != "column":
+                known["detectors"] = self.detection.labels.cpu()
         with as_input_error("the design's camera", "train it again"):
-            return Camera.model_validate(known)
-
-    def camera_with(self, **settings: Any) -> Camera:
-        """Its camera with other settings, such as the noise of a test."""
-        if settings.get("noise", "camera") != "camera":
-            settings = {"dark": 0.0, **settings}  # only camera noise has dark counts
-        return Camera.load(self.camera, **settings)
+            return Camera.restored(known)
 
     def scanner(
         self, noise: str | OwnNoise = "poisson", sigma: float = 1.0, dark: float = 0.0
@@ -303,14 +295,7 @@ class Design:
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
     def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
-        """The design with the distribution of the readouts of training scenes.
-
-        Parameters
-        ----------
-        scenes : tensor, shape (n, N)
-        labels : tensor, shape (n,)
-            Their classes, 0 .. C-1.
-        """
+        """The design with the distribution of readouts of scenes (n, N) of classes (n,)."""
         rows = sample_scenes(len(scenes), prod(self.counts_shape))
         with torch.no_grad():
             rates = self.rates(self.scanner(), scenes[rows])
@@ -388,7 +373,7 @@ class Design:
             mean=self.mean[:kept] / share,
             std=self.std[:kept] / share,
             shares=self.shares[:kept] / share,
-            exposure=self.exposure.using(self.used * share),
+            exposure=self.exposure.using(self.exposure.used * share),
             distribution=None,
         )
 
@@ -426,7 +411,7 @@ class Design:
             mean=self.mean * dimmed,
             std=self.std * dimmed,
             shares=self.shares * dimmed,
-            exposure=self.exposure.using(self.used / dimmed),
+            exposure=self.exposure.using(self.exposure.used / dimmed),
             distribution=self.distribution and self.distribution.dimmed(dimmed),
         )
 

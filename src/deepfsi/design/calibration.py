@@ -40,12 +40,9 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
 def find_distribution(
     rates: Tensor, labels: Sequence[int] | np.ndarray, classes: int, seed: int = 0
 ) -> ReadoutDistribution | None:
-    """Distribution of the readouts of training scenes, or None where there are too few scenes.
-
-    Too few of one class are too few: they do not tell how others of it look.
-
-    Shapes: rates (n, rails, m); labels (n,).
-    """
+    """Distribution of the readouts of training scenes, or None where there are too few scenes."""
+    # Too few of one class are too few: they do not tell how others of it look. rates (n, rails, m);
+    # labels (n,)
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([seed, 12])
     folds = np.array_split(rng.permutation(len(every)), FOLDS)
@@ -76,10 +73,8 @@ def find_distribution(
 def _calibrate(
     rates: np.ndarray, labels: np.ndarray, folds: list[np.ndarray], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them.
-
-    Each scene is compared with the model of the other folds.
-    """
+    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
+    # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
     values = np.empty((2, len(COUNTS), len(rates)))

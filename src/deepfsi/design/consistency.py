@@ -43,25 +43,14 @@ ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class Consistency:
-    """Consistency of exposures with the training of a design.
+    """Consistency of exposures with the training of a design."""
 
-    Attributes
-    ----------
-    exposures : array, shape (...)
-        p-value of each exposure.
-    whole : float
-        p-value of all of them together.
-    alike : float
-        p-value of how little they differ from each other; 1 for one exposure, and where their
-        patterns differ by more than photon noise.
-    brightness : float
-        All counts over those that the mean scene has at these budgets.
-    """
-
-    exposures: np.ndarray
-    whole: float
+    exposures: np.ndarray  # (...): p-value of each exposure
+    whole: float  # p-value of all of them together
+    # p-value of how little they differ from each other; 1 for one exposure, and where their
+    # patterns differ by more than photon noise
     alike: float
-    brightness: float
+    brightness: float  # all counts over those that the mean scene has at these budgets
 
     @property
     def unsure(self) -> np.ndarray:
@@ -168,10 +157,8 @@ class ReadoutDistribution:
         return replace(self, mean=self.mean * factor)
 
     def test(self, counts: ArrayLike, photons: ArrayLike, background: ArrayLike) -> Consistency:
-        """Consistency of exposures of different scenes.
-
-        Shapes: counts (..., rails, m); photons (...).
-        """
+        """Consistency of exposures of different scenes."""
+        # counts (..., rails, m); photons (...)
         model = self._model
         read = np.asarray(counts, dtype=float)
         lead = read.shape[:-2]
@@ -224,10 +211,8 @@ def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
 
 
 def _dispersion(read: np.ndarray, dark: np.ndarray) -> float:
-    """Squared differences of exposures' patterns beyond photon noise, in standard deviations.
-
-    Parameters are those of `ReadoutModel.statistics`. The patterns are compared with their mean.
-    """
+    """Squared differences of exposures' patterns beyond photon noise, in standard deviations."""
+    # Parameters are those of `ReadoutModel.statistics`. The patterns are compared with their mean
     every = max(float(read.sum()), SMALLEST)
     share, part = read.sum(axis=0) / every, read.sum(axis=1, keepdims=True) / every
     mean = every * part * share

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
+from deepfsi.optics.noise import Noise
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
 
@@ -129,10 +130,10 @@ def evaluate(
 
     Examples
     --------
-    >>> from deepfsi import learn, load_dataset
-    >>> digits = load_dataset("digits")
-    >>> design = learn(digits, photons=1e4, masks=6, epochs=1, device="cpu")
-    >>> [result] = evaluate(design, digits, 1e4, draws=1)
+    >>> import deepfsi
+    >>> few = deepfsi.Training(epochs=1)
+    >>> design = deepfsi.learn("digits", photons=1e4, masks=6, training=few)
+    >>> [result] = deepfsi.evaluate(design, "digits", 1e4, draws=1)
     >>> result.low < result.accuracy < result.high
     True
     """
@@ -140,7 +141,7 @@ def evaluate(
     scenes = as_dataset(data)
     check_data(design, scenes)
     check_draws(draws, seed)
-    tested = design.camera_with(**settings) if camera is None else Camera.load(camera, **settings)
+    tested = camera_for(design, camera, **settings)
     dark = tested.dark_counts if tested.noise_name == "camera" else 0.0
     scanner = design.scanner(tested.noise, tested.sigma, dark)
     design.exposure.check_noise(scanner.noise)
@@ -160,6 +161,18 @@ def evaluate(
         result_of(budget, scanner.noise, tally, draws, shares)
         for budget, tally in zip(budgets, tallies, strict=True)
     ]
+
+
+def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
+    """Camera of a test, the design's own unless given, with other settings such as the noise."""
+    # A noise of its maker's own is code, which a file must not run: it is to be given
+    found = design.camera if camera is None else Camera.load(camera)
+    if "noise" not in settings and camera is None and found.noise_name not in get_args(Noise):
+        raise InputError(
+            f"this design is for {found.noise_name} noise, code of its maker's that a file does "
+            "not run: give `noise`, it or another"
+        )
+    return Camera.load(found, **settings)
 
 
 class Guess(NamedTuple):

@@ -107,11 +107,9 @@ def _write_looks(design: Design, exposure: LooksExposure, classifier: Mlp, graph
 
 
 def _share_out(graph: "_Graph", asked: str, frames: int, shortest: float) -> str:
-    """Write the nodes of `live.dwells.share_out` for dwells (batch, q); the name of its result.
-
-    Frames are sorted, the longest first, which is shown in any case; those that are long enough are
-    the first ones.
-    """
+    """Write the nodes of `live.dwells.share_out` for dwells (batch, q); the name of its result."""
+    # Frames are sorted, the longest first, which is shown in any case; those that are long enough
+    # are the first ones
     axis = graph.index("axis", [1])
     column = graph.add("Unsqueeze", "shortest", axis, to="shortest_column")
     least = graph.add("Max", column, graph.constant("learned_for", [[shortest]]), to="least")

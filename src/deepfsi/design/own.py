@@ -108,10 +108,8 @@ class OwnClassifier(nn.Module):
 
 
 def describe(given: Given, arguments: Mapping[str, Any] | None) -> tuple[str, dict[str, Any]]:
-    """Name of a classifier in settings and in design files, and its factory's arguments.
-
-    The name is an import path where there is one, else `imports.UNNAMED`.
-    """
+    """Name of a classifier in settings and in design files, and its factory's arguments."""
+    # The name is an import path where there is one, else `imports.UNNAMED`
     every = dict(arguments or {})
     if isinstance(given, functools.partial):
         if given.args:
@@ -190,10 +188,8 @@ def restored(classifier: OwnClassifier, weights: Mapping[str, Tensor]) -> OwnCla
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Draw from torch's global generators as of a seed; their state is put back at the end.
-
-    A module of a user's own draws its weights and its dropout there.
-    """
+    """Draw from torch's global generators as of a seed; their state is put back at the end."""
+    # A module of a user's own draws its weights and its dropout there
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         yield

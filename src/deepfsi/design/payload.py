@@ -82,7 +82,7 @@ def check_playable(design: Design) -> Mlp:
             "a page has no classifier of your own in it: give a design with the package's own, "
             "which `classifier` mlp learns"
         )
-    noise = design.info.get("job", {}).get("noise", "poisson")
+    noise = design.camera.noise_name
     if noise not in ("poisson", "ml_gauss"):
         raise InputError(
             f"this design is for {noise} noise, and a page draws photon counts: give a design for "
@@ -110,10 +110,8 @@ def _trained(design: Design) -> tuple[float, float] | None:
 
 
 def _optics(design: Design) -> dict[str, Any]:
-    """Masks, light law and detectors.
-
-    Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|.
-    """
+    """Masks, light law and detectors."""
+    # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
     rails = design.rails
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
@@ -146,11 +144,9 @@ def _exposure(design: Design) -> dict[str, Any]:
 
 
 def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:
-    """Rules of when an exposure stops, each with the budget that it was calibrated at.
-
-    That which the design holds; else those of the lowest, middle and highest budget of its
-    training, where it can stop early and its training left scenes out.
-    """
+    """Rules of when an exposure stops, each with the budget that it was calibrated at."""
+    # That which the design holds; else those of the lowest, middle and highest budget of its
+    # training, where it can stop early and its training left scenes out
     try:
         design.exposure.stops(design.rails, design.light)
     except InputError:

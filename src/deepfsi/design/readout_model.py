@@ -51,10 +51,8 @@ class ReadoutModel:
     def statistics(
         self, read: np.ndarray, expected: np.ndarray, dark: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Brightness and pattern of counts (n, R), each a squared distance (n,) from the mean.
-
-        Shapes: read (n, R); expected (n,); dark (n, R).
-        """
+        """Brightness and pattern of counts (n, R), each a squared distance (n,) from the mean."""
+        # read (n, R); expected (n,); dark (n, R)
         scale = expected[:, None]
         sums = read.sum(axis=1, keepdims=True)
         power = (1 + dark.sum(axis=1) / expected) / expected

@@ -57,46 +57,18 @@ class Estimate:
 
 @dataclass(frozen=True)
 class StoppingRule:
-    """When an exposure stops.
+    """When an exposure stops."""
 
-    Attributes
-    ----------
-    after : tuple of int
-        Numbers of masks, or of looks, after which it may, rising; the last is all.
-    temperatures : tuple of float
-        What the logits are divided by, after each.
-    threshold : float
-        Confidence above which it stops; 1 for never before the end.
-    """
-
+    # Numbers of masks, or of looks, after which it may, rising; the last is all
     after: tuple[int, ...]
-    temperatures: tuple[float, ...]
-    threshold: float
+    temperatures: tuple[float, ...]  # what the logits are divided by, after each
+    threshold: float  # confidence above which it stops; 1 for never before the end
 
     def classify(
         self, design: Design, counts: ArrayLike, photons: float
     ) -> tuple[np.ndarray, bool]:
-        """Classify an exposure of a nested design that goes on, and say whether it may stop.
-
-        Parameters
-        ----------
-        design : Design
-            The one that the rule was made for.
-        counts : array, shape (2, k) for dual-rail designs, (k,) for single-rail ones
-            Counts of the first k masks.
-        photons : float
-            Budget of the whole exposure.
-
-        Returns
-        -------
-        tuple
-            Calibrated probabilities (C,), and True to stop.
-
-        Raises
-        ------
-        InputError
-            If k is not one of `after`.
-        """
+        """Classify an exposure of a nested design that goes on, and say whether it may stop."""
+        # counts (2, k) for dual-rail designs, (k,)
         read = np.asarray(counts, dtype=np.float32)
         shown = read.shape[-1] if read.ndim else 0
         if shown not in self.after:
@@ -105,13 +77,13 @@ class StoppingRule:
                 f"{self.after[-1]} masks"
             )
         part = design.first(shown)
-        return self.decide(shown, part.classify(read, photons * part.used / design.used))
+        return self.decide(
+            shown, part.classify(read, photons * part.exposure.used / design.exposure.used)
+        )
 
     def decide(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop.
-
-        For `Design.classify_live`; `InputError` if an exposure is not judged after so many.
-        """
+        """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop."""
+        # For `Design.classify_live`; `InputError` if an exposure is not judged after so many
         if shown not in self.after:
             raise InputError(
                 f"an exposure is not judged after {shown}: this rule is for {self.after[0]} to "
@@ -151,60 +123,34 @@ def rule_of(design: Design) -> StoppingRule | None:
 
 @dataclass(frozen=True)
 class Stopped:
-    """One design at one budget, its exposures stopped early.
+    """One design at one budget, its exposures stopped early."""
 
-    Attributes
-    ----------
-    photons : float
-        Budget Φ of the whole exposure.
-    rule : StoppingRule
-    used : Estimate
-        Share of the budget that exposures take: of looks, share of their time.
-    whole, stopped, difference : Estimate
-        Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
-    stops : list of float
-        Share of exposures that end after each of `rule.after`.
-    confidence : float
-        Mean confidence of the answers given.
-    calibration_error, uncalibrated_error : float
-        Mean distance of confidence and accuracy over `BINS` groups of the answers given, with
-        temperatures and without.
-    log_loss, uncalibrated_log_loss : float
-        Mean −ln of the probability of the true class, over whole exposures and all shorter ones.
-    reliability : list of dict
-        `confidence` and `accuracy` of each group.
-    rejection : list of dict
-        `accepted`, the share of answers kept, the surest first, and their accuracy: `stopped`, and
-        `whole` where exposures do not stop early.
-    curve : list of dict
-        `threshold`, `used` and `accuracy` for every threshold tried.
-    validation : dict
-        `used`, `whole` and `stopped` on the scenes on which the threshold was chosen.
-    images, draws : int
-        Test scenes, and independent noise draws of each.
-    covers : str
-        What the intervals cover.
-    """
-
-    photons: float
+    photons: float  # budget Φ of the whole exposure
     rule: StoppingRule
-    used: Estimate
+    used: Estimate  # share of the budget that exposures take: of looks, share of their time
+    # Accuracy of whole exposures, of stopped ones, and the second less the first, paired
     whole: Estimate
     stopped: Estimate
     difference: Estimate
-    stops: list[float]
-    confidence: float
+    stops: list[float]  # share of exposures that end after each of `rule.after`
+    confidence: float  # mean confidence of the answers given
+    # Mean distance of confidence and accuracy over `BINS` groups of the answers given, with
+    # temperatures and without
     calibration_error: float
     uncalibrated_error: float
+    # Mean −ln of the probability of the true class, over whole exposures and all shorter ones
     log_loss: float
     uncalibrated_log_loss: float
-    reliability: list[dict[str, float]]
+    reliability: list[dict[str, float]]  # `confidence` and `accuracy` of each group
+    # `accepted`, the share of answers kept, the surest first, and their accuracy: `stopped`, and
+    # `whole` where exposures do not stop early
     rejection: list[dict[str, float]]
-    curve: list[dict[str, float]]
+    curve: list[dict[str, float]]  # `threshold`, `used` and `accuracy` for every threshold tried
+    # `used`, `whole` and `stopped` on the scenes on which the threshold was chosen
     validation: dict[str, float]
-    images: int
+    images: int  # test scenes, and independent noise draws of each
     draws: int
-    covers: str = COVERS
+    covers: str = COVERS  # what the intervals cover
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -214,10 +160,8 @@ class Stopped:
 def logits_at_stops(
     design: Design, x: np.ndarray, photons: float, draws: int, seed: int
 ) -> np.ndarray:
-    """Logits (K, E, C) of exposures at each of K stops; draws of a scene follow one another.
-
-    Shapes: x (n, N).
-    """
+    """Logits (K, E, C) of exposures at each of K stops; draws of a scene follow one another."""
+    # x (n, N)
     scanner = design.scanner()
     generator = torch.Generator(design.rails.device).manual_seed(seed)
     chunks = []
@@ -336,32 +280,7 @@ def stop(
     draws: int = 3,
     seed: int = 0,
 ) -> Stopped:
-    """Choose when to stop on held-out scenes, and test it on the test scenes.
-
-    Parameters
-    ----------
-    design : Design
-        Of several looks, or nested, one whose masks are shown in sequence; trained on
-        ``data.hold_out(held_out)``.
-    data : Dataset, str, path or tuple of arrays
-    photons : float
-        Budget Φ of the whole exposure.
-    held_out : int, optional
-        Last training scenes that the training left out; as the design remembers unless given.
-    threshold : float, optional
-        Confidence above which to stop, 0 to 1; chosen unless given.
-    draws : int
-        Noise draws of each scene.
-    seed : int
-        Of the noise and the halves; whole exposures are those of `evaluation.evaluate` with this
-        seed.
-
-    Raises
-    ------
-    InputError
-        If the design cannot stop early, the data does not fit it, or it was trained on the scenes
-        that would be held out.
-    """
+    """Choose when to stop on held-out scenes, and test it on the test scenes."""
     budget = check_budget(photons)
     check_draws(draws, seed)
     scenes = as_dataset(data)
@@ -398,14 +317,10 @@ def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
 def fit_temperatures(
     logits: np.ndarray, labels: np.ndarray, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Temperatures that judge each exposure (K, E), and those of a rule (K,).
-
-    The scenes are split at random in two halves, and the exposures of either are judged with what
-    was fitted on the other: no scene has a say in its own confidence. A rule has the geometric
-    means of both.
-
-    Shapes: logits (K, E, C); labels (n,).
-    """
+    """Temperatures that judge each exposure (K, E), and those of a rule (K,)."""
+    # The scenes are split at random in two halves, and the exposures of either are judged with what
+    # was fitted on the other: no scene has a say in its own confidence. A rule has the geometric
+    # means of both. logits (K, E, C); labels (n,)
     draws = logits.shape[1] // len(labels)
     # at random: the images of MNIST come from two sources by turns
     half = np.random.default_rng(seed).permutation(len(labels)).repeat(draws) % 2 == 0

@@ -20,10 +20,8 @@ def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) 
 
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
-    """Fit the camera's view to a counted run of the spots, and write it to a folder.
-
-    Gives it with its file, and the file of the cells that each detector sees, of several.
-    """
+    """Fit the camera's view to a counted run of the spots, and write it to a folder."""
+    # Gives it with its file, and the file of the cells that each detector sees, of several
     acquisition, patterns = read_acquisition(folder)
     shown, counts = read_display(spots), read_counts(folder)
     found = calibrate_run(

@@ -25,11 +25,9 @@ DESIGN = "design.safetensors"
 
 
 def camera_of(source: str | os.PathLike[str], **settings: Any) -> Camera:
-    """Camera of a design file, of a folder of its patterns, or of a run, with other settings.
-
-    `camera` among the settings names another to begin with: a preset or a TOML file. Where none is
-    known it is the preset `dmd`.
-    """
+    """Camera of a design file, of a folder of its patterns, or of a run, with other settings."""
+    # `camera` among the settings names another to begin with: a preset or a TOML file. Where none
+    # is known it is the preset `dmd`
     given = settings.pop("camera", None)
     found = Camera.load(_known(Path(source)) if given is None else given)
     if "device" in settings and found.light == "column":
@@ -49,7 +47,7 @@ def _known(path: Path) -> Camera | None:
     except (SafetensorError, KeyError, TypeError, ValueError, AttributeError):
         return None  # whoever opens the design says what is wrong with it
     with as_input_error(str(file), "train it again"):
-        return None if known is None else Camera.model_validate(known)
+        return None if known is None else Camera.restored(known)
 
 
 def exposure_of(camera: Camera) -> float:
@@ -82,10 +80,8 @@ def dead_time_of(camera: Camera) -> DeadTime | None:
 
 
 def virtual_of(camera: Camera) -> VirtualCamera:
-    """Virtual camera with the dark counts and the dead time of one that a laboratory describes.
-
-    Its flux is of counts: the efficiency of the detector is in it.
-    """
+    """Virtual camera with the dark counts and the dead time of one that a laboratory describes."""
+    # Its flux is of counts: the efficiency of the detector is in it
     return VirtualCamera(
         dark=camera.dark,
         dead_time_s=camera.dead_time,

@@ -9,11 +9,12 @@ with x the reflectance in [0, 1] and λ the expected photons of each pixel.
 """
 
 import math
-from typing import Literal, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from deepfsi.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Array = TypeVar("Array")
 """A numpy array or a tensor."""
@@ -54,13 +55,15 @@ def check_one_budget(photons: float | None, counts: float | None) -> float:
     return float(counts)
 
 
-def summed_reflectance(x: np.ndarray) -> float:
+def summed_reflectance(x: "np.ndarray") -> float:
     """Mean over scenes (n, N) of their summed reflectance, s, in fully reflecting pixels."""
-    return float(x.sum(axis=1, dtype=np.float64).mean())
+    return float(x.sum(axis=1, dtype="float64").mean())
 
 
-def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
+def brightness(x: "np.ndarray", labels: "np.ndarray") -> dict[str, float] | None:
     """By how much scenes (n, N) of some classes differ in summed reflectance."""
+    import numpy as np
+
     sums = x.sum(axis=1, dtype=np.float64)
     groups = [sums[labels == label] for label in np.unique(labels)]
     means = np.array([group.mean() for group in groups])
@@ -107,23 +110,9 @@ def impulse_imaging_error(
     noise: Literal["poisson", "gaussian"],
     sigma: float = 1.0,
 ) -> float:
-    """Root mean square error of impulse imaging in reflectance, the paper's noise axis.
-
-    With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
-    x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise.
-
-    Parameters
-    ----------
-    photons : float
-        Budget Φ.
-    mean_reflectance : float
-        x̄, mean reflectance of the training set's pixels.
-    pixels : int
-        N.
-    noise : {"poisson", "gaussian"}
-    sigma : float
-        Standard deviation of the gaussian noise, counts per readout.
-    """
+    """Root mean square error of impulse imaging in reflectance, the paper's noise axis."""
+    # With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
+    # x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise
     budget = check_budget(photons)
     if noise not in ("poisson", "gaussian"):
         raise InputError(f"no closed form for noise {noise!r}: choose poisson or gaussian")

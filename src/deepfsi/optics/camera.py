@@ -29,6 +29,7 @@ from pydantic import (
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.grid import find_grid
+from deepfsi.imports import UNNAMED
 from deepfsi.laws import Light, RailsKind, Readout
 from deepfsi.units import Seconds
 
@@ -82,7 +83,9 @@ def noise_name(noise: Any) -> str:
 def _known_noise(noise: Any) -> Any:
     from deepfsi.optics.noise import check_noise
 
-    if not callable(noise) and noise_name(noise) != "own":
+    if not (isinstance(noise, str) or callable(noise)):
+        raise ValueError("give a noise's name, or noise(rates, generator) of your own")
+    if isinstance(noise, str) and noise != UNNAMED:
         check_noise(noise)
     return noise
 
@@ -175,7 +178,7 @@ class Camera(BaseModel):
         "shortest picture less settling and 2 us unless given",
     )
     exposure: Seconds | None = Field(
-        None, gt=0, description="time of a whole exposure, such as 10ms"
+        None, gt=0, validate_default=True, description="time of a whole exposure, such as 10ms"
     )
     levels: Levels | None = Field(
         None,
@@ -282,6 +285,8 @@ class Camera(BaseModel):
         """
         name = str(source) if isinstance(source, str | os.PathLike) else ""
         fields = {**_fields(source), **settings}
+        if settings.get("noise", "camera") != "camera":
+            fields["dark"] = settings.get("dark", 0.0)  # only camera noise has dark counts
         for field in fields:
             if field not in cls.model_fields:
                 raise InputError(
@@ -290,6 +295,18 @@ class Camera(BaseModel):
                 )
         with as_input_error(name if name.endswith(".toml") else ""):
             return cls.model_validate(fields)
+
+    @classmethod
+    def restored(cls, fields: Mapping[str, Any]) -> "Camera":
+        """Camera of all its fields, as a file has them, of which some follow from others again."""
+        whole = cls.model_validate(fields)
+        known, given = dict[str, Any](), dict[str, Any]()
+        for name, field in cls.model_fields.items():
+            usual = field.get_default(call_default_factory=True, validated_data=known)
+            known[name] = getattr(whole, name)
+            if known[name] != usual:
+                given[name] = known[name]
+        return cls.model_validate(given)
 
     @property
     def given(self) -> dict[str, Any]:
@@ -353,6 +370,10 @@ def _fields(source: CameraSource) -> dict[str, Any]:
         return source.given
     if isinstance(source, Mapping):
         return dict(source)
+    if not isinstance(source, str | os.PathLike | None):
+        raise InputError(
+            f"a camera cannot be {source!r}: give a preset's name, a TOML file or its fields"
+        )
     name = "dmd" if source is None else os.fspath(source)
     if not name.endswith(".toml"):
         check_known("camera", name, PRESETS)

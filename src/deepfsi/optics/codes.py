@@ -222,19 +222,7 @@ def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
 
 
 def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
-    """Sensing matrix (m, N) of a fixed design for one detector, float64, signed.
-
-    Parameters
-    ----------
-    name : str
-        A key of `DESIGNS` that is neither learned nor custom.
-    masks : int
-        m, as `count_allowed` says.
-    data : Dataset
-        Gives the scene's shape, and the training scenes for `pca`, `lda` and `class-pairs`.
-    seed : int
-        For `random` only.
-    """
+    """Sensing matrix (m, N) of a fixed design for one detector, float64, signed."""
     make = DESIGNS[name].make
     if make is None:
         raise ValueError(f"{name} has no fixed sensing matrix")
@@ -253,12 +241,10 @@ def sequency_hadamard(order: int) -> np.ndarray:
 
 
 def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
-    """The `masks` lowest sequencies of the Hadamard basis, ±1, (masks, N).
-
-    For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
-    most one mask lacks its transpose; for spectra 1-D sequencies. Sides that are no power of two
-    are padded; the padding is dark and carries no light.
-    """
+    """The `masks` lowest sequencies of the Hadamard basis, ±1, (masks, N)."""
+    # For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
+    # most one mask lacks its transpose; for spectra 1-D sequencies. Sides that are no power of two
+    # are padded; the padding is dark and carries no light
     padded = padded_shape(image_shape)
     axes = [sequency_hadamard(side)[:, :own] for side, own in zip(padded, image_shape, strict=True)]
     if len(axes) == 1:
@@ -272,11 +258,9 @@ def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
 
 
 def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
-    """Leading principal components (masks, N) of training scenes (n, N), conventional FSI.
-
-    The largest entry of each component is positive. Where the data has fewer directions than
-    masks are asked for, pixels' own directions complete the basis, those least explained first.
-    """
+    """Leading principal components (masks, N) of training scenes (n, N), conventional FSI."""
+    # The largest entry of each component is positive. Where the data has fewer directions than
+    # masks are asked for, pixels' own directions complete the basis, those least explained first
     pixels = x.shape[1]
     varying = np.flatnonzero(np.ptp(x, axis=0))
     mean = x[:, varying].mean(axis=0, dtype=np.float64)
@@ -307,10 +291,8 @@ def _scatter(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest eigenvalues of the scatter matrix, rising, and their vectors (N, count).
-
-    The matrix itself, N² numbers, is not made: it is applied to vectors, chunk by chunk.
-    """
+    """Largest eigenvalues of the scatter matrix, rising, and their vectors (N, count)."""
+    # The matrix itself, N² numbers, is not made: it is applied to vectors, chunk by chunk
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     def applied(vectors: np.ndarray) -> np.ndarray:
@@ -332,10 +314,8 @@ def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, n
 
 
 def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
-    """Linear discriminant directions, the supervised linear baseline that PCA is not.
-
-    Parameters as for `class_pairs`; unit rows, at most one fewer than there are classes.
-    """
+    """Linear discriminant directions, the supervised linear baseline that PCA is not."""
+    # Parameters as for `class_pairs`; unit rows, at most one fewer than there are classes
     from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
     model = LinearDiscriminantAnalysis(solver="eigen", shrinkage="auto").fit(x, y)
@@ -344,13 +324,10 @@ def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
 
 
 def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
-    """Differences of the mean scenes of two classes as unit rows, pairs that differ least first.
-
-    As frames of one rail a pair is what one class has more than the other, and the reverse. Where
-    there are fewer pairs of different means than masks, principal components follow.
-
-    Shapes: x (n, N); y (n,).
-    """
+    """Differences of the mean scenes of two classes as unit rows, pairs that differ least first."""
+    # As frames of one rail a pair is what one class has more than the other, and the reverse. Where
+    # there are fewer pairs of different means than masks, principal components follow. x (n, N); y
+    # (n,)
     means = np.stack([x[y == label].mean(axis=0, dtype=np.float64) for label in np.unique(y)])
     first, second = np.triu_indices(len(means), k=1)
     pairs = means[first] - means[second]
@@ -373,11 +350,9 @@ def s_matrix_order(pixels: int) -> int:
 
 
 def s_matrix(pixels: int) -> np.ndarray:
-    """Cyclic S-matrix (p, pixels) from quadratic residues, the non-negative Hadamard code.
-
-    Its order p is `s_matrix_order`; pixels beyond the scene's own are dark. Entries are 0 or 1, and
-    every full row holds (p + 1) / 2 ones.
-    """
+    """Cyclic S-matrix (p, pixels) from quadratic residues, the non-negative Hadamard code."""
+    # Its order p is `s_matrix_order`; pixels beyond the scene's own are dark. Entries are 0 or 1,
+    # and every full row holds (p + 1) / 2 ones
     order = s_matrix_order(pixels)
     row = np.zeros(order)
     row[np.arange(order) ** 2 % order] = 1

@@ -35,19 +35,10 @@ def check_light(light: str, rails: str) -> None:
 
 
 def expand(matrix: Tensor, light: Light, rails: RailsKind = "dual") -> Tensor:
-    """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
-
-    A single rail is the matrix itself. Two are its positive and its negative part; on two arms each
-    mask is shown for the time t of its peak, and what one arm does not get, the other does:
-    M⁺ = (t + M) / 2 and M⁻ = (t − M) / 2.
-
-    Parameters
-    ----------
-    matrix : tensor, shape (..., m, N)
-        Non-negative if `rails` is "single".
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    rails : {"dual", "single"}
-    """
+    """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N)."""
+    # A single rail is the matrix itself. Two are its positive and its negative part; on two arms
+    # each mask is shown for the time t of its peak, and what one arm does not get, the other does:
+    # M⁺ = (t + M) / 2 and M⁻ = (t − M) / 2. matrix (..., m, N)
     if rails == "single":
         return matrix.unsqueeze(-3)
     if light == "two-arm":
@@ -62,16 +53,9 @@ def frames(rails: Tensor) -> Tensor:
 
 
 def fit(matrix: Tensor, light: Light, rails: RailsKind = "dual") -> Tensor:
-    """Rails (2 or 1, m, N) of a matrix at a light law, using as much light as it allows.
-
-    `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
-    `two-arm` each mask's own peak.
-
-    Parameters
-    ----------
-    matrix : tensor, shape (m, N)
-        Any scale; non-negative if `rails` is "single".
-    """
+    """Rails (2 or 1, m, N) of a matrix at a light law, using as much light as it allows."""
+    # `column` and `free-dwell` take one common factor, `equal-dwell` each frame's own peak, and
+    # `two-arm` each mask's own peak. matrix (m, N)
     check_light(light, rails)
     if light == "two-arm":
         return expand(matrix / (peak(matrix.abs()) * len(matrix)), light)
@@ -104,11 +88,9 @@ def excess(rails: Tensor, light: Light) -> float:
 
 
 def used(rails: Tensor, light: Light) -> Tensor:
-    """Share (..., m) of a constraint that the first k masks of rails use; 0 while they are dark.
-
-    Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
-    beginning of all, on one device, they have taken this share of its time.
-    """
+    """Share (..., m) of a constraint that the first k masks of rails use; 0 while they are dark."""
+    # Shown alone for the whole exposure these k may be brighter by the inverse; shown at the
+    # beginning of all, on one device, they have taken this share of its time
     if light == "column":
         return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)
     peaks = rails.amax(dim=-1)

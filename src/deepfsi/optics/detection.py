@@ -32,19 +32,11 @@ Detectors = str | Sequence[int] | np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Which detector sees each pixel, and what is read of two rails.
-
-    Attributes
-    ----------
-    readout : {"difference", "both"}
-    count : int
-        D, number of detectors.
-    labels : tensor of int, shape (N,), or None
-        Detector of each pixel, 0 .. D-1; None where one detector sees all.
-    """
+    """Which detector sees each pixel, and what is read of two rails."""
 
     readout: Readout = "difference"
-    count: int = 1
+    count: int = 1  # D, number of detectors
+    # (N,): Detector of each pixel, 0 .. D-1; None where one detector sees all
     labels: Tensor | None = None
 
     @classmethod
@@ -179,21 +171,7 @@ def read_detectors(name: str) -> str | tuple[int, ...]:
 
 
 def detector_map(detectors: Detectors, image_shape: tuple[int, ...]) -> np.ndarray:
-    """Detector (N,) of each pixel, 0 .. D-1, int64.
-
-    Parameters
-    ----------
-    detectors : str or sequence of int
-        ``"2x3"`` divides images into 2 rows and 3 columns of tiles, ``"4"`` spectra into 4 bands,
-        of equal size where they divide, else as equal as can be. Or the detector of each pixel.
-    image_shape : tuple of int
-        Of a scene, (H, W) or (B,).
-
-    Raises
-    ------
-    InputError
-        If these are no detectors for such scenes.
-    """
+    """Detector (N,) of each pixel, 0 .. D-1, int64."""
     shape = "x".join(map(str, image_shape))
     if isinstance(detectors, str):
         if detectors == "1x1":

@@ -46,11 +46,9 @@ class FeatureNoise:
         darks: Sequence[float] | None = None,
         own: OwnNoise | None = None,
     ) -> "FeatureNoise":
-        """Noise of R trainings: parameters as of the class, of each training.
-
-        Gains are Φ / s, counts. The Poisson draws of a seed are others than those of a generator of
-        the same seed.
-        """
+        """Noise of R trainings: parameters as of the class, of each training."""
+        # Gains are Φ / s, counts. The Poisson draws of a seed are others than those of a generator
+        # of the same seed
         numbers = (gains, sigmas, darks or [0.0] * len(gains))
         gain, sigma, dark = (torch.tensor(each, device=device).unsqueeze(1) for each in numbers)
         generators = [torch.Generator(device).manual_seed(seed ^ 2**31) for seed in seeds]
@@ -72,10 +70,8 @@ class FeatureNoise:
         return self.own is not None or self.kind in ("poisson", "camera")
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts | None) -> Tensor:
-        """Features (B, R, m) from counts of two rails.
-
-        Shapes: mean, total (B, R, m).
-        """
+        """Features (B, R, m) from counts of two rails."""
+        # mean, total (B, R, m)
         with torch.set_grad_enabled(self.own is not None and torch.is_grad_enabled()):
             rates = torch.stack([total + mean, total - mean]).mul(self.gain / 2).clamp(min=0)
             shown = torch.ones_like(rates[:1], dtype=torch.bool)
@@ -103,10 +99,8 @@ class FeatureNoise:
         return readout(rates, self.kind, self.sigma[replica], generator, dark)
 
     def deviation(self, total: Tensor, lit: Tensor) -> Tensor:
-        """Standard deviation of features (..., R, m) under a noise that is no counting.
-
-        Shapes: total (..., R, m); lit (R, m).
-        """
+        """Standard deviation of features (..., R, m) under a noise that is no counting."""
+        # total (..., R, m); lit (R, m)
         if self.kind == "ml_gauss":
             return root(total) * self.unit
         return root(variance(total, lit, self.kind, self.sigma) / self.gain.square())
@@ -124,10 +118,8 @@ class FeatureNoise:
 
 
 def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
-    """Divide centred features by the standard deviation of their batch.
-
-    Shapes: features (B, R, m).
-    """
+    """Divide centred features by the standard deviation of their batch."""
+    # features (B, R, m)
     if shown is not None:
         over = (0,) if scale == "each" else (0, 2)
         power = (features.square() * shown).sum(dim=over, keepdim=True)
@@ -140,10 +132,8 @@ def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> 
 
 
 def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Tensor:
-    """Standard deviation (..., m) of features of known variance; 1 where that is 0.
-
-    Shapes: power (..., m); weights (m,).
-    """
+    """Standard deviation (..., m) of features of known variance; 1 where that is 0."""
+    # power (..., m); weights (m,)
     if scale == "common":
         weights = torch.ones_like(power) if weights is None else weights
         common = (power * weights).sum(dim=-1, keepdim=True) / weights.sum(dim=-1, keepdim=True)
@@ -160,10 +150,8 @@ def feature_statistics(
     exposures: tuple[Tensor, Tensor] | None = None,
     means: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean and standard deviation of features over scenes and noise, and mean x S.
-
-    Shapes: scenes (n, N); means (n, R or 1, k).
-    """
+    """Mean and standard deviation of features over scenes and noise, and mean x S."""
+    # scenes (n, N); means (n, R or 1, k)
     arranged = masks().each(detection.arrange)
     if noise.own is not None:
         return _sampled_statistics(scenes, arranged, noise, scale, detection)
@@ -194,10 +182,8 @@ def _sampled_statistics(
     scale: Scale,
     detection: Detection,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Statistics as `feature_statistics` gives them, of a draw of a user's own noise.
-
-    Parameters as there, but for the arranged rails of the masks.
-    """
+    """Statistics as `feature_statistics` gives them, of a draw of a user's own noise."""
+    # Parameters as there, but for the arranged rails of the masks
     read, moments = detection.readouts(arranged), []
     frames = detection.read_of(arranged)
     for x in scenes.split(CHUNK):
@@ -212,10 +198,8 @@ def _sampled_statistics(
 
 
 def mean_over_exposures(used: Tensor, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
-    """Noise of each mask in the mean over the budgets and numbers of masks of a training.
-
-    Shapes: used (R or 1, m); chances (m,).
-    """
+    """Noise of each mask in the mean over the budgets and numbers of masks of a training."""
+    # used (R or 1, m); chances (m,)
     dim = (1 - 1 / span) / math.log(span) if span > 1 else 1.0
     later = (chances * used / used[..., -1:]).flip(-1).cumsum(-1).flip(-1)
     often = chances.flip(-1).cumsum(-1).flip(-1)

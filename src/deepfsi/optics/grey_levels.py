@@ -14,13 +14,7 @@ def quantise(rails: Tensor, light: Light, levels: int) -> Tensor:
     Where rounding breaks `column`, all frames are dimmed by the common factor that mends it. On two
     arms the positive rail is the pattern, and the other gets what is left of the time.
 
-    Parameters
-    ----------
-    rails : tensor, shape (..., 2 or 1, m, N)
-        Leading axes are replicas, each by itself.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    levels : int
-        Grey levels, dark included, at least 2.
+    Shapes: rails (..., 2 or 1, m, N).
     """
     if levels < 2:
         raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")

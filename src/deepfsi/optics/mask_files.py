@@ -23,30 +23,7 @@ WAYS = (
 
 
 def read_matrix(source: str) -> np.ndarray:
-    """Read masks from a file or a folder.
-
-    Parameters
-    ----------
-    source : str
-        Path of one of
-
-        - a ``.npy`` file of shape (m, N) or (m, H, W);
-        - a ``.mat`` or HDF5 file with one numeric variable of such a shape; of one with several,
-          its path, a colon and the variable's name;
-        - an image of m pages, such as a TIFF, or a folder of images, in the order of their names.
-
-    Returns
-    -------
-    array, shape (m, N)
-        Shares of each pixel's photons. Grey levels (images, and arrays of bool, uint8 or uint16)
-        have no scale of their own: they become 0 to 1 and then 1/m of that, each mask shown for an
-        equal part of the time, which every light law allows. Other numbers stay.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it is damaged, or it holds something else.
-    """
+    """Read masks from a file or a folder."""
     path, variable = split_variable(source)
     if not path.exists():
         raise InputError(f"no matrix at {path}: give {WAYS}")

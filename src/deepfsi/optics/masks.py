@@ -34,21 +34,6 @@ class FixedMasks(nn.Module):
 class LearnedMasks(nn.Module):
     """Masks as a differentiable function of free weights that cannot break their constraint.
 
-    Parameters
-    ----------
-    start : tensor, shape (..., m, N)
-        Matrix to start from, any scale; leading axes are replicas that learn side by side. For a
-        single rail it must be non-negative.
-    light : {"column", "equal-dwell", "free-dwell", "two-arm"}
-    rails : {"dual", "single"}
-    levels : int
-        Grey levels, dark included, of the device that shows the masks; 0 for continuous ones.
-    shortest : float
-        Shortest dwell of a frame that the device shows, a share of the exposure, for `free-dwell`
-        and `two-arm`: frames below it are dark, see `share_out`.
-
-    Notes
-    -----
     `column` divides each pixel's column by its sum where that exceeds 1. The others write a frame
     as its dwell (a share of the time) times a pattern in [0, 1]: dwells are equal or, for
     `free-dwell` and `two-arm`, a softmax. Weights are in units of the start's own rms, so that one
@@ -56,6 +41,8 @@ class LearnedMasks(nn.Module):
 
     Quantised masks have the gradient of the continuous ones that they are rounded from: it goes
     straight through the rounding, whose own is 0. So do dwells, so that a dark frame may come back.
+
+    Shapes: start (..., m, N).
     """
 
     unit: Tensor
@@ -103,10 +90,8 @@ class LearnedMasks(nn.Module):
 
     @property
     def disjoint(self) -> bool:
-        """True if the total is |M|, and its gradient that of |M|.
-
-        So it is where there are two rails of which each pixel is on one, and no rounding.
-        """
+        """True if the total is |M|, and its gradient that of |M|."""
+        # So it is where there are two rails of which each pixel is on one, and no rounding
         return self.rails == "dual" and self.light != "two-arm" and not self.levels
 
     def matrix(self) -> Tensor:

@@ -11,12 +11,10 @@ from deepfsi.errors import InputError
 
 
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
-    """Share of a scene's light that the detectors count, Σ_ij |M_ij| x̄_j / Σ_j x̄_j.
-
-    M (m, N) are shares of each pixel's photons, in masks of which each pixel is on one rail (on two
-    arms it is on both), x̄ (N,) the mean reflectance of each pixel over the training scenes. For a
-    single detector it is at most 1.
-    """
+    """Share of a scene's light that the detectors count, Σ_ij |M_ij| x̄_j / Σ_j x̄_j."""
+    # M (m, N) are shares of each pixel's photons, in masks of which each pixel is on one rail (on
+    # two arms it is on both), x̄ (N,) the mean reflectance of each pixel over the training scenes.
+    # For a single detector it is at most 1
     masks = _masks(matrix)
     scene = np.asarray(mean_scene, dtype=np.float64)
     if scene.shape != masks.shape[1:]:
@@ -31,15 +29,13 @@ def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
 
 
 def effective_directions(matrix: np.ndarray) -> float:
-    """Effective rank of masks (m, N): the number of independent directions that they measure.
-
-    It is exp(H), with H the Shannon entropy of the singular values divided by their sum: m for
-    orthogonal masks of equal norm, 1 for copies of one mask, in between where masks resemble each
-    other or some hardly measure, and 0 where every mask is dark. The singular values themselves,
-    not their squares, as in the published definition; and it is to them that the counts along a
-    direction are proportional. The masks' signs, order and common scale do not matter; their scales
-    relative to each other do.
-    """
+    """Effective rank of masks (m, N): the number of independent directions that they measure."""
+    # It is exp(H), with H the Shannon entropy of the singular values divided by their sum: m for
+    # orthogonal masks of equal norm, 1 for copies of one mask, in between where masks resemble each
+    # other or some hardly measure, and 0 where every mask is dark. The singular values themselves,
+    # not their squares, as in the published definition; and it is to them that the counts along a
+    # direction are proportional. The masks' signs, order and common scale do not matter; their
+    # scales relative to each other do
     strengths = scipy.linalg.svdvals(_masks(matrix))
     if not strengths.any():
         return 0.0
@@ -48,13 +44,11 @@ def effective_directions(matrix: np.ndarray) -> float:
 
 
 def matched_similarity(first: np.ndarray, second: np.ndarray) -> float:
-    """Likeness of two sets of masks, mask by mask: mean |cosine| of the best pairing, 0 to 1.
-
-    Each mask of the smaller set (m₁, N) gets one of the larger (m₂, N) for itself, so that the sum
-    of |cosine| is largest. Order, signs and the scale of each mask do not matter; mixing masks
-    does. Dark masks resemble nothing. Unrelated masks are above 0: of two single random directions
-    |cosine| is √(2/πN) on average for large N, and the choice of pairs adds to it.
-    """
+    """Likeness of two sets of masks, mask by mask: mean |cosine| of the best pairing, 0 to 1."""
+    # Each mask of the smaller set (m₁, N) gets one of the larger (m₂, N) for itself, so that the
+    # sum of |cosine| is largest. Order, signs and the scale of each mask do not matter; mixing
+    # masks does. Dark masks resemble nothing. Unrelated masks are above 0: of two single random
+    # directions |cosine| is √(2/πN) on average for large N, and the choice of pairs adds to it
     from scipy.optimize import linear_sum_assignment
 
     a, b = _pair(first, second)
@@ -63,13 +57,12 @@ def matched_similarity(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def subspace_similarity(first: np.ndarray, second: np.ndarray) -> float:
-    """Likeness of what two sets of masks can tell: mean cos² of the angles between row spaces.
-
-    The angles are the principal ones, as many as the smaller row space has dimensions. Mixing masks
-    does not matter either: sets of which each mask is a linear combination of the other's give 1.
-    How strongly a direction is measured does not count, unless it is below rounding. Unrelated
-    (random) row spaces of (m₁, N) and (m₂, N) give max(m₁, m₂) / N on average; dark masks give 0.
-    """
+    """Likeness of what two sets of masks can tell: mean cos² of the angles between row spaces."""
+    # The angles are the principal ones, as many as the smaller row space has dimensions. Mixing
+    # masks does not matter either: sets of which each mask is a linear combination of the other's
+    # give 1. How strongly a direction is measured does not count, unless it is below rounding.
+    # Unrelated (random) row spaces of (m₁, N) and (m₂, N) give max(m₁, m₂) / N on average; dark
+    # masks give 0
     a, b = _pair(first, second)
     own, other = _row_space(a), _row_space(b)
     smaller = min(len(own), len(other))

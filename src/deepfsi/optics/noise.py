@@ -91,21 +91,7 @@ def try_own(own: OwnNoise, learning: bool) -> None:
 
 
 def poisson(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Draw photon counts.
-
-    Parameters
-    ----------
-    rate : tensor, any shape
-        Expected counts, at least 0. In float32 counts above 2²⁴ = 1.7e7 are no longer exact; up to
-        1e10 the rounding stays below 1/190 of their photon noise.
-    generator : torch.Generator, optional
-        On the device of `rate`.
-
-    Returns
-    -------
-    tensor
-        Counts, of the shape and type of `rate`. No gradient flows to `rate`: see `attach_gradient`.
-    """
+    """Draw photon counts."""
     exact = torch.poisson(rate.clamp(max=POISSON_LIMIT), generator=generator)
     bright = rate > POISSON_LIMIT
     if not bool(bright.any()):
@@ -126,27 +112,12 @@ def ml_gauss(rate: Tensor, generator: torch.Generator | None = None) -> Tensor:
 
 
 def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
-    """Let exact counts follow what their mean and variance depend on, as those of `ml_gauss` do.
-
-    Parameters
-    ----------
-    counts : tensor, shape (..., m)
-        y, of one rail or the difference of two, drawn at a mean μ and a variance L.
-    mean, total : tensor, shape (..., m)
-        μ and L: difference and sum of the rails' expected counts; of one rail, both its own.
-
-    Returns
-    -------
-    tensor, shape (..., m)
-        The counts, with the derivatives 1 in μ and (y − μ) / 2L in L; 0 where L is 0.
-
-    Notes
-    -----
-    These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
-    f(y) is right where f is at most quadratic. For one rail, where it is f′(k) (1 + k/r) / 2, its
-    mean is that of [f′(k) + f′(k + 1)] / 2, because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule
-    for what is exact, ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt.
-    """
+    """Let exact counts follow what their mean and variance depend on, as those of `ml_gauss` do."""
+    # These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
+    # f(y) is right where f is at most quadratic. For one rail, where it is f′(k) (1 + k/r) / 2, its
+    # mean is that of [f′(k) + f′(k + 1)] / 2, because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule
+    # for what is exact, ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt. counts (..., m);
+    # mean, total (..., m)
     fixed = total.detach()
     pull = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)
     return counts + (mean - mean.detach()) + pull * (total - fixed)
@@ -179,24 +150,8 @@ def readout(
     generator: torch.Generator | None = None,
     dark: float | Tensor = 0.0,
 ) -> Tensor:
-    """Noisy counts of one rail.
-
-    Parameters
-    ----------
-    rate : tensor, shape (..., m)
-        Expected counts.
-    noise : {"none", "gaussian", "poisson", "ml_gauss", "camera"}
-    sigma : float
-        Read noise, counts rms per readout, for gaussian and camera noise only.
-    generator : torch.Generator, optional
-    dark : float or tensor, shape (..., m)
-        Expected dark counts of the readout, for camera noise only.
-
-    Returns
-    -------
-    tensor, shape (..., m)
-        Counts.
-    """
+    """Noisy counts of one rail."""
+    # rate (..., m); dark (..., m)
     check_known("noise", noise, get_args(Noise))
     if noise == "none":
         return rate
@@ -216,10 +171,8 @@ def variance(
     sigma: float | Tensor = 1.0,
     dark: float | Tensor = 0.0,
 ) -> Tensor:
-    """Variance of the difference of two rails, y⁺ − y⁻.
-
-    Shapes: total (..., m); lit (m,); dark (..., m).
-    """
+    """Variance of the difference of two rails, y⁺ − y⁻."""
+    # total (..., m); lit (m,); dark (..., m)
     if noise == "none":
         return torch.zeros_like(lit, dtype=total.dtype)
     if noise == "gaussian":

@@ -170,13 +170,10 @@ def _check_light(photons: Any, pixels: int) -> None:
 
 
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
-    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m).
-
-    Multiplies in the type of the scenes and returns the wider of theirs and the masks'. For several
-    parts, of arranged scenes and masks (`detection`), the product of each: (..., *lead, m · parts).
-
-    Shapes: photons (..., N); masks (*lead, m, N).
-    """
+    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m)."""
+    # Multiplies in the type of the scenes and returns the wider of theirs and the masks'. For
+    # several parts, of arranged scenes and masks (`detection`), the product of each: (..., *lead, m
+    # · parts). photons (..., N); masks (*lead, m, N)
     low = masks.flatten(0, -2).to(photons.dtype)
     if parts == 1:
         product = photons @ low.T
@@ -206,14 +203,10 @@ def project_rails(photons: Tensor, rails: Rails, parts: int = 1) -> tuple[Tensor
 def measure(
     scenes: Tensor, rails: Tensor, epsilon: Tensor, disjoint: bool, parts: int = 1
 ) -> Tensor:
-    """Features (B, *lead, k) of centred scenes under MLGauss noise, one step of training.
-
-    With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward` gives,
-    less the constant x̄ D.
-
-    Shapes: scenes (B + 1, N); rails (*lead, m, N) or (2, *lead, m, N), as `Rails.combined`, or
-    their difference alone if they are disjoint; epsilon (B, *lead, k).
-    """
+    """Features (B, *lead, k) of centred scenes under MLGauss noise, one step of training."""
+    # With x̄ the mean scene and x_c = x - x̄ these are x_c D + √(x S) ε: what `Scanner.forward`
+    # gives, less the constant x̄ D. scenes (B + 1, N); rails (*lead, m, N) or (2, *lead, m, N), as
+    # `Rails.combined`, or their difference alone if they are disjoint; epsilon (B, *lead, k)
     return _Measure.apply(scenes, rails, epsilon, disjoint, parts)  # type: ignore[no-untyped-call]
 
 

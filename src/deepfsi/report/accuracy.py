@@ -102,12 +102,10 @@ def noises(results: Results) -> list[str]:
 
 @style.styled
 def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
-    """Accuracy against photons, each design at its chosen mask count; one panel a noise.
-
-    The axis of accuracy ends at `top`, above the highest point. Error bars are the points'
-    intervals. Circles are feature-specific designs, squares others. Where all were tested at one
-    budget, each design has a line of its own, the most accurate on top.
-    """
+    """Accuracy against photons, each design at its chosen mask count; one panel a noise."""
+    # The axis of accuracy ends at `top`, above the highest point. Error bars are the points'
+    # intervals. Circles are feature-specific designs, squares others. Where all were tested at one
+    # budget, each design has a line of its own, the most accurate on top
     panels, chosen = noises(results), [p for p in results.points if p.best]
     axes_apart, chance = series_axes(results), results.data.commonest
     if len({p.photons for p in chosen}) == 1:
@@ -202,10 +200,8 @@ def _ranking_figure(
 
 @style.styled
 def count_figure(results: Results) -> Figure:
-    """Accuracy against the number of masks, of results under one noise at one budget.
-
-    Filled markers are the mask counts that were chosen; designs whose count is fixed have one.
-    """
+    """Accuracy against the number of masks, of results under one noise at one budget."""
+    # Filled markers are the mask counts that were chosen; designs whose count is fixed have one
     figure = Figure(figsize=(4.9, style.PANEL_HEIGHT), layout="constrained")
     ax, axes = figure.subplots(), tuple(a for a in series_axes(results) if a != "masks")
     chance, masks, best = results.data.commonest, attrgetter("masks"), attrgetter("best")

@@ -33,11 +33,9 @@ Part = dict[str, Any]
 
 
 def build(folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html` into the output folder of a comparison, all or nothing.
-
-    The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
-    The accuracy figure is written beside it on its own, as `accuracy.png`.
-    """
+    """Write `report.html` into the output folder of a comparison, all or nothing."""
+    # The folder holds `results.json` and, for the pictures of masks, `designs/<key>.safetensors`.
+    # The accuracy figure is written beside it on its own, as `accuracy.png`
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
@@ -50,11 +48,13 @@ def build(folder: str | os.PathLike[str]) -> Path:
 
 
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Rails (2 or 1, m, N) and image shape of a design file."""
+    """Rails (2 or 1, m, N) and the shape of a mask, which may be of a patch, in a design file."""
     try:
         with safe_open(path, framework="numpy") as file:
             header = json.loads(file.metadata()["deepfsi"])
-            return file.get_tensor("rails"), tuple(header["image_shape"])
+            patch = header.get("exposure", {}).get("side")
+            shape = (patch, patch) if patch else tuple(header["image_shape"])
+            return file.get_tensor("rails"), shape
     except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
 
@@ -160,10 +160,8 @@ def chosen(results: Results, noise: str) -> list[Point]:
 
 
 def ranking(points: list[Point], photons: float) -> list[Point]:
-    """Designs at a budget, most accurate first; impulse imaging only if alone.
-
-    Of a design that was trained in several ways on the same light, the one that validation chose.
-    """
+    """Designs at a budget, most accurate first; impulse imaging only if alone."""
+    # Of a design that was trained in several ways on the same light, the one that validation chose
     optics: dict[tuple[str, ...], Point] = {}
     here = [p for p in points if p.photons == photons]
     for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):

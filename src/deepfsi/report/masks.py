@@ -62,13 +62,10 @@ def masks_figure(
     dwells: np.ndarray | None = None,
     parts: np.ndarray | None = None,
 ) -> Figure:
-    """Masks of one design, those that count most photons first: images, or curves for spectra.
-
-    Above each mask stands its number, from 1 in the order in which masks are shown. The scale ends
-    at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
-
-    Shapes: rails_or_matrix (2 or 1, m, N) or (m, N); dwells (m,); parts (N,).
-    """
+    """Masks of one design, those that count most photons first: images, or curves for spectra."""
+    # Above each mask stands its number, from 1 in the order in which masks are shown. The scale
+    # ends at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
+    # rails_or_matrix (2 or 1, m, N) or (m, N); dwells (m,); parts (N,)
     matrix, chosen = signed(rails_or_matrix), brightest(rails_or_matrix, count)
     images = len(image_shape) == 2
     columns = 6 if images else min(3, len(chosen))
@@ -118,10 +115,8 @@ def _percent(share: float) -> str:
 
 
 def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
-    """Draw a mask as an image.
-
-    Shapes: mask (height, width).
-    """
+    """Draw a mask as an image."""
+    # mask (height, width)
     finer = _finer(mask.shape)
     low, high = scale.get_clim()
     image = mask.repeat(finer, axis=0).repeat(finer, axis=1)

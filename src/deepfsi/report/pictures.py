@@ -19,11 +19,9 @@ MOST_LETTERS = 16
 
 @styled
 def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
-    """Least-squares pictures from the counts of an acquisition, on one scale.
-
-    Pictures (S, down, across) or (S, bands), NaN where a scene was lost; at most the first 48. The
-    scale ends at the brightest cell, and begins at 0 or at the darkest cell below it.
-    """
+    """Least-squares pictures from the counts of an acquisition, on one scale."""
+    # Pictures (S, down, across) or (S, bands), NaN where a scene was lost; at most the first 48.
+    # The scale ends at the brightest cell, and begins at 0 or at the darkest cell below it
     if len(pictures) != len(names) or len(pictures) == 0:
         raise InputError(f"{len(pictures)} pictures and {len(names)} names: give one name of each")
     shown = np.asarray(pictures, dtype=float)[:MOST_PICTURES]

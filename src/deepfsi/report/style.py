@@ -105,11 +105,9 @@ def noise_text(noise: str) -> str:
 
 
 def svg(figure: Figure, name: str, words: str) -> str:
-    """Turn a figure into an SVG in a box for an HTML page; the same figure gives the same text.
-
-    It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
-    pixels; where the page has less room, the box scrolls.
-    """
+    """Turn a figure into an SVG in a box for an HTML page; the same figure gives the same text."""
+    # It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
+    # pixels; where the page has less room, the box scrolls
     text = io.StringIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})

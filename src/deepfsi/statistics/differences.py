@@ -74,11 +74,9 @@ def of_trials(values: Sequence[float]) -> Difference:
 
 
 def difference(first: Trials, second: Trials) -> Difference:
-    """Accuracy of some trials less that of others.
-
-    Trials of one seed are paired, and the error is that over them. Of a single trial it combines
-    the two intervals over test images, as if these were independent.
-    """
+    """Accuracy of some trials less that of others."""
+    # Trials of one seed are paired, and the error is that over them. Of a single trial it combines
+    # the two intervals over test images, as if these were independent
     one, other = (np.asarray(each.accuracies) for each in (first, second))
     if len(one) == len(other) > 1:
         return of_trials((one - other).tolist())
@@ -88,11 +86,9 @@ def difference(first: Trials, second: Trials) -> Difference:
 
 
 def above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
-    """Test that all differences are above a limit.
-
-    Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
-    looks as there are differences (Bonferroni). Else open.
-    """
+    """Test that all differences are above a limit."""
+    # Yes if every 95 % interval is. No if one lies below it, by an interval widened for as many
+    # looks as there are differences (Bonferroni). Else open
     every = list(differences)
     wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
     if any(each.interval(wide)[1] < limit for each in every):

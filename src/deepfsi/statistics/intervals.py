@@ -13,15 +13,13 @@ def wilson(accuracy: float, images: int) -> tuple[float, float]:
 
 
 def balanced(rates: Sequence[float | None], images: Sequence[int]) -> tuple[float, float, float]:
-    """Mean of the classes' accuracies with its 95 % interval, low and high.
-
-    Every class counts alike, whatever its number of images; classes without any are left out. The
-    interval combines Wilson's of the classes (the method of variance estimates recovery): the
-    squared distances of their lower ends from their rates add up to that of the mean's lower end
-    times the number of classes, and those of the upper ends likewise. So a class of one image,
-    right or wrong, still has its say in the width. It covers the truth in 95 of 100 tests of 40
-    images a class, and in 90 to 97 where classes have one to three.
-    """
+    """Mean of the classes' accuracies with its 95 % interval, low and high."""
+    # Every class counts alike, whatever its number of images; classes without any are left out. The
+    # interval combines Wilson's of the classes (the method of variance estimates recovery): the
+    # squared distances of their lower ends from their rates add up to that of the mean's lower end
+    # times the number of classes, and those of the upper ends likewise. So a class of one image,
+    # right or wrong, still has its say in the width. It covers the truth in 95 of 100 tests of 40
+    # images a class, and in 90 to 97 where classes have one to three
     known = [(rate, count) for rate, count in zip(rates, images, strict=True) if rate is not None]
     mean = sum(rate for rate, _ in known) / len(known)
     ends = [(rate, *wilson(rate, count)) for rate, count in known]

@@ -10,14 +10,14 @@ import torch
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.queue import Done
 from deepfsi.sweeps.records import record_of
 from deepfsi.sweeps.trial import Trial
-from deepfsi.training.footprint import check_fits, footprint, memory_for
+from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.learning import Diverged, companions, train
 from deepfsi.training.training_set import Matrices, TrainingSet
 
@@ -66,10 +66,8 @@ class SweepContext:
         return self.training_set.device
 
     def batches(self, trials: Sequence[Trial], workers: int = 1) -> list[Batch]:
-        """Trials to be trained together, the longest work first, in the free memory.
-
-        `InputError` where one of them alone takes more than all that is free.
-        """
+        """Trials to be trained together, the longest work first, in the free memory."""
+        # `InputError` where one of them alone takes more than all that is free
         limit = MEMORY * memory_for(self.processor) / workers
         found = self.batches_within(trials, limit)
         for batch in found:
@@ -78,12 +76,10 @@ class SweepContext:
         return found
 
     def batches_within(self, trials: Sequence[Trial], limit: float) -> list[Batch]:
-        """Trials to be trained together, the longest work first.
-
-        On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share
-        their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
-        bytes is split.
-        """
+        """Trials to be trained together, the longest work first."""
+        # On a GPU all that agree in `Job.companions`; on a processor those of one seed, which share
+        # their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
+        # bytes is split
         groups: dict[Any, Batch] = defaultdict(list)
         for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
             seed = None if self.processor.type == "cuda" else trial.job.seed
@@ -124,12 +120,10 @@ class SweepContext:
         return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
 
     def train(self, batch: Batch, report: Report = SILENT) -> list[Done[Trial]]:
-        """Train and test one batch.
-
-        In parts where this machine would batch otherwise than the one that planned or has less
-        memory free than was planned for, in halves where a GPU's memory does not hold it whole, and
-        one by one where a trial diverges; that one's record is None.
-        """
+        """Train and test one batch."""
+        # In parts where this machine would batch otherwise than the one that planned or has less
+        # memory free than was planned for, in halves where a GPU's memory does not hold it whole,
+        # and one by one where a trial diverges; that one's record is None
         held = self.training_set.full.nbytes
         parts = self.batches_within(batch, memory_for(self.processor) + held)
         if len(parts) > 1:
@@ -178,7 +172,7 @@ def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]
             design.quantised(levels) if levels else design,
             data,
             trial.test_photons,
-            camera=design.camera_with(noise=noise),
+            camera=camera_for(design, noise=noise),
             draws=trial.draws,
             seed=trial.job.seed,
             report=SILENT,

@@ -19,7 +19,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import cores, default_count
-from deepfsi.training.footprint import batch_of
+from deepfsi.training.batches import batch_of
 from deepfsi.training.job import Job
 from deepfsi.training.learning import train
 from deepfsi.training.precision import dtypes
@@ -59,12 +59,11 @@ def forecast_cost(
     workers: int | None = None,
     report: Report = SILENT,
 ) -> Forecast:
-    """Cost of a sweep, less what its folder holds.
-
-    What only needs other tests of a design that is there is not counted, nor are the products of
-    all scenes that fixed designs take once. Every kind of training is timed with its fewest and its
-    most masks, on a few scenes and the threads of one worker; what lies between is interpolated.
-    """
+    """Cost of a sweep, less what its folder holds."""
+    # What only needs other tests of a design that is there is not counted, nor are the products of
+    # all scenes that fixed designs take once. Every kind of training is timed with its fewest and
+    # its most masks, on a few scenes and the threads of one worker; what lies between is
+    # interpolated
     trials = plan(recipe, data)
     records = Records(folder)
     open_trials = [trial for trial in trials if records.read(trial) is None]

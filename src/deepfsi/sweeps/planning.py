@@ -59,15 +59,13 @@ class Crossing:
 def crossing(
     photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
 ) -> Crossing:
-    """Photons at which the accuracy reaches a target.
-
-    Accuracy does not fall with more photons, so that the tried ones are brought to order
-    (isotonic regression) and joined by a monotone cubic over the logarithm of the budget. The
-    interval holds all budgets at which the curve's own one holds the target: that of the test
-    images (Wilson) and of training seeds (Student, with one variance for all budgets; none where
-    each has one trial), added in squares, about any shape that the curve may plausibly have
-    between tried budgets.
-    """
+    """Photons at which the accuracy reaches a target."""
+    # Accuracy does not fall with more photons, so that the tried ones are brought to order
+    # (isotonic regression) and joined by a monotone cubic over the logarithm of the budget. The
+    # interval holds all budgets at which the curve's own one holds the target: that of the test
+    # images (Wilson) and of training seeds (Student, with one variance for all budgets; none where
+    # each has one trial), added in squares, about any shape that the curve may plausibly have
+    # between tried budgets
     from scipy.interpolate import PchipInterpolator
     from sklearn.isotonic import IsotonicRegression
 
@@ -97,12 +95,10 @@ def crossing(
 
 
 def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and most that a rising curve through points may plausibly be between them.
-
-    The hull of three straight lines: the one that joins two points, and those of the gaps beside
-    it, continued into this one (flat where there is none); never below the lower point nor above
-    the upper one, and at a point its own value.
-    """
+    """Least and most that a rising curve through points may plausibly be between them."""
+    # The hull of three straight lines: the one that joins two points, and those of the gaps beside
+    # it, continued into this one (flat where there is none); never below the lower point nor above
+    # the upper one, and at a point its own value
     slopes = np.diff(y) / np.diff(x)
     gap = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(slopes) - 1)
     before, after = np.append(0.0, slopes)[gap], np.append(slopes, 0.0)[gap + 1]
@@ -162,11 +158,9 @@ def photons_needed(
     workers: Workers = HERE,
     report: Report = SILENT,
 ) -> tuple[dict[str, Any], Results]:
-    """Photons and masks that a target accuracy needs, for each design, its light and detectors.
-
-    Mask counts and the budgets that are added are chosen on validation data, and the crossings
-    found on test data.
-    """
+    """Photons and masks that a target accuracy needs, for each design, its light and detectors."""
+    # Mask counts and the budgets that are added are chosen on validation data, and the crossings
+    # found on test data
     check_plan(recipe, data, target)
     context = SweepContext(data, recipe.held_out(data), device)
     records, asked = list[dict[str, Any]](), [recipe]

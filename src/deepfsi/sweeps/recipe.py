@@ -42,6 +42,10 @@ MLP_SETTINGS, OWN_SETTINGS = ("hidden", "dropout"), ("classifier_arguments",)
 """Settings of the training that only the usual classifier has, and those of one's own."""
 
 
+OWN_AXES = ("light", "rails", "detectors", "readout", "noise")
+"""Fields of the camera that each point of a summary has as its own."""
+
+
 def axis(value: Any) -> Any:
     """Values of an axis, each once; a single value is an axis of one."""
     if not isinstance(value, (list, tuple)):
@@ -88,18 +92,25 @@ def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
 
 
 class NamedCamera(NamedTuple):
-    """One camera of a recipe, and the name that it gives to its detectors."""
+    """One camera of a recipe, the name that it gives to its detectors, and which of several it is.
+
+    The variant is in words, of the fields that no point of a summary has as its own.
+    """
 
     camera: Camera
     detectors: str
+    variant: str
 
 
 def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
     """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
     found, faults = list[NamedCamera](), list[str]()
+    several = [name for name in axes if len(axes[name]) > 1 and name not in OWN_AXES]
     for _, fields in _product(axes):
+        variant = ", ".join(f"{name} {fields[name]}" for name in several)
         try:
-            found.append(NamedCamera(Camera.load(fields), str(fields.get("detectors", "1x1"))))
+            camera, detectors = Camera.load(fields), str(fields.get("detectors", "1x1"))
+            found.append(NamedCamera(camera, detectors, variant))
         except InputError as error:
             faults.append(str(error))
     if not found:
@@ -281,11 +292,9 @@ def _product(axes: Mapping[str, tuple[Any, ...]]) -> Iterator[tuple[str, Setting
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
-    """Settings of each recipe of a file, by the name of its part.
-
-    A file without parts has one recipe, named "". `InputError` where `parts` or `quick` are
-    something else than tables, or nothing says what a coarse version is.
-    """
+    """Settings of each recipe of a file, by the name of its part."""
+    # A file without parts has one recipe, named "". `InputError` where `parts` or `quick` are
+    # something else than tables, or nothing says what a coarse version is
     common = {name: value for name, value in file.items() if name not in ("parts", "quick")}
     coarse, own = _table(file, "quick"), _table(file, "parts") or {"": {}}
     found = {}

@@ -12,7 +12,7 @@ from deepfsi.errors import InputError, faults
 from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
 from deepfsi.sweeps.trial import mask_faults, trial_faults
 
-SOURCE = {"data", "size", "split"}
+SOURCE = {"data", "size", "images", "split"}
 """Fields that say which data to load."""
 
 TABLES = ("camera", "exposure", "training")
@@ -27,10 +27,8 @@ def check_recipe(
     load: Callable[[Recipe], Dataset],
     matrix: np.ndarray | None = None,
 ) -> tuple[Recipe, Dataset]:
-    """Recipe of settings, and its data.
-
-    Shapes: matrix (m, N).
-    """
+    """Recipe of settings, and its data."""
+    # matrix (m, N)
     recipe, found, lost = _read(settings)
     if matrix is not None and "custom" not in recipe.designs:
         recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})
@@ -84,11 +82,22 @@ def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
     for name, places in wrong.items():
         value = sound.pop(str(name))
         if name in TABLES and isinstance(value, dict):
-            sound[name] = {key: each for key, each in value.items() if _reads(name, key, each)}
+            sound[name] = _sound_axes(name, value)
         elif all(place and isinstance(place[0], int) for place in places):
             bad = {place[0] for place in places}
             left = [each for number, each in enumerate(axis(value)) if number not in bad]
             sound |= {str(name): left} if left else {}
+    return sound
+
+
+def _sound_axes(table: str, axes: Settings) -> Settings:
+    """Axes of a table without the values that are wrong by themselves."""
+    sound = {}
+    for name, value in axes.items():
+        if _reads(table, name, value):
+            sound[name] = value
+        elif left := [each for each in axis(value) if _reads(table, name, each)]:
+            sound[name] = left
     return sound
 
 

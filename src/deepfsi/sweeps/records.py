@@ -129,6 +129,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         settings["training_noise"] = trial["trained_under"]
         settings["device"] = (job["camera"]["device"] or {}).get("name")
         settings["time"] = job["camera"]["exposure"]
+        settings["training_levels"] = settings.pop("levels")
         settings["hidden"] = "-".join(map(str, settings["hidden"]))
         settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
         settings["detectors"] = trial["detectors"]

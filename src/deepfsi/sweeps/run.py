@@ -29,25 +29,8 @@ def compare(
     workers: Workers = HERE,
     report: Report = SILENT,
 ) -> tuple[Results, list[dict[str, Any]]]:
-    """Results of a recipe, and their records.
-
-    A changed recipe reuses what it still shares with the folder.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        Its resources are what a batch takes of a cluster.
-    data : Dataset
-    folder : Path
-        Of the records and designs; see `run_trials`.
-    command : str
-        For the results.
-    matrix : array, shape (m, N), optional
-        Sensing matrix of "custom" designs.
-    device : {"auto", "cpu", "cuda"}
-    workers : Workers
-    report : Report
-    """
+    """Results of a recipe, and their records."""
+    # A changed recipe reuses what it still shares with the folder. matrix (m, N)
     began = time.perf_counter()
     context = SweepContext(data, recipe.held_out(data), device, matrix)
     records = run_trials(

@@ -11,6 +11,7 @@ import numpy as np
 
 from deepfsi.datasets import Dataset
 from deepfsi.design.evaluation import COVERS
+from deepfsi.design.exposure import find_exposure
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
 from deepfsi.statistics.differences import of_trials
@@ -43,11 +44,9 @@ def summarise(
     command: str,
     seconds: float,
 ) -> Results:
-    """Points of a comparison: trials averaged, mask counts chosen on validation data.
-
-    The interval of a point is Student's over its trials (training seeds); of a single trial, the
-    one over its test images.
-    """
+    """Points of a comparison: trials averaged, mask counts chosen on validation data."""
+    # The interval of a point is Student's over its trials (training seeds); of a single trial, the
+    # one over its test images
     held_out = recipe.held_out(data)
     groups = defaultdict(list)
     for record in records:
@@ -90,8 +89,9 @@ def summarise(
 
 def _pixels_seen(record: Mapping[str, Any], data: Dataset) -> float:
     """Pixels that each detector of a trial sees, in the mean."""
-    detectors = record["trial"]["job"]["camera"]["detectors"]
-    return data.pixels / Detection.of(detectors, data.image_shape).count
+    job = record["trial"]["job"]
+    scene = find_exposure(job["exposure"]).scene(data)
+    return scene.pixels / Detection.of(job["camera"]["detectors"], scene.image_shape).count
 
 
 def facts_of(data: Dataset, held_out: int) -> Data:

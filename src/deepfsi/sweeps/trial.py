@@ -68,24 +68,10 @@ class Trial(BaseModel):
 
 
 def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
-    """All trials of a recipe, each once.
-
-    Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
-    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail;
-    several detectors under the law of other optics, `column`.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    matrix : array, shape (m, N), optional
-        Sensing matrix of "custom" designs.
-
-    Raises
-    ------
-    InputError
-        That names all that its data or a constraint does not allow.
-    """
+    """All trials of a recipe, each once."""
+    # Left out is what cannot be: the control group, masks of gaussian noise under photon noise,
+    # where there is none; designs of one rail on two arms; the signed Hadamard basis on a single
+    # rail; several detectors under the law of other optics, `column`. matrix (m, N)
     if faults := [*mask_faults(recipe, data), *trial_faults(recipe, data, matrix)]:
         raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
@@ -127,11 +113,12 @@ def mask_faults(recipe: Recipe, data: Dataset) -> list[str]:
 
 
 def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
-    """Everything that trials of a recipe ask and that cannot be had, each once.
-
-    Parameters as of `plan`.
-    """
-    count = count_trials(recipe, data, matrix)
+    """Everything that trials of a recipe ask and that cannot be had, each once."""
+    # Parameters as of `plan`
+    try:
+        count = count_trials(recipe, data, matrix)
+    except InputError as error:  # scenes that an exposure cannot see so
+        return [str(error)]
     if count > MOST_TRIALS:
         return [f"{count} trials are not allowed: a recipe has at most {MOST_TRIALS}; take less"]
     if not count:
@@ -157,17 +144,15 @@ def trial_faults(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 
 
 def count_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> int:
-    """Number of trials of a recipe, by the lengths of its axes.
-
-    Parameters as of `plan`.
-    """
+    """Number of trials of a recipe, by the lengths of its axes."""
+    # Parameters as of `plan`
     return sum(
-        len(_counts(recipe, design, named, data, matrix))
+        len(_counts(recipe, design, named, exposure.scene(data), matrix))
         * math.prod(map(len, recipe.training_axes(design).values()))
-        * len(recipe.exposures())
         * recipe.trials
         * len(recipe.budgets(named.camera.noise_name))
         for design, named in _kinds(recipe, data)
+        for _, exposure in recipe.exposures()
     )
 
 
@@ -190,23 +175,23 @@ def _possible(code: codes.Code, camera: Camera, detectors: int) -> bool:
 
 
 def _counts(
-    recipe: Recipe, design: str, named: NamedCamera, data: Dataset, matrix: np.ndarray | None
+    recipe: Recipe, design: str, named: NamedCamera, scene: Dataset, matrix: np.ndarray | None
 ) -> Sequence[int]:
+    """Mask counts of a design for a scene as its masks see it."""
     code = codes.DESIGNS[design]
     if code.own and matrix is not None:
         return [len(matrix)]
-    detection = ONE if code.every_pixel else named.camera.detection(data.image_shape)
-    return recipe.mask_counts(design, data, detection)
+    detection = ONE if code.every_pixel else named.camera.detection(scene.image_shape)
+    return recipe.mask_counts(design, scene, detection)
 
 
 def _jobs(
     recipe: Recipe, data: Dataset, matrix: np.ndarray | None
 ) -> Iterator[tuple[NamedCamera, str, Job]]:
-    """Yield camera, variant of exposure and training, and job of every trial that can be."""
-    for design, named in _kinds(recipe, data):
-        for masks, exposure, training, seed, photons in product(
-            _counts(recipe, design, named, data, matrix),
-            recipe.exposures(),
+    """Yield camera, variant of the settings, and job of every trial that can be."""
+    for (design, named), exposure in product(_kinds(recipe, data), recipe.exposures()):
+        for masks, training, seed, photons in product(
+            _counts(recipe, design, named, exposure[1].scene(data), matrix),
             recipe.trainings(design),
             range(recipe.trials),
             recipe.budgets(named.camera.noise_name),
@@ -220,7 +205,7 @@ def _jobs(
                 training=training[1],
                 seed=seed,
             )
-            variant = ", ".join(filter(None, (training[0], exposure[0])))
+            variant = ", ".join(filter(None, (named.variant, training[0], exposure[0])))
             yield named, variant, job.in_force
 
 

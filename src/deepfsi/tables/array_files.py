@@ -51,10 +51,8 @@ def read_array(
     usual: str = "",
     advice: str = "",
 ) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or a variable of so many dimensions of a ``.mat`` or HDF5 file.
-
-    Of several it is the one of the name `variable`, or else `usual`.
-    """
+    """Array of a ``.npy`` file, or a variable of so many dimensions of a ``.mat`` or HDF5 file."""
+    # Of several it is the one of the name `variable`, or else `usual`
     if path.suffix.lower() not in VARIABLES:
         return read_npy(path)
     found = list_variables(path, dimensions)
@@ -103,11 +101,9 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the numeric variables in a file that have so many dimensions, by name.
-
-    Of a ``.mat`` file, or of an HDF5 file, in which a name is a path such as ``run/counts``. Raises
-    `InputError` if the file is damaged, or an HDF5 file and h5py is not installed.
-    """
+    """Shapes of the numeric variables in a file that have so many dimensions, by name."""
+    # Of a ``.mat`` file, or of an HDF5 file, in which a name is a path such as ``run/counts``.
+    # Raises `InputError` if the file is damaged, or an HDF5 file and h5py is not installed
     if _in_hdf5(path):
         with _open_hdf5(path) as found:
             shapes = {name: _matlab_shape(path, held.shape) for name, held in found.items()}

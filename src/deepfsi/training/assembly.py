@@ -93,7 +93,8 @@ def _provenance(
 ) -> dict[str, Any]:
     """Provenance without what is not known of a training elsewhere."""
     detection = scanner.detection
-    told: dict[str, Any] = {"light": light, "noise": scanner.noise, "sigma": scanner.sigma}
+    noise = "poisson" if scanner.noise == "ml_gauss" else scanner.noise  # which it stands for
+    told: dict[str, Any] = {"light": light, "noise": noise, "sigma": scanner.sigma}
     told |= {"rails": rails.kind, "readout": detection.readout}
     told["dark"] = scanner.dark
     if detection.labels is not None:

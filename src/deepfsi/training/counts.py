@@ -21,11 +21,9 @@ MOST_TRAININGS = 6
 def train_for_counts(
     counts: float, share: float, train: Callable[[float, Report], Design], report: Report
 ) -> Design:
-    """Design that counts a number of photons in the mean over training scenes, to within `NEAR`.
-
-    Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget of
-    its training times the sum of its shares.
-    """
+    """Design that counts a number of photons in the mean over training scenes, to within `NEAR`."""
+    # Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget
+    # of its training times the sum of its shares
     for number in range(MOST_TRAININGS):
         photons = counts / share
         design = train(photons, report.part(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))

@@ -300,7 +300,7 @@ class PatchFeatures(Features):
 
     streams: Streams
     masks: FixedMasks | LearnedMasks
-    x: Tensor  # (n, P, N): patches of the training images
+    x: Tensor  # (n, P, N): patches of the training images, of the pixels that the masks have
     scale: Scale
 
     def __post_init__(self) -> None:
@@ -331,10 +331,10 @@ def features_of(
     """Features of the kind of exposure of jobs, of which `job` is one."""
     scale, detection = job.training.scale, job.detection(training_set.data.image_shape)
     if isinstance(exposure, PatchExposure):
-        patches = training_set.seen(job.exposure).full
-        return PatchFeatures(
-            streams, masks, patches.view(len(training_set.full), -1, patches.shape[1]), scale
-        )
+        seen = training_set.seen(job.exposure)
+        patches, lit = seen.full.view(len(training_set.full), -1, seen.data.pixels), seen.varying
+        dark = isinstance(masks, LearnedMasks) and not lit.all()
+        return PatchFeatures(streams, masks, patches[..., lit] if dark else patches, scale)
     if isinstance(masks, FixedMasks) and isinstance(exposure, FixedExposure):
         return FixedFeatures(streams, masks, training_set.full, noise, scale, detection)
     # fixed masks see every pixel

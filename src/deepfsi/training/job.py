@@ -7,6 +7,7 @@ of the documents are made from these fields.
 
 import re
 from collections.abc import Collection, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -20,7 +21,14 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.design.exposure import KINDS, AnyExposure, Exposure, Fixed, find_exposure
+from deepfsi.design.exposure import (
+    KINDS,
+    AnyExposure,
+    Exposure,
+    Fixed,
+    Patches,
+    find_exposure,
+)
 from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import Scale
@@ -45,6 +53,9 @@ MOST_EPOCHS = 100_000
 
 MLP, VIT = "mlp", "vit"
 """Names of the paper's classifier, and of the transformer of patches, in settings."""
+
+VIT_SIZES = ("width", "depth", "heads", "hidden")
+"""Arguments of that transformer."""
 
 LearningRate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Above 0, finite."""
@@ -74,10 +85,16 @@ def classifier_name(given: Any) -> str:
 
 
 def _classifier(given: Any) -> Any:
+    if not (isinstance(given, str) or callable(given)):
+        raise ValueError(f"give {MLP}, or a module or factory of your own")
     name = classifier_name(given)
     if name not in (MLP, VIT, UNNAMED) and not re.fullmatch(PATTERN, name):
         raise ValueError(f"give {MLP}, or module:factory of your own")
     return given
+
+
+def _is_size(given: Any) -> bool:
+    return isinstance(given, int) and not isinstance(given, bool) and given >= 1
 
 
 def _widths(given: Any) -> Any:
@@ -141,6 +158,20 @@ class Training(BaseModel):
         "unless given",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _arguments(cls, given: Any) -> Any:
+        """The settings, with the keywords of a partial among the arguments of its function."""
+        classifier = given.get("classifier", MLP) if isinstance(given, Mapping) else MLP
+        if isinstance(classifier, str) or not callable(classifier):
+            return given
+        from deepfsi.design.own import describe
+
+        _, arguments = describe(classifier, given.get("classifier_arguments"))
+        if isinstance(classifier, partial):
+            classifier = classifier.func
+        return {**given, "classifier": classifier, "classifier_arguments": arguments}
+
     @property
     def own(self) -> bool:
         """True if the classifier is a user's own."""
@@ -181,7 +212,9 @@ class Job(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    design: Annotated[str, AfterValidator(_design)] = Field("deepfsi", description="which design")
+    design: Annotated[str, AfterValidator(_design)] = Field(
+        "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
+    )
     masks: int = Field(ge=1, description="number of masks, m")
     photons: float = Field(
         ge=BUDGETS[0],
@@ -190,7 +223,9 @@ class Job(BaseModel):
         "budgets; flux times exposure of the camera unless given",
     )
     camera: Annotated[Camera, BeforeValidator(_camera)] = Field(
-        Camera(), description="the camera: dmd, two-arm, paper, a TOML file, or its fields"
+        Camera(),
+        description="the camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper) or a "
+        "TOML file; dmd unless given",
     )
     exposure: AnyExposure = Field(Fixed(), description="what is shown when")
     training: Training = Field(Training(), description="settings of the training")
@@ -213,6 +248,11 @@ class Job(BaseModel):
         exposure = find_exposure(given.get("exposure", {}))
         if not (isinstance(told, Mapping) and isinstance(exposure, Exposure)):
             return given
+        for name in told:
+            if name not in Training.model_fields:
+                raise InputError(
+                    f"a training has no setting {name!r}: {closest(name, Training.model_fields)}"
+                )
         usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {})}
         return {**given, "exposure": exposure, "training": {**usual, **told}}
 
@@ -296,11 +336,20 @@ class Job(BaseModel):
 
     def _classifier_faults(self) -> list[str]:
         usual, mine, faults = Training(), self.training, []
-        if mine.own and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
+        if mine.classifier != MLP and (mine.hidden, mine.dropout) != (usual.hidden, usual.dropout):
             faults.append(
                 "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
                 "your own as its arguments"
             )
+        if mine.classifier == VIT:
+            if not isinstance(self.exposure, Patches):
+                faults.append("vit reads patches, and nothing else does: give `patch`, or mlp")
+            sizes = mine.classifier_arguments.items()
+            if any(name not in VIT_SIZES or not _is_size(size) for name, size in sizes):
+                faults.append(
+                    f"vit cannot have {mine.classifier_arguments}: give whole numbers of "
+                    f"{', '.join(VIT_SIZES)}"
+                )
         if mine.classifier_arguments and mine.classifier == MLP:
             faults.append("arguments of a classifier go with one of your own: give `classifier`")
         return faults
@@ -311,11 +360,9 @@ ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
 
 
 def owner(setting: str) -> tuple[str, str]:
-    """Table of a job that holds a setting, "" for its own fields, and the setting's name there.
-
-    Three names have two owners. As single settings `dmd` is the camera's device, `train_noise` the
-    noise of the training, and `exposure` the camera's time.
-    """
+    """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
+    # Three names have two owners. As single settings `dmd` is the camera's device, `train_noise`
+    # the noise of the training, and `exposure` the camera's time
     if setting in ALIASES:
         return ALIASES[setting]
     tables: dict[str, Collection[str]] = {
@@ -339,10 +386,8 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
-    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts.
-
-    Of counts the budget of the job is these, until a training says what it is.
-    """
+    """Job of its fields, or `InputError`: its light is a budget, its camera's, or counts."""
+    # Of counts the budget of the job is these, until a training says what it is
     for name in settings.keys() - Job.model_fields.keys():
         table, field = owner(name)
         where = f"give `{table}={{{field!r}: ...}}`" if table else closest(name, Job.model_fields)

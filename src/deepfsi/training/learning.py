@@ -23,8 +23,8 @@ from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import resolve, try_own
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
+from deepfsi.training.batches import check_fits
 from deepfsi.training.counts import train_for_counts
-from deepfsi.training.footprint import check_fits
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
 from deepfsi.training.masks import final_masks, initial_masks
@@ -100,11 +100,9 @@ def train(
     matrix: np.ndarray | None = None,
     report: Report = SILENT,
 ) -> list[Design]:
-    """Train designs side by side that differ in budget, sigma and seed only, in their order.
-
-    The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
-    "custom" designs.
-    """
+    """Train designs side by side that differ in budget, sigma and seed only, in their order."""
+    # The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
+    # "custom" designs
     began = time.perf_counter()
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
     seconds = (time.perf_counter() - began) / len(jobs)
@@ -128,11 +126,9 @@ Optimised = tuple[FixedMasks, FeatureNoise, list[Classifier], list[TrainedExposu
 def _optimised(
     training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, report: Report
 ) -> Optimised:
-    """Masks and networks after training; the jobs are checked first.
-
-    Masks of the control group are learned before, under gaussian noise and with a network of their
-    own, as jobs that are checked like any other.
-    """
+    """Masks and networks after training; the jobs are checked first."""
+    # Masks of the control group are learned before, under gaussian noise and with a network of
+    # their own, as jobs that are checked like any other
     device, job = training_set.device, jobs[0]
     if len({companions(each, device) for each in jobs}) > 1:
         raise ValueError("jobs that train together may differ in photons, sigma and seed only")
@@ -191,7 +187,7 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     if isinstance(masks, LearnedMasks):
         masks = final_masks(masks, seen, job, exposure)
     total = masks.to(training_set.device)().total
-    counts = float((total[0] @ training_set.full.mean(dim=0)).sum())
+    counts = float((total[0] @ seen.full.mean(dim=0)).sum()) * exposure.tokens(shape)
     return counts / training_set.summed_reflectance
 
 

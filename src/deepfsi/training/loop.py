@@ -26,9 +26,9 @@ from deepfsi.errors import InputError
 from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.progress import SILENT, Report
+from deepfsi.training.batches import batch_of
 from deepfsi.training.draws import seed_streams, side_by_side
 from deepfsi.training.features import features_of
-from deepfsi.training.footprint import batch_of
 from deepfsi.training.job import VIT, Job
 from deepfsi.training.precision import network_dtype
 from deepfsi.training.training_set import TrainingSet
@@ -57,11 +57,9 @@ def optimise(
     exposures: Sequence[TrainedExposure],
     report: Report = SILENT,
 ) -> list[Classifier]:
-    """Train classifiers of jobs, the networks of their exposures, and masks where they learn.
-
-    Masks are of R replicas or of one for all, noise and exposures of the jobs. All but the
-    classifiers are trained in place. A classifier of a user's own trains alone.
-    """
+    """Train classifiers of jobs, the networks of their exposures, and masks where they learn."""
+    # Masks are of R replicas or of one for all, noise and exposures of the jobs. All but the
+    # classifiers are trained in place. A classifier of a user's own trains alone
     job, settings, labels = jobs[0], jobs[0].training, training_set.labels
     classifiers = _classifiers(jobs, training_set.data, exposures[0], labels.device)
     choosers = [each.network for each in exposures if each.network is not None]
@@ -81,7 +79,7 @@ def optimise(
     def loss(step: int) -> Tensor:
         logits = classify(features.at(step))
         truth = side_by_side([each.labels(step) for each in streams])
-        return _loss(logits, truth, weights) / batch
+        return _loss(logits, truth, weights, isinstance(classifiers[0], Vit)) / batch
 
     groups = [parameter_group(classify, settings.lr, settings.decay)]
     if choosers:
@@ -143,10 +141,7 @@ def _classifiers(
     job, settings, classes = jobs[0], jobs[0].training, len(data.classes)
     inputs = exposure.input_count(job.features(data.image_shape))
     if settings.own:
-        arguments = settings.classifier_arguments
-        if isinstance(settings.classifier, nn.Module):
-            arguments = {}
-        made = make(settings.classifier, arguments, inputs, classes, job.seed)
+        made = make(settings.classifier, settings.classifier_arguments, inputs, classes, job.seed)
         if not any(each.requires_grad for each in made.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
@@ -157,17 +152,16 @@ def _classifiers(
     return [Mlp(inputs, classes, settings.hidden, settings.dropout, seed) for seed in seeds]
 
 
-def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
+def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None, rows: bool) -> Tensor:
     """Sum over scenes and replicas (B, R) of the cross entropy of logits (K · B, R, C), K answers.
 
-    Scenes have the weights (C,) of their classes, if there are any.
+    Scenes have the weights (C,) of their classes, if there are any. Classes are along the last
+    axis in memory with `rows`, else along the first: that is rounded otherwise.
     """
     answers = len(logits) // len(labels)
-    # sums over few classes are many times faster along a leading axis
-    by_class, truth = (
-        logits.flatten(0, 1).T.contiguous()[None],
-        labels.repeat(answers, 1).view(1, -1),
-    )
+    by_class, truth = logits.flatten(0, 1), labels.repeat(answers, 1).flatten()
+    if not rows:  # sums over few classes are many times faster along a leading axis
+        by_class, truth = by_class.T.contiguous()[None], truth[None]
     if answers == 1:
         return functional.cross_entropy(by_class, truth, weights, reduction="sum")
     each = functional.cross_entropy(by_class, truth, weights, reduction="none")

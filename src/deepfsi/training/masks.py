@@ -1,7 +1,6 @@
 """Masks of a training: the matrix that they are or start from, and what they are at its end."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -23,12 +22,12 @@ def matrix_faults(job: Job, data: Dataset, matrix: np.ndarray | None) -> list[st
     """Everything that a job asks of its matrix (m, N) and that cannot be had on this data."""
     try:
         constraints.check_light(job.optics.light, job.optics.rails)
+        scene = job.exposure.scene(data)
+        job.optics.mask_levels(scene.image_shape)
         if matrix is not None:
             codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
             own_rails(matrix, job.optics)
             return []
-        one = replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1])
-        scene = job.exposure.seen(one)
         tiles.check_count(job.design, job.masks, scene, job.detection(scene.image_shape))
     except InputError as error:
         return [str(error)]
@@ -47,10 +46,8 @@ def initial_masks(
     exposure: TrainedExposure,
     matrix: np.ndarray | None = None,
 ) -> FixedMasks | LearnedMasks:
-    """Masks before training: of R replicas, or of one where all share them.
-
-    The scenes are those that the masks see; the matrix (m, N) is a user's own.
-    """
+    """Masks before training: of R replicas, or of one where all share them."""
+    # The scenes are those that the masks see; the matrix (m, N) is a user's own
     job, camera, code = jobs[0], jobs[0].optics, jobs[0].code
     detection, levels = (
         job.detection(seen.data.image_shape),
@@ -98,12 +95,11 @@ def final_masks(
 
 
 def _matrix(seen: TrainingSet, job: Job, seed: int, detection: Detection) -> Tensor:
-    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design.
-
-    Learned masks of two arms that are both read start from these frames, too, and the other arm
-    from what they leave: so they begin where one arm does (0.848 on MNIST's validation images at
-    1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half light on each arm).
-    """
+    """Matrix (m, N) that masks are fitted from; of one rail the first lit frames of a design."""
+    # Learned masks of two arms that are both read start from these frames, too, and the other arm
+    # from what they leave: so they begin where one arm does (0.848 on MNIST's validation images at
+    # 1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half light on each
+    # arm)
     name, count, camera = job.drawn_from, job.masks, job.optics
     both_arms = job.code.learned and camera.light == "two-arm" and camera.readout == "both"
     if job.code.single_rail or (camera.rails == "dual" and not both_arms):

@@ -50,20 +50,16 @@ class TrainingSet:
         return varying
 
     def pixels(self, light: Light) -> Tensor:
-        """Which pixels (N,) learned masks may light.
-
-        The light of one that never varies is noise and no information, so it stays dark, except
-        on two arms, where what one does not get the other does.
-        """
+        """Which pixels (N,) learned masks may light."""
+        # The light of one that never varies is noise and no information, so it stays dark, except
+        # on two arms, where what one does not get the other does
         return torch.ones_like(self.varying) if light == "two-arm" else self.varying
 
     def centred(self, light: Light, kind: torch.dtype, detection: Detection) -> Tensor:
-        """Those pixels of the training scenes, less their mean, and the mean as the last row.
-
-        The products of the last row with the masks, added to those of a scene, give the scene's
-        own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
-        moves no mask through rounding. Arranged by the detectors that see them.
-        """
+        """Those pixels of the training scenes, less their mean, and the mean as the last row."""
+        # The products of the last row with the masks, added to those of a scene, give the scene's
+        # own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
+        # moves no mask through rounding. Arranged by the detectors that see them
         pixels = self.pixels(light)
         key = (kind, bool(pixels.all()), detection.key)
         if key not in self._centred:
@@ -86,10 +82,8 @@ class TrainingSet:
             self.matrix(name, 1, 0)
 
     def matrix(self, name: str, masks: int, seed: int, detection: Detection = ONE) -> np.ndarray:
-        """Sensing matrix of a fixed design; principal components are computed once for all m.
-
-        Parameters as for `tiles.sensing_matrix`.
-        """
+        """Sensing matrix of a fixed design; principal components are computed once for all m."""
+        # Parameters as for `tiles.sensing_matrix`
         tiles.check_count(name, masks, self.data, detection)
         _, most = tiles.count_allowed(name, self.data, detection)
         code = codes.DESIGNS[name]

@@ -127,7 +127,7 @@ def error_figure(results: Results) -> Figure:
             f"no impulse-imaging error for {', '.join(noises(results))}: give results of tests "
             "under gaussian or poisson noise"
         )
-    mean, sigma = results.data.mean_reflectance, results.recipe["sigma"]
+    mean, [sigma] = results.data.mean_reflectance, results.recipe["camera"]["sigma"]
     pixels = math.prod(results.data.image_shape)
 
     def error(point: Point) -> float:

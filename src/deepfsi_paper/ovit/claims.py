@@ -6,29 +6,25 @@ projection does. Noise is added to the counts, and a transformer
 classifies what is left.
 """
 
-import time
-from collections import defaultdict
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars
-from pydantic import BaseModel, TypeAdapter
+from pydantic import TypeAdapter
 
+from deepfsi.datasets import Dataset
+from deepfsi.design.artifact import Design
 from deepfsi.optics.measures import effective_directions
-from deepfsi.progress import SILENT, Report
+from deepfsi.progress import Report
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import listed, read_masks
+from deepfsi.report.comparison_page import listed
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, difference, of_trials
-from deepfsi.sweeps.patch_trials import PatchContext, PatchRecipe, plan_patches
-from deepfsi.sweeps.queue import run_trials
-from deepfsi.sweeps.results import SCHEMA, Point, Results
-from deepfsi.sweeps.summary import facts_of, point, provenance_of
-from deepfsi.sweeps.workers import Workers
-from deepfsi_paper.experiment import Experiment, Finding
+from deepfsi.sweeps.results import Point, Results
+from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
 
@@ -64,113 +60,28 @@ class Measures:
     masks: Sequence[LearnedMasks]
 
 
-def measure_masks(records: Sequence[Mapping[str, Any]], designs: Path) -> Measures:
-    """Throughput and directions of every trial's learned masks, and the masks of the first."""
-    trials = defaultdict(list)
-    for record in records:
-        if record["trial"]["job"]["design"] == LEARNED:
-            trials[record["trial"]["job"]["photons"]].append(record)
+def measure(
+    results: Results, data: Dataset, designs: Path, workers: int | None, report: Report
+) -> dict[str, Any]:
+    """Throughput and directions of every trial's learned masks, and the masks of the first.
+
+    Parameters as of `Experiment.measure`.
+    """
     found = []
-    for photons, members in sorted(trials.items()):
-        rails = [read_masks(designs / f"{record['design']}.safetensors")[0] for record in members]
-        matrices = [each[0] - each[1] for each in rails]
+    learned = (point for point in results.points if point.design == LEARNED)
+    for point in sorted(learned, key=lambda point: point.photons):
+        made = [Design.load(designs / f"{key}.safetensors") for key in point.keys]
+        matrices = [each.matrix for each in made]
         found.append(
             LearnedMasks(
-                photons,
-                side=members[0]["trial"]["job"]["patch"],
-                throughput=[record["test"][0]["throughput"] for record in members],
+                point.photons,
+                side=math.isqrt(matrices[0].shape[1]),
+                throughput=[sum(each.shares.tolist()) for each in made],
                 directions=[effective_directions(matrix) for matrix in matrices],
                 matrix=np.round(matrices[0], 6).tolist(),
             )
         )
-    return Measures(found)
-
-
-@dataclass(frozen=True)
-class PatchExperiment(Experiment):
-    """An experiment on patches, with a transformer as classifier."""
-
-    settings: type[BaseModel] = PatchRecipe
-
-    def run(
-        self,
-        folder: Path,
-        *,
-        command: str,
-        quick: bool = False,
-        trials: int | None = None,
-        device: str = "auto",
-        workers: int | None = 1,
-        ray: str | None = None,
-        report: Report = SILENT,
-    ) -> Results:
-        """Train and test what the folder does not hold yet, and write the numbers.
-
-        Parameters as of `Experiment.run`.
-        """
-        began = time.perf_counter()
-        [recipe] = self.recipes(quick, trials).values()
-        report(0.0, "reading images")
-        data = recipe.load()
-        context = PatchContext(data, recipe.validation, recipe.patch, device)
-        records = run_trials(
-            plan_patches(recipe, data), context, folder, Workers(workers, ray), report
-        )
-        results = Results(
-            revision=SCHEMA,
-            title=f"{data.name}, patch by patch",
-            command=command,
-            recipe=recipe.model_dump(mode="json"),
-            data=facts_of(data, recipe.validation),
-            provenance=provenance_of(records, time.perf_counter() - began),
-            chosen_on="validation",
-            points=tuple(summarise(records)),
-            extra=asdict(measure_masks(records, folder / "designs")),
-        )
-        self.keep(folder, results, polars.DataFrame([_row(record) for record in records]))
-        return results
-
-
-def summarise(records: Sequence[Mapping[str, Any]]) -> list[Point]:
-    """Points of the figure, each the mean of its trials."""
-    groups = defaultdict(list)
-    for record in records:
-        job = record["trial"]["job"]
-        groups[(job["design"], job["photons"])].append((record, 0))
-    found = []
-    for (design, photons), members in groups.items():
-        masks = members[0][0]["trial"]["job"]["patch"] ** 2
-        axes = {
-            "design": design,
-            "photons": photons,
-            "trained_under": "poisson",
-            "trained_at": photons,
-            "variant": "",
-            "levels": 0,
-            "noise": "poisson",
-            "light": "column",
-            "rails": "dual",
-            "detectors": "1x1",
-            "readout": "difference",
-            "masks": masks,
-        }
-        made = point(axes, members, masks)
-        named = {"label": LABEL, "title": LABEL} if design == LEARNED else {}
-        found.append(made.model_copy(update=named))
-    return found
-
-
-def _row(record: Mapping[str, Any]) -> dict[str, Any]:
-    job, test = record["trial"]["job"], record["test"][0]
-    return {
-        "key": record["key"],
-        "data": record["trial"]["data"],
-        **{name: value for name, value in job.items() if name != "training"},
-        **job["training"],
-        "validation": record["validation"][0]["accuracy"],
-        **{name: test[name] for name in ("accuracy", "low", "high", "throughput")},
-        "seconds": record["info"]["seconds"],
-    }
+    return asdict(Measures(found))
 
 
 def show(results: Results) -> Finding:
@@ -185,7 +96,7 @@ def show(results: Results) -> Finding:
 
 
 def _found(results: Results) -> str:
-    patch, size = results.recipe["patch"], results.data.image_shape
+    [patch], size = results.recipe["exposure"]["patch"], results.data.image_shape
     budgets = {each.photons for each in results.points}
     middle = min(sorted(budgets), key=lambda budget: abs(np.log10(budget) - 4))
     ranks = sorted(
@@ -326,9 +237,12 @@ def grows(
     return Claim(text, holds, f"{said} photons: {each}", otherwise if holds is False else "")
 
 
+def _experiment(name: str, title: str) -> Experiment:
+    """The study at one size."""
+    return Experiment(name, title, PAPER, show, measure, adapt=cifar10_here, label=LABEL)
+
+
 TITLE = "A vision transformer with an optical front end (OViT)"
-EXPERIMENT = PatchExperiment(name="ovit", title=TITLE, paper=PAPER, show=show)
-IMAGES = PatchExperiment(name="ovit-images", title=f"{TITLE}, all images", paper=PAPER, show=show)
-FULL = PatchExperiment(
-    name="ovit-full", title=f"{TITLE}, all images and a larger transformer", paper=PAPER, show=show
-)
+EXPERIMENT = _experiment("ovit", TITLE)
+IMAGES = _experiment("ovit-images", f"{TITLE}, all images")
+FULL = _experiment("ovit-full", f"{TITLE}, all images and a larger transformer")

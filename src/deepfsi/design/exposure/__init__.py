@@ -35,7 +35,7 @@ class Job(Protocol):
 
     @property
     def masks(self) -> int:
-        """m."""
+        """Number of masks, m."""
 
     @property
     def photons(self) -> float:
@@ -110,11 +110,13 @@ class Exposure(BaseModel):
         """The data as the masks see it: whole scenes."""
         return data
 
-    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """The exposure of a design that is to be trained on scenes of a shape.
+    def scene(self, data: "Dataset") -> "Dataset":
+        """One training scene as the masks see it: its shape, and the classes."""
+        return self.seen(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
 
-        Where it has a network of its own, that is untrained.
-        """
+    def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
+        """The exposure of a design that is to be trained on scenes of a shape."""
+        # Where it has a network of its own, that is untrained
         from deepfsi.design.exposure.trained import FixedExposure
 
         return FixedExposure()
@@ -149,7 +151,7 @@ class Conditioned(Exposure):
         return photons * self.span
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One whose classifier has the budget and the number of masks as inputs."""
+        """One whose classifier is told budget and masks; parameters as of `Exposure.begin`."""
         from deepfsi.design.exposure.conditioned import ConditionedExposure
 
         width = job.features(image_shape) // job.masks
@@ -177,6 +179,7 @@ class Range(Conditioned):
     1000000.0
     """
 
+    # Highest budget over the lowest, `photons`; those of the training are log-uniform between
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
 
@@ -190,11 +193,13 @@ class Nested(Conditioned):
     1.0
     """
 
+    # Smallest number of first masks from which the network must classify
     nested: int = Field(
         ge=1,
         description="nested masks: smallest number of first masks from which the network must "
         "classify",
     )
+    # Highest budget over the lowest; 1 for one budget
     span: float = Field(1.0, ge=1, le=1e12, description="highest budget over the lowest")
 
     def brightest(self, masks: int) -> int:
@@ -227,6 +232,7 @@ class Looks(Exposure):
 
     rounds_products: ClassVar[bool] = False
 
+    # K, each 1 / K of the exposure
     looks: int = Field(
         ge=2,
         le=64,
@@ -248,7 +254,7 @@ class Looks(Exposure):
         return 1
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One with a network that chooses dwells, of the classifier's hidden layers."""
+        """One whose network chooses dwells; parameters as of `Exposure.begin`."""
         from deepfsi.design.classifiers import Mlp
         from deepfsi.design.exposure.looks import Dwells, LooksExposure
 
@@ -317,6 +323,8 @@ class Patches(Exposure):
     side_by_side: ClassVar[bool] = False
     rounds_products: ClassVar[bool] = False
 
+    # Side of a patch, pixels. A patch has a detector for each mask, and a budget is of the whole
+    # image, which the patches share as they share its light
     patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
 
     def seen(self, data: "Dataset") -> "Dataset":
@@ -339,7 +347,7 @@ class Patches(Exposure):
         )
 
     def begin(self, job: Job, image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One that cuts images in patches."""
+        """One that cuts images in patches; parameters as of `Exposure.begin`."""
         from deepfsi.design.exposure.trained import PatchExposure
 
         return PatchExposure(self.patch)

@@ -90,10 +90,8 @@ def expose(
     std: Tensor,
     shortest: float = 0.0,
 ) -> Iterator[Observation]:
-    """Exposures after each look: one loop for training, tests and a camera, for one or many.
-
-    Shapes: mean, std (..., k).
-    """
+    """Exposures after each look: one loop for training, tests and a camera, for one or many."""
+    # mean, std (..., k)
     features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
     seen = Observation(features, total)
     for look in range(looks):
@@ -149,10 +147,8 @@ class LooksExposure(TrainedExposure):
         return masks
 
     def final(self, rails: Tensor, light: Light) -> Tensor:
-        """Rails of equal dwells, at the end only.
-
-        The gradient of that would take from lit mirrors what they share.
-        """
+        """Rails of equal dwells, at the end only."""
+        # The gradient of that would take from lit mirrors what they share
         return self.fixed(rails, light)
 
     def fixed(self, rails: Tensor, light: Light) -> Tensor:
@@ -185,7 +181,7 @@ class LooksExposure(TrainedExposure):
 
     @property
     def dwell_words(self) -> str:
-        """What `mask_dwells` are: those of the first look."""
+        """Words on `mask_dwells`, those of the first look."""
         share = f"{1 / self.looks:.0%}"
         return f"share of the exposure in the first of {self.looks} looks, {share} of it each"
 

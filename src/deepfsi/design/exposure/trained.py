@@ -1,4 +1,4 @@
-"""What a trained design does with its exposure, and the counts and dwells so far.
+"""Exposures of trained designs, and the counts and dwells so far.
 
 One class for each kind of `design.exposure`, and nobody but these asks which one a design has:
 `FixedExposure` and `PatchExposure` here, `conditioned.ConditionedExposure`, `looks.LooksExposure`.
@@ -45,11 +45,9 @@ class Observation:
     dwell: Tensor | None = None
 
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
-        """Standardised features (..., k), and the dwells (..., k + q) where they are chosen.
-
-        Mean and std (..., k) are those of the features: where dwells are chosen, of features whose
-        frames all have the same dwell, 1 / q.
-        """
+        """Standardised features (..., k), and the dwells (..., k + q) where they are chosen."""
+        # Mean and std (..., k) are those of the features: where dwells are chosen, of features
+        # whose frames all have the same dwell, 1 / q
         count = self.features.shape[-1]
         if count < mean.shape[-1]:
             mean, std = mean[..., :count], std[..., :count]
@@ -110,10 +108,8 @@ class TrainedExposure:
         return rails
 
     def drawn(self, rails: Tensor, light: Light) -> tuple[Tensor, Tensor] | None:
-        """Noise of each feature in the mean over exposures, and how often it is read.
-
-        As `features.feature_statistics` takes it; None where all exposures are alike.
-        """
+        """Noise of each feature in the mean over exposures, and how often it is read."""
+        # As `features.feature_statistics` takes it; None where all exposures are alike
         return None
 
     def input_count(self, features: int) -> int:
@@ -137,36 +133,28 @@ class TrainedExposure:
         return inputs
 
     def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
-        """First layer for features, and for a `BudgetLevel` if the classifier has it.
-
-        Parameters of the layer, for m masks; returns weight, bias, and the level or None.
-        """
+        """First layer for features, and for a `BudgetLevel` if the classifier has it."""
+        # Parameters of the layer, for m masks; returns weight, bias, and the level or None
         return weight, bias, None
 
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor
     ) -> Iterator[Observation]:
-        """Exposures at each stop: after each number of masks that do, or after each look.
-
-        Shapes: rates (..., rails, m · D); mean, std (k,).
-        """
+        """Exposures at each stop: after each number of masks that do, or after each look."""
+        # rates (..., rails, m · D); mean, std (k,)
         features = read(rates * photons, 1.0) / photons
         masks = features.shape[-1] // self.width
         for shown in range(self.fewest_masks(masks), masks + 1):
             yield Observation(features[..., : shown * self.width])
 
     def shown(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Expected counts (..., rails, m · D) of an exposure for a budget of one photon.
-
-        Shapes: rates (..., rails, m · D).
-        """
+        """Expected counts (..., rails, m · D) of an exposure for a budget of one photon."""
+        # rates (..., rails, m · D)
         return rates
 
     def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
-        """Exposures after each look at a camera, or `InputError` if dwells are fixed.
-
-        Parameters as for `expose`.
-        """
+        """Exposures after each look at a camera, or `InputError` if dwells are fixed."""
+        # Parameters as for `expose`
         raise InputError(
             "the dwells of this design are fixed: show all masks and use `classify`, or learn "
             "a design with `looks`"
@@ -181,10 +169,8 @@ class TrainedExposure:
         return self
 
     def stops(self, rails: Rails, light: Light) -> tuple[tuple[int, ...], np.ndarray]:
-        """Numbers of masks or looks after which an exposure may stop, and the share taken then.
-
-        Raises `InputError` if it may stop nowhere before its end, or that saves nothing.
-        """
+        """Numbers of masks or looks after which an exposure may stop, and the share taken then."""
+        # Raises `InputError` if it may stop nowhere before its end, or that saves nothing
         raise InputError(
             "this design needs all its masks for an answer: learn nested ones with `nested`, or "
             "several looks with `looks`"
@@ -192,14 +178,12 @@ class TrainedExposure:
 
     @property
     def dwell_words(self) -> str:
-        """What `mask_dwells` are."""
+        """Words on `mask_dwells`."""
         return "share of the exposure"
 
     def mask_dwells(self, rails: Rails, light: Light, mean: Tensor, std: Tensor) -> Tensor | None:
-        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells.
-
-        Of several looks those of the first, which are the same for every scene.
-        """
+        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
+        # Of several looks those of the first, which are the same for every scene
         if light == "column":
             return None
         shares = constraints.used(rails.stacked, light)
@@ -265,10 +249,8 @@ class PatchExposure(TrainedExposure):
 
 
 def cut(scenes: Tensor, image_shape: tuple[int, ...], side: int) -> Tensor:
-    """Patches (..., P, side²) of images (..., H · W), row by row; `InputError` if a rest stays.
-
-    Shapes: scenes (..., H · W).
-    """
+    """Patches (..., P, side²) of images (..., H · W), row by row; `InputError` if a rest stays."""
+    # scenes (..., H · W)
     height, width = image_shape
     if height % side or width % side:
         raise InputError(

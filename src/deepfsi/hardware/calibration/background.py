@@ -7,12 +7,10 @@ from deepfsi.hardware.patterns.sequence import Patterns
 
 
 def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float]:
-    """Dark and ambient rates of a run with the display black.
-
-    From counts/s in the frames with all mirrors ON and OFF, as `counts.Counts` has them. NaN passes
-    are left out; an ambient rate below 0 is noise and becomes 0. Raises `InputError` if no pass has
-    both rates.
-    """
+    """Dark and ambient rates of a run with the display black."""
+    # From counts/s in the frames with all mirrors ON and OFF, as `counts.Counts` has them. NaN
+    # passes are left out; an ambient rate below 0 is noise and becomes 0. Raises `InputError` if no
+    # pass has both rates
     on, off = np.broadcast_arrays(np.asarray(on_rate, float), np.asarray(off_rate, float))
     whole = np.isfinite(on) & np.isfinite(off)
     if not whole.any():
@@ -27,13 +25,9 @@ def expected_background(
     dark: float | np.ndarray,
     ambient: float | np.ndarray = 0.0,
 ) -> np.ndarray:
-    """Expected counts of each readout that do not come from the scene.
-
-    The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
-    spread evenly over the cells.
-
-    Shapes: dark, ambient (rails,).
-    """
+    """Expected counts of each readout that do not come from the scene."""
+    # The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
+    # spread evenly over the cells. dark, ambient (rails,)
     manifest = patterns.manifest
     dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
     out = np.zeros((manifest.rails, manifest.masks))
@@ -49,10 +43,8 @@ def expected_background(
 
 
 def subtract_background(counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Counts (..., rails, m) less what `expected_background` gives; its noise stays.
-
-    Raises `InputError` if the counts are not those of the patterns.
-    """
+    """Counts (..., rails, m) less what `expected_background` gives; its noise stays."""
+    # Raises `InputError` if the counts are not those of the patterns
     if np.shape(counts)[-2:] != expected.shape:
         raise InputError(
             f"counts of shape {np.shape(counts)} are not of these patterns: give "

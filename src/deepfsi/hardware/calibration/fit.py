@@ -82,27 +82,8 @@ def calibrate(
     dark: float = 0.0,
     ambient: float = 0.0,
 ) -> Calibration:
-    """Fit a calibration to pictures of spots, and of uniform scenes if they are there.
-
-    Parameters
-    ----------
-    scenes : array, shape (spots, h, w)
-        What was displayed, one bright spot each on black.
-    pictures : array, shape (spots, down, across)
-        What the camera measured of each, in any unit.
-    grid : Grid
-        Of the patterns with which the pictures were taken.
-    white, black : array, shape (down, across), optional
-        Pictures of a uniform white scene and of a black one, in the unit of `pictures`. Without
-        `white` the flat field is 1; what `black` shows is taken from every other picture.
-    dark, ambient : float
-        Counts/s, as `black_rates` gives them.
-
-    Raises
-    ------
-    InputError
-        If arrays do not fit each other, or fewer than four spots are seen.
-    """
+    """Fit a calibration to pictures of spots, and of uniform scenes if they are there."""
+    # scenes (spots, h, w); pictures (spots, down, across); white, black (down, across)
     scenes, pictures = np.asarray(scenes, dtype=float), np.asarray(pictures, dtype=float)
     cells = (grid.down, grid.across)
     _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
@@ -154,10 +135,8 @@ def calibrate_run(
     counts: Counts,
     patterns: Patterns,
 ) -> Calibration:
-    """Calibrate from one acquisition of spots, a white and a black picture.
-
-    Shapes: shown (h, w); pictures (S, down, across).
-    """
+    """Calibrate from one acquisition of spots, a white and a black picture."""
+    # shown (h, w); pictures (S, down, across)
     unknown = sorted(set(names) - set(shown))
     if unknown:
         raise InputError(
@@ -194,10 +173,8 @@ def calibrate_run(
 
 
 def find_spots(pictures: np.ndarray) -> np.ndarray:
-    """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen.
-
-    (across, down) in the unit square. A spot is seen where it stands out of the noise.
-    """
+    """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
+    # (across, down) in the unit square. A spot is seen where it stands out of the noise
     pictures = np.asarray(pictures, dtype=float)
     down, across = np.indices(pictures.shape[1:])
     out = np.full((len(pictures), 2), np.nan)
@@ -224,12 +201,9 @@ def find_spots(pictures: np.ndarray) -> np.ndarray:
 def find_homography(
     display: np.ndarray, device: np.ndarray, cells: tuple[int, int], seed: int = 0
 ) -> Homography:
-    """Homography that brings places on the display to places on the device.
-
-    Spots that lie more than a cell from what the others say are left out (RANSAC).
-
-    Shapes: display, device (n, 2).
-    """
+    """Homography that brings places on the display to places on the device."""
+    # Spots that lie more than a cell from what the others say are left out (RANSAC). display,
+    # device (n, 2)
     found = np.isfinite(device).all(axis=1)
     scale = np.array(cells[::-1], dtype=float)
     source, target = np.asarray(display)[found], np.asarray(device)[found] * scale
@@ -267,16 +241,13 @@ def find_flat(
     homography: Any,
     blur: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
-    """Flat field of a picture of a uniform white scene.
-
-    A polynomial of the place, of degree 4 at most, so that the noise of the picture's cells does
-    not become part of the view; it follows what a lens does, but no dust. Cells that the display
-    fills less than half have the value of the nearest cell that it fills.
-
-    The picture's shape is (down, across), as the flat field's, which is relative to its largest
-    value. Other parameters as for `geometry_matrix`. Raises `InputError` if the display fills no
-    cell or the picture is dark.
-    """
+    """Flat field of a picture of a uniform white scene."""
+    # A polynomial of the place, of degree 4 at most, so that the noise of the picture's cells does
+    # not become part of the view; it follows what a lens does, but no dust. Cells that the display
+    # fills less than half have the value of the nearest cell that it fills. The picture's shape is
+    # (down, across), as the flat field's, which is relative to its largest value. Other parameters
+    # as for `geometry_matrix`. Raises `InputError` if the display fills no cell or the picture is
+    # dark
     white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)

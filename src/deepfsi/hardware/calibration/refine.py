@@ -84,10 +84,8 @@ class _Spots:
 def fit_view(
     scenes: np.ndarray, pictures: np.ndarray, grid: Grid, matrix: np.ndarray, agreed: np.ndarray
 ) -> FittedView:
-    """Fit homography and blur to pictures of spots, from a first homography.
-
-    Shapes: scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,).
-    """
+    """Fit homography and blur to pictures of spots, from a first homography."""
+    # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
     spots = _Spots(scenes, grid)
     used, view = agreed, np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
     for _ in range(3):

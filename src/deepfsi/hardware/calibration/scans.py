@@ -21,10 +21,8 @@ MOST_CELLS = 64 * 64
 
 
 def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
-    """Rails of a scan with equal dwells; its mean scene is one of uniform white.
-
-    Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
-    """
+    """Rails of a scan with equal dwells; its mean scene is one of uniform white."""
+    # Hadamard masks of sides that are no power of two are those of the next larger one, cut to size
     check_known("scan", name, SCANS)
     down, across = cells
     pixels = down * across

@@ -50,10 +50,8 @@ def camera_view(
     calibration: Calibration,
     cells_shape: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Scenes as the cells of a mask see them.
-
-    Shapes: x (n, h * w).
-    """
+    """Scenes as the cells of a mask see them."""
+    # x (n, h * w)
     x = np.asarray(x, dtype=np.float32)
     if len(image_shape) != 2 or x.ndim != 2 or x.shape[1] != np.prod(image_shape):
         raise InputError(
@@ -72,10 +70,8 @@ def camera_view(
 def view_dataset(
     data: Dataset, calibration: Calibration, cells_shape: tuple[int, int] | None = None
 ) -> Dataset:
-    """Data set of images as the camera sees them, to train on. Parameters as for `camera_view`.
-
-    Its preprocessing names the calibration. Raises `InputError` if the scenes are no images.
-    """
+    """Data set of images as the camera sees them, to train on. Parameters as for `camera_view`."""
+    # Its preprocessing names the calibration. Raises `InputError` if the scenes are no images
     shape = cells_shape or data.image_shape
     if len(shape) != 2:
         raise InputError(
@@ -109,11 +105,9 @@ def geometry_matrix(
     homography: Any,
     blur: tuple[float, float],
 ) -> sparse.csr_array:
-    """Matrix of geometry and blur: cell averages over points that each see one pixel.
-
-    The average over a cell of the blurred image is separable, so it is applied to the points'
-    pixels one axis after the other.
-    """
+    """Matrix of geometry and blur: cell averages over points that each see one pixel."""
+    # The average over a cell of the blurred image is separable, so it is applied to the points'
+    # pixels one axis after the other
     (h, w), (down, across) = image_shape, cells_shape
     average_down, tops = _axis_average(down, blur[0], POINTS_PER_CELL[0])
     average_across, lefts = _axis_average(across, blur[1], POINTS_PER_CELL[1])
@@ -142,10 +136,8 @@ def geometry_matrix(
 
 
 def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array, np.ndarray]:
-    """Average of blurred light over each cell of an axis (cells, points), and the points.
-
-    Points lie beyond the cells as far as the blur reaches.
-    """
+    """Average of blurred light over each cell of an axis (cells, points), and the points."""
+    # Points lie beyond the cells as far as the blur reaches
     step = 1 / (cells * each)
     beyond = int(np.ceil(4 * blur / step))
     places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step

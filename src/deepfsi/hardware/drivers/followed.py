@@ -44,10 +44,8 @@ class FollowedCounter:
         self.stop()
 
     def start(self, path: Path) -> None:
-        """Follow a file from its beginning; waits until it is there.
-
-        Raises `InputError` if it does not appear, or cannot be read.
-        """
+        """Follow a file from its beginning; waits until it is there."""
+        # Raises `InputError` if it does not appear, or cannot be read
         self.stop()
         if self._waits is not None:
             self._waits(path, self._appears_s)

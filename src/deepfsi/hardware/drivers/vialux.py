@@ -109,12 +109,10 @@ class _Board(ABC):
             self.halt()
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
-        """Send the frames of a folder of any format to the device, in place of earlier ones.
-
-        Raises `InputError` if the folder is damaged, made for another device, too large for the
-        controller's memory, or has a picture time that the device cannot keep; or if this is not
-        open.
-        """
+        """Send the frames of a folder of any format to the device, in place of earlier ones."""
+        # Raises `InputError` if the folder is damaged, made for another device, too large for the
+        # controller's memory, or has a picture time that the device cannot keep; or if this is not
+        # open
         manifest = read_patterns(folder).manifest
         self.halt()
         self._unload()
@@ -232,10 +230,8 @@ class VialuxProjector(_Board):
     _pass_s = 0.0
 
     def run(self) -> None:
-        """Start one pass; returns when its last sequence is in the controller's queue.
-
-        Raises `InputError` if nothing is loaded, a pass is still running or the device refuses.
-        """
+        """Start one pass; returns when its last sequence is in the controller's queue."""
+        # Raises `InputError` if nothing is loaded, a pass is still running or the device refuses
         if not self._sequences:
             raise InputError("no patterns on the Vialux device: load a pattern folder first")
         with _refusals("show patterns"):
@@ -248,10 +244,8 @@ class VialuxProjector(_Board):
                 self._alp.Run(sequence, loop=False)
 
     def wait(self) -> None:
-        """Return when the pass has ended; Ctrl-C is heard meanwhile.
-
-        Raises `InputError` if it has not ended 5 s after it should have.
-        """
+        """Return when the pass has ended; Ctrl-C is heard meanwhile."""
+        # Raises `InputError` if it has not ended 5 s after it should have
         self._wait(POLL_S)
 
     def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
@@ -283,18 +277,14 @@ class VialuxLooks(_Board):
         self._shortest_us = self._picture_us = self._frames = self._entries = 0
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Number of pictures as which each frame is shown, and each one's time, seconds.
-
-        Raises `InputError` if nothing is loaded, or these times cannot be kept.
-        """
+        """Number of pictures as which each frame is shown, and each one's time, seconds."""
+        # Raises `InputError` if nothing is loaded, or these times cannot be kept
         picture_us, repeats = self._plan(dwells_s)
         return repeats, np.full(len(repeats), self.trigger_s or picture_us * 1e-6)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Show a list of frames when the last list has ended; may return before its end.
-
-        Shapes: frames (F,); dwells_s (F,).
-        """
+        """Show a list of frames when the last list has ended; may return before its end."""
+        # frames (F,); dwells_s (F,)
         picture_us, repeats = self._plan(dwells_s)
         if len(frames) != len(dwells_s) or not np.isin(frames, np.arange(self._frames)).all():
             raise InputError(
@@ -364,11 +354,9 @@ def _repeats(wanted_us: np.ndarray, picture_us: float) -> np.ndarray:
 
 @contextlib.contextmanager
 def _refusals(doing: str) -> Iterator[None]:
-    """Say in one line what a device refused.
-
-    ALP4lib raises its own `ALPError`, `KeyError` for codes it does not know, `ValueError` for
-    versions it does not know, and `OSError` where Vialux's library is not there.
-    """
+    """Say in one line what a device refused."""
+    # ALP4lib raises its own `ALPError`, `KeyError` for codes it does not know, `ValueError` for
+    # versions it does not know, and `OSError` where Vialux's library is not there
     try:
         yield
     except InputError:

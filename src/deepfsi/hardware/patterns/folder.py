@@ -99,21 +99,9 @@ def export_patterns(
     folder: str | os.PathLike[str],
     report: Report = SILENT,
 ) -> sequence.Patterns:
-    """Write what a device shows for a design, frame by frame, into a new folder.
-
-    Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
-    common factor `manifest.dimmed`.
-
-    Parameters
-    ----------
-    folder : path
-        New or empty. It appears when it is whole.
-
-    Raises
-    ------
-    InputError
-        If the device cannot show the rails, or the folder holds something.
-    """
+    """Write what a device shows for a design, frame by frame, into a new folder."""
+    # Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
+    # common factor `manifest.dimmed`
     device, grid = settings.device, find_grid(settings.device, design.image_shape)
     counted = mirrors.count_mirrors(design.rails, design.light, grid.mirrors)
     if not counted.shown:
@@ -198,11 +186,9 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
 
 
 def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
-    """Patterns of a folder, without reading its frames.
-
-    Raises `InputError` if the manifest or the mirror counts are missing, damaged or do not fit each
-    other.
-    """
+    """Patterns of a folder, without reading its frames."""
+    # Raises `InputError` if the manifest or the mirror counts are missing, damaged or do not fit
+    # each other
     path = Path(folder) / "manifest.json"
     try:
         content = path.read_bytes()
@@ -240,10 +226,8 @@ def hash_mirrors(on: np.ndarray) -> str:
 
 
 def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
-    """Packed frames of a folder in their order, one at a time: uint8 (rows, bytes of a row).
-
-    Raises `InputError` naming the first frame that is missing or not what was exported.
-    """
+    """Packed frames of a folder in their order, one at a time: uint8 (rows, bytes of a row)."""
+    # Raises `InputError` naming the first frame that is missing or not what was exported
     folder = Path(folder)
     yield from _load_frames(folder, read_patterns(folder).manifest)
 
@@ -261,11 +245,9 @@ def _load_frames(folder: Path, manifest: sequence.Manifest) -> Iterator[np.ndarr
 
 
 def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> sequence.Patterns:
-    """Read every frame of a folder and compare it with the manifest and the mirror counts.
-
-    Raises `InputError` naming the first frame that is missing or not what was exported, or what the
-    device cannot show.
-    """
+    """Read every frame of a folder and compare it with the manifest and the mirror counts."""
+    # Raises `InputError` naming the first frame that is missing or not what was exported, or what
+    # the device cannot show
     folder = Path(folder)
     patterns = read_patterns(folder)
     manifest, grid = patterns.manifest, patterns.manifest.grid

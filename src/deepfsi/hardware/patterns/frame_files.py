@@ -34,10 +34,8 @@ def write_frames(
     settings: FrameSettings,
     report: Report = SILENT,
 ) -> list[str]:
-    """Write frames as they come, and give the SHA-256 of the packed bits of each.
-
-    Shapes: frames (rows, bytes of a row).
-    """
+    """Write frames as they come, and give the SHA-256 of the packed bits of each."""
+    # frames (rows, bytes of a row)
     hashes: list[str] = []
     device, format = settings.device, settings.format
 

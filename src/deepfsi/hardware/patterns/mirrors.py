@@ -57,10 +57,8 @@ class MaskFrames(NamedTuple):
 
 
 def count_mirrors(rails: np.ndarray, light: Light, mirrors: int) -> MaskFrames:
-    """Mirrors that show rails, frame by frame.
-
-    Shapes: rails (2 or 1, m, N).
-    """
+    """Mirrors that show rails, frame by frame."""
+    # rails (2 or 1, m, N)
     shown: list[tuple[int, Rail]] = []
     peaks = []
     on = np.empty((rails.shape[0] * rails.shape[1], rails.shape[2]), dtype=np.uint32)
@@ -90,10 +88,8 @@ def make_frames(
     selection: Selection = "ordered",
     seed: int = 0,
 ) -> Iterator[np.ndarray]:
-    """Packed frames, one at a time.
-
-    Shapes: on (N,).
-    """
+    """Packed frames, one at a time."""
+    # on (N,)
     if selection == "random":
         yield from _draw(on, device, grid, np.random.default_rng(seed))
     elif _aligned(device, grid):
@@ -116,14 +112,12 @@ def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def order_mirrors(height: int, width: int) -> np.ndarray:
-    """Place of each mirror of a cell in the order in which grey levels switch them ON.
-
-    Each next mirror is the one that brings the mean of a repelling potential over the mirrors
-    chosen closest to its mean over the whole cell (kernel herding), so that every beginning of the
-    order represents the cell. Of very large cells whole blocks of mirrors are chosen, as often as
-    they have mirrors, and each gives those in an order of its own. Places are 0 to
-    height · width - 1, each once, in an array (height, width) that is read only.
-    """
+    """Place of each mirror of a cell in the order in which grey levels switch them ON."""
+    # Each next mirror is the one that brings the mean of a repelling potential over the mirrors
+    # chosen closest to its mean over the whole cell (kernel herding), so that every beginning of
+    # the order represents the cell. Of very large cells whole blocks of mirrors are chosen, as
+    # often as they have mirrors, and each gives those in an order of its own. Places are 0 to
+    # height · width - 1, each once, in an array (height, width) that is read only
     rows, columns = height, width
     while rows * columns > MOST_ORDERED_SINGLY:
         rows, columns = (-(-rows // 2), columns) if rows > columns else (rows, -(-columns // 2))
@@ -150,11 +144,9 @@ def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 
 def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Blocks of a cell in the order of herding, each as often as it has mirrors.
-
-    In whole numbers, so that every machine finds the same. They are exact although sums may pass 64
-    bits on the way: what is compared is small, and what wraps around comes back.
-    """
+    """Blocks of a cell in the order of herding, each as often as it has mirrors."""
+    # In whole numbers, so that every machine finds the same. They are exact although sums may pass
+    # 64 bits on the way: what is compared is small, and what wraps around comes back
     near = []
     for sides in (heights, widths):
         centre = (np.cumsum(sides) - sides / 2) / sides.sum()

@@ -117,11 +117,9 @@ def read_picture(
 
 
 def _times(manifest: Manifest) -> list[tuple[int, int]]:
-    """Exposure and dark time of each frame, µs.
-
-    A controller of the DLPC347x family turns all mirrors OFF between frames, for what its devices
-    have as time to settle; the others change from frame to frame.
-    """
+    """Exposure and dark time of each frame, µs."""
+    # A controller of the DLPC347x family turns all mirrors OFF between frames, for what its devices
+    # have as time to settle; the others change from frame to frame
     device = manifest.device
     dark = round(device.settle_us) if device.controller == "dlpc347x" else 0
     return [(frame.picture_us - dark, dark) for frame in manifest.frames]
@@ -141,13 +139,11 @@ def _table(manifest: Manifest) -> str:
 
 
 def _commands(manifest: Manifest) -> str:
-    """Batch file for a DLPC900: the mode, the pattern look-up table, and its length.
-
-    One command a line, "NAME : bytes", as the batch files of DLPC900REF-SW; the bytes are those of
-    the programmer's guide DLPU018 (display mode 0x1A1B, LUT definition 0x1A34 and configuration
-    0x1A31). Lamps of the board stay off, no frame waits for a trigger, and the sequence runs once
-    when it is started.
-    """
+    """Batch file for a DLPC900: the mode, the pattern look-up table, and its length."""
+    # One command a line, "NAME : bytes", as the batch files of DLPC900REF-SW; the bytes are those
+    # of the programmer's guide DLPU018 (display mode 0x1A1B, LUT definition 0x1A34 and
+    # configuration 0x1A31). Lamps of the board stay off, no frame waits for a trigger, and the
+    # sequence runs once when it is started
     lines = [("DISP_MODE", bytes([ON_THE_FLY]))]
     every = enumerate(zip(place_frames(manifest), _times(manifest), strict=True))
     for pattern, ((image, bit), (exposure, dark)) in every:

@@ -107,13 +107,11 @@ class FrameSettings:
         return pictures, sentinel
 
     def picture_us(self, shares: np.ndarray, light: Light) -> list[int]:
-        """Picture times of the masks' frames, µs, from their shares of the exposure (f,).
-
-        Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time to
-        settle is in proportion to its share of the exposure. Times are rounded up to whole
-        microseconds and to the device's shortest. Raises `InputError` if the dwell leaves no time
-        after settling, or a picture would last too long.
-        """
+        """Picture times of the masks' frames, µs, from their shares of the exposure (f,)."""
+        # Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time
+        # to settle is in proportion to its share of the exposure. Times are rounded up to whole
+        # microseconds and to the device's shortest. Raises `InputError` if the dwell leaves no time
+        # after settling, or a picture would last too long
         device, mean = self.device, max(self.dwell_s * 1e6, self.device.shortest_us)
         rest = mean - device.settle_us
         if rest <= 0:

@@ -31,10 +31,8 @@ class GateCounter:
         self.reached = -1
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
-        """Count gates that follow those before.
-
-        Shapes: starts, stops (gates,).
-        """
+        """Count gates that follow those before."""
+        # starts, stops (gates,)
         edges = _join_edges(starts, stops)
         if not len(edges):
             return
@@ -78,11 +76,9 @@ class GateCounter:
         return np.asarray(before[1::2] - before[::2])
 
     def finish(self, header: Header) -> np.ndarray:
-        """Counts of all gates since the last call, at the end of a file with this header.
-
-        Raises `InputError` if the file is cut, or holds more or less than its header says, and a
-        gate ends after the last time that it holds.
-        """
+        """Counts of all gates since the last call, at the end of a file with this header."""
+        # Raises `InputError` if the file is cut, or holds more or less than its header says, and a
+        # gate ends after the last time that it holds
         if header.problems and len(self._edges) and self._edges[-1] > self.reached:
             raise InputError(
                 f"{self._name} may lack records ({header.problems[0]}) and holds times up to "

@@ -149,11 +149,9 @@ Fewer than it needs are the end of the file.
 
 
 def read_header(path: str | os.PathLike[str]) -> Header:
-    """Header of a PTU file.
-
-    Raises `InputError` if it is not a PTU file, or its header is damaged or names no type of record
-    known here.
-    """
+    """Header of a PTU file."""
+    # Raises `InputError` if it is not a PTU file, or its header is damaged or names no type of
+    # record known here
     parser = parse_header(path)
     with open_file(path) as file:
         needed = next(parser)

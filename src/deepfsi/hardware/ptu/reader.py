@@ -36,10 +36,8 @@ MOST_MARKERS = 2**24
 
 
 def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
-    """Count the photons, markers and other records of a file.
-
-    Damaged records do not raise: `problems` names the first, and what stands before it is counted.
-    """
+    """Count the photons, markers and other records of a file."""
+    # Damaged records do not raise: `problems` names the first, and what stands before it is counted
     header = read_header(path)
     tally = Tally(header.kind)
     for part in read_parts(header, report):
@@ -50,12 +48,10 @@ def inspect(path: str | os.PathLike[str], report: Report = SILENT) -> Contents:
 def read_markers(
     path: str | os.PathLike[str], report: Report = SILENT
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Markers of a file, in its order: times in ticks, int64 (n,), and bits, uint8 (n,).
-
-    Bits are 1 to 15: which of the four marker inputs. Those of a file that is cut are given as far
-    as it goes; see `Header.problems`. Whether times run back is not looked at here. Raises
-    `InputError` as `read_header`, and if a record is damaged or more than 2^24 are markers.
-    """
+    """Markers of a file, in its order: times in ticks, int64 (n,), and bits, uint8 (n,)."""
+    # Bits are 1 to 15: which of the four marker inputs. Those of a file that is cut are given as
+    # far as it goes; see `Header.problems`. Whether times run back is not looked at here. Raises
+    # `InputError` as `read_header`, and if a record is damaged or more than 2^24 are markers
     header = read_header(path)
     times, bits, found = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], 0
     for part in read_parts(header, report, ordered=False):
@@ -78,10 +74,8 @@ def count_gates(
     inputs: Sequence[int] = (0,),
     report: Report = SILENT,
 ) -> np.ndarray:
-    """Count the photons in each gate.
-
-    Shapes: starts, stops (gates,).
-    """
+    """Count the photons in each gate."""
+    # starts, stops (gates,)
     header = read_header(path)
     counter = GateCounter(header.kind, inputs, path)
     counter.expect(starts, stops)

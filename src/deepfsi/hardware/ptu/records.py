@@ -201,10 +201,8 @@ def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: i
 
 
 def _scan(kind: Kind, words: np.ndarray, ordered: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the specials, and of photons earlier than a photon right before them.
-
-    The latter are not looked for unless `ordered`.
-    """
+    """Places of the specials, and of photons earlier than a photon right before them."""
+    # The latter are not looked for unless `ordered`
     specials, backs = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for start in range(0, len(words), RECORDS_IN_CACHE):
         block = words[start : start + RECORDS_IN_CACHE + 1]  # and the first of the next
@@ -244,10 +242,8 @@ def _follow(events: _Events, latest: int) -> tuple[np.ndarray, int]:
 def _specials(
     kind: Kind, words: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Overflows, marker bits, sync events (bool) and times of records that are special.
-
-    All but the times are 0 of a record that has no meaning.
-    """
+    """Overflows, marker bits, sync events (bool) and times of records that are special."""
+    # All but the times are 0 of a record that has no meaning
     times, codes = words & kind.time_mask, words >> kind.shift
     if kind in (PICOHARP_T2, PICOHARP_T3):
         valid = codes == 15

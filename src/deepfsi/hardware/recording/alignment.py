@@ -67,10 +67,8 @@ def align(
     counter: Counter | None = None,
     cut: bool = False,
 ) -> Alignment:
-    """Find the frame that each marker starts.
-
-    Shapes: times_s (n,).
-    """
+    """Find the frame that each marker starts."""
+    # times_s (n,)
     schedule = Schedule.of(manifest, tolerance_s)
     times = np.sort(np.asarray(times_s, dtype=np.float64))
     if not len(times):
@@ -116,10 +114,8 @@ def _measured(markers: Markers) -> Markers:
 def find_steps(
     counts: np.ndarray, seconds: np.ndarray, sigmas: float = CERTAIN_SIGMAS
 ) -> tuple[np.ndarray, bool]:
-    """Frames that may be all ON with the next all OFF, as far as photons tell.
-
-    Shapes: counts, seconds (n,).
-    """
+    """Frames that may be all ON with the next all OFF, as far as photons tell."""
+    # counts, seconds (n,)
     known = seconds > 0
     length = np.where(known, seconds, 1.0)
     rates, variances = counts / length, (counts + 1) / length**2
@@ -136,13 +132,11 @@ def find_steps(
 
 
 def _find_doubts(passes: list[Pass], markers: Markers) -> set[int]:
-    """Passes that may be shifted by whole frames, as far as times tell.
-
-    These are passes that lack half of their markers, or the first or last, or have a marker beside
-    them that could be of one of their frames, and all passes that follow or precede them without a
-    pause that is long enough to tell. Of a cut file the last pass is one too: nothing says how many
-    markers it should have, and they may be of two passes.
-    """
+    """Passes that may be shifted by whole frames, as far as times tell."""
+    # These are passes that lack half of their markers, or the first or last, or have a marker
+    # beside them that could be of one of their frames, and all passes that follow or precede them
+    # without a pause that is long enough to tell. Of a cut file the last pass is one too: nothing
+    # says how many markers it should have, and they may be of two passes
     schedule = markers.schedule
     spare = spare_times(passes, markers.times)
     reach = (MOST_SHIFT + 0.5) * schedule.step
@@ -173,10 +167,8 @@ def _find_doubts(passes: list[Pass], markers: Markers) -> set[int]:
 def _find_shifts(
     passes: list[Pass], doubtful: set[int], schedule: Schedule, counter: Counter | None
 ) -> dict[int, int]:
-    """Shift of each doubtful pass in frames, of those of which photons tell.
-
-    Those that lack half of their markers are left.
-    """
+    """Shift of each doubtful pass in frames, of those of which photons tell."""
+    # Those that lack half of their markers are left
     order = sorted(place for place in doubtful if passes[place].matched > schedule.frames / 2)
     if counter is None or not order:
         return {}

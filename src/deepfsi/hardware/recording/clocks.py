@@ -42,10 +42,8 @@ class Clock:
 
 
 def measure_clock(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> Clock | None:
-    """Clock on which most markers in a row follow the schedule, None where there is none.
-
-    Shapes: times (n,); pictures (F,).
-    """
+    """Clock on which most markers in a row follow the schedule, None where there is none."""
+    # times (n,); pictures (F,)
     size = min(FRAMES_OF_BLOCK, len(pictures) // 2)
     if len(times) <= size:
         return None

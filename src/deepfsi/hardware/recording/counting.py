@@ -65,31 +65,7 @@ def count(
     dead_time: DeadTime | None = None,
     report: Report = SILENT,
 ) -> Counts:
-    """Count the photons of each readout and write counts.npz.
-
-    Parameters
-    ----------
-    exposure_s : float, optional
-        Total exposure, seconds; as recorded unless given. A shorter one is a gate within frames.
-    settle_s : float, optional
-        As recorded unless given.
-    repeats : int, optional
-        Exposures of each scene, from gates that follow each other in each frame. Unless given, as
-        recorded, or with another exposure as many as fit (and are at most 2^21 readouts).
-    tolerance_s : float, optional
-        By how much a marker may be off; a tenth of the shortest frame, at most 10 µs, unless given.
-    inputs, marker_bit
-        In place of the acquisition's, where it was recorded otherwise.
-    dead_time : DeadTime, optional
-        Of the counter, to be corrected for: that of calibration/calibration.json in the folder
-        unless given, and none where there is no such file.
-
-    Raises
-    ------
-    InputError
-        If files are missing, damaged or do not fit, gates do not fit, no exposure is whole, or the
-        counter is too near its saturation.
-    """
+    """Count the photons of each readout and write counts.npz."""
     recorded, patterns = read_acquisition(folder)
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
@@ -160,12 +136,10 @@ def _count_windows(
     inputs: tuple[int, ...],
     report: Report,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g).
-
-    For each set of windows, of passes whose frames start at `frames_s` (S, F), and none later than
-    `until_s`. Where two clocks and a marker's jitter make a window reach into the next of its set
-    it ends there. One whose frame's start is not known is not open.
-    """
+    """Photons (S, g, inputs) in windows (S, g), and how long each was open, seconds (S, g)."""
+    # For each set of windows, of passes whose frames start at `frames_s` (S, F), and none later
+    # than `until_s`. Where two clocks and a marker's jitter make a window reach into the next of
+    # its set it ends there. One whose frame's start is not known is not open
     tick_s, edges, places, shapes = header.tick_s, [], [], []
     for each in sets:
         opens = frames_s[:, each.frame] + each.offset
@@ -215,10 +189,8 @@ def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
 
 
 def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """Passes whose first and last two frames are all ON and all OFF, as far as photons tell.
-
-    From photons and seconds (S, F). At least one of each must have been recorded.
-    """
+    """Passes whose first and last two frames are all ON and all OFF, as far as photons tell."""
+    # From photons and seconds (S, F). At least one of each must have been recorded
     fits = np.array(
         [
             spent[[0, -2]].any()

@@ -104,10 +104,8 @@ class Counts:
 
     @property
     def photons(self) -> np.ndarray:
-        """Budget Φ of an exposure of each scene (S,): flux times exposure.
-
-        In counts: the detector's efficiency is part of it.
-        """
+        """Budget Φ of an exposure of each scene (S,): flux times exposure."""
+        # In counts: the detector's efficiency is part of it
         return self.flux * self.exposure_s
 
     def faults_of(self, scene: int) -> tuple[Fault, ...]:
@@ -142,20 +140,16 @@ class Counts:
 
 
 def read_counts(folder: str | os.PathLike[str]) -> Counts:
-    """Counts of a folder as `count` wrote them.
-
-    Raises `InputError` if there are none, they were changed, or they are of another acquisition or
-    photon file.
-    """
+    """Counts of a folder as `count` wrote them."""
+    # Raises `InputError` if there are none, they were changed, or they are of another acquisition
+    # or photon file
     acquisition, patterns = read_acquisition(folder)
     return load_counts(Path(folder), acquisition, patterns.manifest)
 
 
 def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
-    """Counts in the folder of an acquisition of a manifest's patterns.
-
-    Parameters as of `read_acquisition`, which gives the others. Raises as `read_counts`.
-    """
+    """Counts in the folder of an acquisition of a manifest's patterns."""
+    # Parameters as of `read_acquisition`, which gives the others. Raises as `read_counts`
     check_fixed(acquisition, folder)
     path, photons = folder / "counts.npz", folder / "photons.ptu"
     content = read_limited(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")

@@ -91,10 +91,8 @@ def check_rates(
     inputs: Sequence[int],
     name: str,
 ) -> None:
-    """Raise `InputError` where a counter is too near its saturation to be corrected.
-
-    Shapes: registered (S, F, inputs).
-    """
+    """Raise `InputError` where a counter is too near its saturation to be corrected."""
+    # registered (S, F, inputs)
     most = dead.most_registered
     if not (registered > most).any():
         return

@@ -78,10 +78,8 @@ class Fault(BaseModel):
 def name_faults(
     passes: list[Pass], unknown: set[int], markers: Markers
 ) -> tuple[np.ndarray, tuple[Fault, ...]]:
-    """Starts of frames (S, F), and every fault of their markers, extra ones last.
-
-    Starts are in seconds, NaN where they are not known.
-    """
+    """Starts of frames (S, F), and every fault of their markers, extra ones last."""
+    # Starts are in seconds, NaN where they are not known
     times, schedule, scenes = markers.times, markers.schedule, markers.scenes
     spare = spare_times(passes, times)
     _check_certain(passes, markers, spare)
@@ -186,10 +184,8 @@ def _name_extra(time: float, passes: list[Pass], unknown: set[int], schedule: Sc
 def _find_late(
     passes: list[Pass], spare: np.ndarray, schedule: Schedule
 ) -> dict[tuple[int, int], tuple[int, float]]:
-    """Spare markers that came within half a frame of a frame that has none, and by how much.
-
-    From (scene, frame) to (place among the spare ones, seconds).
-    """
+    """Spare markers that came within half a frame of a frame that has none, and by how much."""
+    # From (scene, frame) to (place among the spare ones, seconds)
     late: dict[tuple[int, int], tuple[int, float]] = {}
     taken: set[int] = set()
     if not len(spare):

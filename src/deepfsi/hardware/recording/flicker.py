@@ -50,13 +50,9 @@ class _Block:
 def find_flicker(
     photons: np.ndarray, seconds: np.ndarray, middles: np.ndarray, chance: float
 ) -> Flicker | None:
-    """Strongest rhythm of the light that is beyond chance, if there is one.
-
-    The pass that shows most of it is left out where there are three or more: what one pass alone
-    shows is no rhythm.
-
-    Shapes: photons, seconds (P, F, K); middles (F, K).
-    """
+    """Strongest rhythm of the light that is beyond chance, if there is one."""
+    # The pass that shows most of it is left out where there are three or more: what one pass alone
+    # shows is no rhythm. photons, seconds (P, F, K); middles (F, K)
     whole = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
     every = photons.sum(axis=2)
     lacks = photons - every[..., None] * seconds / whole

@@ -136,10 +136,8 @@ class Windows:
 
     @classmethod
     def of(cls, manifest: Manifest, gates: Gates, found: Frames) -> "Windows":
-        """Windows of a pass over the frames of a manifest as they were found in a recording.
-
-        Parameters as of `check_gates`, but for the file.
-        """
+        """Windows of a pass over the frames of a manifest as they were found in a recording."""
+        # Parameters as of `check_gates`, but for the file
         repeats, frames = gates.repeats, len(manifest.frames)
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         each = np.ones(frames, np.int64)
@@ -183,10 +181,8 @@ def check_gates(header: Header, gates: Gates, manifest: Manifest, found: Frames)
 
 
 def find_lateness(windows: Windows, photons: np.ndarray, seconds: np.ndarray) -> tuple[Fault, ...]:
-    """Name markers that all come late: light of the first mask is in the guard before it.
-
-    Shapes: photons, seconds (S, g).
-    """
+    """Name markers that all come late: light of the first mask is in the guard before it."""
+    # photons, seconds (S, g)
     found, found_s = windows.sum_frames(photons), windows.sum_frames(seconds)
     (dark, light), (dark_s, light_s) = found[:, 1:3].T, found_s[:, 1:3].T
     guard, guard_s = photons[:, windows.guards[0]], seconds[:, windows.guards[0]]

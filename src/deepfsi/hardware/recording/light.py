@@ -57,10 +57,8 @@ def find_light(
     manifest: Manifest,
     lost: np.ndarray,
 ) -> Light:
-    """Light of an acquisition, from the parts of frames of the passes that were recorded.
-
-    Shapes: photons, variance (P, F, K, inputs); seconds (P, F, K); middles (F, K); scenes (P,).
-    """
+    """Light of an acquisition, from the parts of frames of the passes that were recorded."""
+    # photons, variance (P, F, K, inputs); seconds (P, F, K); middles (F, K); scenes (P,)
     count = manifest.detector_count
     wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
     arms, detectors = _light_curves(photons, variance, seconds, middles, scenes, wired)

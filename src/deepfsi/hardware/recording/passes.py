@@ -132,10 +132,8 @@ def take_whole(markers: Markers) -> np.ndarray | None:
 
 
 def follow_passes(markers: Markers) -> list[Pass]:
-    """Passes one after another, each from the first marker that those before leave.
-
-    Raises `InputError` if markers do not follow the schedule, or many follow the last pass.
-    """
+    """Passes one after another, each from the first marker that those before leave."""
+    # Raises `InputError` if markers do not follow the schedule, or many follow the last pass
     times, scenes = markers.times, markers.scenes
     passes: list[Pass] = []
     first = extra = 0
@@ -224,10 +222,8 @@ def walk(markers: Markers, start: float, first: int = 0) -> Pass:
 
 
 def nearest(times: np.ndarray, wanted: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-    """Marker nearest to each wanted time, none before `first`, and its distance.
-
-    Shapes: times (n,); wanted (k,).
-    """
+    """Marker nearest to each wanted time, none before `first`, and its distance."""
+    # times (n,); wanted (k,)
     after = np.clip(np.searchsorted(times, wanted), first, len(times) - 1)
     before = np.maximum(after - 1, first)
     near = np.where(np.abs(times[before] - wanted) < np.abs(times[after] - wanted), before, after)

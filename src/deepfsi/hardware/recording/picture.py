@@ -16,11 +16,9 @@ LEAST_SINGULAR_VALUE = 1e-3
 
 
 def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
-    """Least-squares picture of each scene from its counts, less background.
-
-    The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
-    Directions that the masks hardly see are left out (singular values below 1e-3 of the largest).
-    """
+    """Least-squares picture of each scene from its counts, less background."""
+    # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
+    # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
     acquisition, patterns = read_acquisition(folder)
     counts = load_counts(Path(folder), acquisition, patterns.manifest)
     flux = np.nanmean(counts.flux) if acquisition.flux is None else acquisition.flux

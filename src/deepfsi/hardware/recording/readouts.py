@@ -15,10 +15,8 @@ _READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {
 
 
 def by_readout(manifest: Manifest, found: np.ndarray) -> np.ndarray:
-    """Numbers of readouts (..., rails, m[, D]) from those of masks' frames (..., f, inputs).
-
-    0 for a rail that is dark.
-    """
+    """Numbers of readouts (..., rails, m[, D]) from those of masks' frames (..., f, inputs)."""
+    # 0 for a rail that is dark
     lead, detectors = found.shape[:-2], manifest.detector_count
     split = found.reshape(*found.shape[:-1], -1, detectors)
     out = np.zeros((*lead, manifest.rails, manifest.masks, detectors), found.dtype)

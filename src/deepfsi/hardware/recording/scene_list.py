@@ -15,11 +15,9 @@ HEADS = ("name", "scene")
 
 
 def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
-    """Scenes of a text or CSV file, in its order.
-
-    A line is NAME or NAME,LABEL, quoted as in CSV where a name has a comma. Empty lines, and a
-    first line that names the columns (`name,label`), are left out.
-    """
+    """Scenes of a text or CSV file, in its order."""
+    # A line is NAME or NAME,LABEL, quoted as in CSV where a name has a comma. Empty lines, and a
+    # first line that names the columns (`name,label`), are left out
     hint = "give a text file with a scene on each line, or a folder of pictures"
     content = read_limited(Path(path), LARGEST_LIST, hint)
     try:

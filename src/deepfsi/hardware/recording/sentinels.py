@@ -144,10 +144,8 @@ def check_light(curve: LightCurve, manifest: Manifest, lost: np.ndarray, chance:
 def _find_restless_lamp(
     curve: LightCurve, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
 ) -> list[Fault]:
-    """Fault of the whole recording if the light was wrong in many of its passes.
-
-    One disturbance may reach into two passes that follow each other.
-    """
+    """Fault of the whole recording if the light was wrong in many of its passes."""
+    # One disturbance may reach into two passes that follow each other
     wrong = np.concatenate([curve.scenes[lit & ~sound], lost])
     passes = np.count_nonzero(lit) + len(lost)
     if len(wrong) < max(2, RESTLESS_SHARE * passes) or np.ptp(wrong) < 2:

@@ -106,11 +106,9 @@ class FrameCounter:
         self._stop = EARLIEST_TICK  # end of the last gate
 
     def expect(self, gates: FrameGates) -> None:
-        """Count frames that are shown after those before. To be told before they are shown.
-
-        Raises `InputError` if a gate begins less than a microsecond, or a tick, after its marker:
-        that is how far a marker may be off.
-        """
+        """Count frames that are shown after those before. To be told before they are shown."""
+        # Raises `InputError` if a gate begins less than a microsecond, or a tick, after its marker:
+        # that is how far a marker may be off
         offsets = np.rint(gates.offsets_s / self._tick_s)
         if len(gates) and not offsets.min() > self._slack:
             raise InputError(
@@ -131,12 +129,11 @@ class FrameCounter:
         self._due.extend(map(_DueFrame._make, zip(*each, strict=True)))
 
     def add(self, part: Part) -> FrameCounts:
-        """Count the next records; give the frames that have ended, in order.
-
-        Those are the ones whose gates have ended, and after which the next of their list has begun.
-        Raises `InputError` if a record is damaged, or a marker comes that starts no frame told,
-        before the gate of the frame before has ended, or not when the picture before it ends.
-        """
+        """Count the next records; give the frames that have ended, in order."""
+        # Those are the ones whose gates have ended, and after which the next of their list has
+        # begun. Raises `InputError` if a record is damaged, or a marker comes that starts no frame
+        # told, before the gate of the frame before has ended, or not when the picture before it
+        # ends
         part.check(self._name)
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
@@ -179,10 +176,8 @@ class FrameCounter:
         return start, self._stop
 
     def _check_step(self, time: int, follows: bool) -> None:
-        """Raise `InputError` if a marker does not come when the picture before it ends.
-
-        The first one of a list may come later.
-        """
+        """Raise `InputError` if a marker does not come when the picture before it ends."""
+        # The first one of a list may come later
         shown, step = self._shown, time - self._last
         if shown is None or shown.picture is None:
             return
@@ -220,10 +215,8 @@ class StreamCounter:
             self._frames.expect(gates)
 
     def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
-        """Read the next bytes; give the frames whose gates ended, in order.
-
-        Raises `InputError` as `FrameCounter.add`, and if the file is not one of photons.
-        """
+        """Read the next bytes; give the frames whose gates ended, in order."""
+        # Raises `InputError` as `FrameCounter.add`, and if the file is not one of photons
         found = []
         for part in self._reader.feed(data):
             found.append(self._counter().add(part))

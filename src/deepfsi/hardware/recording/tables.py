@@ -71,11 +71,9 @@ class TableSettings:
 
 
 def column_names(manifest: Manifest) -> list[str]:
-    """Names of the values of an exposure: frame by frame, and in each frame input by input.
-
-    `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
-    and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on.
-    """
+    """Names of the values of an exposure: frame by frame, and in each frame input by input."""
+    # `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
+    # and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on
     names, named = [], set()
     for frame in manifest.frames:
         name = frame.role
@@ -275,10 +273,8 @@ def _find_light(
     manifest: Manifest,
     settings: TableSettings,
 ) -> dict[str, Any]:
-    """Light of each scene as of `Counts`, all exposures of one together, from all frames.
-
-    Shapes: place (E,), the scene of each exposure; times (F,).
-    """
+    """Light of each scene as of `Counts`, all exposures of one together, from all frames."""
+    # place (E,), the scene of each exposure; times (F,)
     scenes, arm = int(place[-1]) + 1, slice(0, manifest.detector_count)
     given = None if settings.background is None else settings.background / exposure_s
     dark = np.full((scenes, manifest.inputs), given or 0.0)

@@ -131,10 +131,8 @@ spad
 
 
 def irradiance(scenes: np.ndarray, camera: VirtualCamera, device: Device, grid: Grid) -> np.ndarray:
-    """Relative irradiance of each mirror.
-
-    Shapes: scenes (S, h, w).
-    """
+    """Relative irradiance of each mirror."""
+    # scenes (S, h, w)
     from scipy.fft import irfft2, rfft2
     from scipy.ndimage import fourier_gaussian
 
@@ -178,10 +176,8 @@ def arrival_rates(
     flux: float,
     report: Report = SILENT,
 ) -> np.ndarray:
-    """Arrivals/s at each detector while each frame is shown, before dead time.
-
-    Shapes: scenes (S, h, w), or (S, N).
-    """
+    """Arrivals/s at each detector while each frame is shown, before dead time."""
+    # scenes (S, h, w), or (S, N)
     manifest = read_patterns(patterns_folder).manifest
     images = _check_scenes(scenes, manifest)
     _check_flux(flux)
@@ -212,11 +208,9 @@ def arrival_rates(
 def expected_events(
     patterns: Patterns, scenes: np.ndarray, camera: VirtualCamera, flux: float
 ) -> float:
-    """Photons and dark counts that a recording is expected to hold, at most, without dead time.
-
-    As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
-    and between them.
-    """
+    """Photons and dark counts that a recording is expected to hold, at most, without dead time."""
+    # As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
+    # and between them
     manifest, grid = patterns.manifest, patterns.manifest.grid
     images = _check_scenes(scenes, manifest)
     _check_flux(flux)
@@ -263,10 +257,8 @@ def draw_counts(
     camera: VirtualCamera,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Draw what `count` would count, without a file.
-
-    Shapes: rates (S, F, inputs).
-    """
+    """Draw what `count` would count, without a file."""
+    # rates (S, F, inputs)
     shown = [manifest.frames[place] for place in manifest.shown]
     flow = np.broadcast_to(
         rates[:, None, manifest.shown], (len(rates), gates.repeats, len(shown), rates.shape[2])
@@ -305,24 +297,8 @@ def record(
     settings: RecordingSettings,
     report: Report = SILENT,
 ) -> Acquisition:
-    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn.
-
-    Parameters
-    ----------
-    scenes : array, shape (S, h, w), or (S, N) for masks of one axis
-        Reflectance, 0 or more.
-    names : sequence of str
-        One for each scene.
-    labels : sequence of str, optional
-        Class of each scene.
-    out : path
-        New. It appears when it is whole.
-
-    Raises
-    ------
-    InputError
-        If `out` exists, or scenes, names, labels, flux or gates cannot be used.
-    """
+    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
+    # scenes (S, h, w), or (S, N)
     target, camera = Path(out), settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = _check_scenes(scenes, manifest)
@@ -375,10 +351,8 @@ def write_photons(
     inputs: Sequence[int] | None = None,
     report: Report = SILENT,
 ) -> None:
-    """Write the photons and markers of one pass for each scene, one right after another.
-
-    Shapes: rates (S, F, inputs).
-    """
+    """Write the photons and markers of one pass for each scene, one right after another."""
+    # rates (S, F, inputs)
     wired = range(rates.shape[2]) if inputs is None else inputs
     check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)

@@ -75,18 +75,16 @@ class Detector(BaseModel):
 def draw(
     detector: Detector, rate: np.ndarray, length_s: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw the counts, int64, of gates in which the rate has long been steady.
-
-    Without dead time counts are Poisson. With a non-paralysable one they are drawn from their exact
-    distribution: k counts fit a gate if k gamma-distributed waits and k - 1 dead times do. With a
-    paralysable one gates are simulated arrival by arrival where the counts' variance is below 20;
-    above, they are drawn with their exact first three moments (Cornish and Fisher), at a distance
-    in total variation from the exact distribution of at most 0.0011, for nτ from 0.01 to 2.
-    Afterpulses, of the gate's own counts and of those before it, have the exact mean, and without
-    dead time the exact distribution. Gates that follow each other are drawn independently: what
-    little one passes on to the next (a count that blinds it, an afterpulse) is in the moments of
-    each and not in what they share.
-    """
+    """Draw the counts, int64, of gates in which the rate has long been steady."""
+    # Without dead time counts are Poisson. With a non-paralysable one they are drawn from their
+    # exact distribution: k counts fit a gate if k gamma-distributed waits and k - 1 dead times do.
+    # With a paralysable one gates are simulated arrival by arrival where the counts' variance is
+    # below 20; above, they are drawn with their exact first three moments (Cornish and Fisher), at
+    # a distance in total variation from the exact distribution of at most 0.0011, for nτ from 0.01
+    # to 2. Afterpulses, of the gate's own counts and of those before it, have the exact mean, and
+    # without dead time the exact distribution. Gates that follow each other are drawn
+    # independently: what little one passes on to the next (a count that blinds it, an afterpulse)
+    # is in the moments of each and not in what they share
     shape = np.broadcast_shapes(np.shape(rate), np.shape(length_s))
     rates = np.broadcast_to(np.asarray(rate, dtype=np.float64), shape).ravel()
     lengths = np.broadcast_to(np.asarray(length_s, dtype=np.float64), shape).ravel()
@@ -117,11 +115,9 @@ def _draw(
 def _draw_paralysable(
     detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Few counts one by one, many from their first three cumulants.
-
-    Two counts are never closer than τ and otherwise independent, so k of them, in order, can be
-    anywhere in a gate T in m^k (T - (k-1)τ)^k ways: the factorial moments.
-    """
+    """Few counts one by one, many from their first three cumulants."""
+    # Two counts are never closer than τ and otherwise independent, so k of them, in order, can be
+    # anywhere in a gate T in m^k (T - (k-1)τ)^k ways: the factorial moments
     tau, registered = detector.dead_time_s, detector.registered(rate)
     first, second, third = (
         (registered * np.maximum(length - k * tau, 0)) ** (k + 1) for k in range(3)
@@ -198,11 +194,9 @@ def _share_inside(detector: Detector, length: np.ndarray) -> np.ndarray:
 
 
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events.
-
-    From durations in ticks, int64 (F,), and arrivals/s at each detector (F, A), to those of each
-    chunk's pieces; what takes long is cut into several.
-    """
+    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events."""
+    # From durations in ticks, int64 (F,), and arrivals/s at each detector (F, A), to those of each
+    # chunk's pieces; what takes long is cut into several
     expected = rates.sum(axis=1) * (durations * TICK_S)
     parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
     source = np.repeat(np.arange(len(parts)), parts)
@@ -229,10 +223,8 @@ class Stream:
         return int(np.ceil(LARGEST_JITTER * self.detector.jitter_s / TICK_S))
 
     def events(self, start: int, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Events that follow from the arrivals of a chunk.
-
-        Shapes: durations, rates (p,).
-        """
+        """Events that follow from the arrivals of a chunk."""
+        # durations, rates (p,)
         times = self._register(start + arrivals(durations, rates, self.rng))
         detector, rng = self.detector, self.rng
         if detector.afterpulse_probability:
@@ -257,10 +249,8 @@ class Stream:
 
 
 def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Poisson arrivals at rates that are steady in pieces.
-
-    Shapes: durations, rates (p,).
-    """
+    """Poisson arrivals at rates that are steady in pieces."""
+    # durations, rates (p,)
     ends = np.cumsum(durations, dtype=np.float64)
     expected = np.cumsum(rates * (durations * TICK_S))
     count = rng.poisson(expected[-1])
@@ -271,14 +261,10 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
 
 
 def thin(times: np.ndarray, dead: int) -> np.ndarray:
-    """Arrivals that a non-paralysable counter registers if it is not blind at the first one.
-
-    Of rising times, int64 (n,), the first, and each that comes at least `dead` after the last one
-    kept.
-
-    An arrival at least `dead` after the one before it is always kept and starts a cluster; all
-    clusters are followed at once, from one kept arrival to the next.
-    """
+    """Arrivals that a non-paralysable counter registers if it is not blind at the first one."""
+    # Of rising times, int64 (n,), the first, and each that comes at least `dead` after the last one
+    # kept. An arrival at least `dead` after the one before it is always kept and starts a cluster;
+    # all clusters are followed at once, from one kept arrival to the next
     heads = np.flatnonzero(np.diff(times, prepend=times[:1] - dead) >= dead)
     ends = np.r_[heads[1:], len(times)]
     keep = np.zeros(len(times), dtype=bool)

@@ -89,10 +89,8 @@ class Loop:
         return _softmax(_outputs(self.classifier, inputs).astype(float))
 
     def choose(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
-        """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together.
-
-        Shapes: inputs (k + q,).
-        """
+        """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together."""
+        # inputs (k + q,)
         header, (weight, bias) = self.header, self.chooser[0]
         left = np.float32(1 - look / header.looks)  # the last input
         first = weight[:-1], bias + left * weight[-1]
@@ -192,10 +190,8 @@ def _softmax(scores: np.ndarray) -> np.ndarray:
 
 
 def judge(chances: np.ndarray, look: int, rule: StopRule | None) -> tuple[np.ndarray, bool]:
-    """Probabilities (C,) as a rule calibrates them, and whether the exposure may stop.
-
-    Shapes: chances (C,).
-    """
+    """Probabilities (C,) as a rule calibrates them, and whether the exposure may stop."""
+    # chances (C,)
     if rule is None:
         return chances, False
     if rule.temperatures:

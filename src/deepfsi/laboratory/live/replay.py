@@ -60,10 +60,8 @@ class LiveCounts:
 
 
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
-    """Count the photons of a live run and write counts.npz.
-
-    Raises `InputError` if files are missing, damaged or do not fit each other.
-    """
+    """Count the photons of a live run and write counts.npz."""
+    # Raises `InputError` if files are missing, damaged or do not fit each other
     acquisition, patterns = read_acquisition(folder)
     manifest, scenes, header = patterns.manifest, read_shown(folder), read_header(folder / PHOTONS)
     check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
@@ -95,10 +93,8 @@ def _find_gates(
 
 
 def read_live_counts(folder: Path) -> LiveCounts:
-    """Counts of a live run as `count_live` wrote them.
-
-    Raises `InputError` if there are none, or they are of other files.
-    """
+    """Counts of a live run as `count_live` wrote them."""
+    # Raises `InputError` if there are none, or they are of other files
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
     acquisition, patterns = read_acquisition(folder)

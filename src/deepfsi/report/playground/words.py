@@ -23,10 +23,8 @@ def masks_text(payload: Payload) -> str:
 
 
 def detectors_text(payload: Payload) -> str:
-    """Number of detectors, and which light each of them has.
-
-    The law `column` divides the light, and what is divided is counted at the same time.
-    """
+    """Number of detectors, and which light each of them has."""
+    # The law `column` divides the light, and what is divided is counted at the same time
     light, parts = payload["light"], payload["detectors"]
     counts = {"two-arm": 2, "column": payload["rails"] * payload["matrix"]["shape"][0]}
     kinds = {"two-arm": "one on each arm", "column": f"one for {_readout(payload)}"}

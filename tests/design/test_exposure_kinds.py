@@ -1,0 +1,181 @@
+"""Settings of an exposure: which kind they ask for, what each refuses, and what it changes."""
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from conftest import generator, synthetic
+from deepfsi import Fixed, Looks, Nested, Patches, Range
+from deepfsi.design.exposure import AnyExposure, find_exposure
+from deepfsi.design.exposure.conditioned import ConditionedExposure
+from deepfsi.design.exposure.looks import LooksExposure
+from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
+from deepfsi.errors import InputError
+from shared.jobs import job
+
+KINDS = [
+    ({}, Fixed()),
+    ({"span": 10.0}, Range(span=10.0)),
+    ({"nested": 3}, Nested(nested=3)),
+    ({"nested": 3, "span": 10.0}, Nested(nested=3, span=10.0)),
+    ({"looks": 4}, Looks(looks=4)),
+    ({"patch": 8}, Patches(patch=8)),
+]
+
+
+@pytest.mark.parametrize(("settings", "wanted"), KINDS, ids=str)
+def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
+    found = find_exposure(settings)
+    assert found == wanted
+    assert type(found) is type(wanted)
+    assert find_exposure(found) is found
+    assert find_exposure(found.model_dump(mode="json")) == found
+
+    class Holder(BaseModel):
+        exposure: AnyExposure
+
+    held = Holder(exposure=settings)
+    assert Holder.model_validate_json(held.model_dump_json()).exposure == wanted
+
+
+@pytest.mark.parametrize(
+    ("settings", "wanted"),
+    [
+        ({"looks": 1}, Fixed()),
+        ({"looks": 1, "nested": 0, "span": 1.0, "patch": 0}, Fixed()),
+        ({"looks": 1, "span": 10.0}, Range(span=10.0)),
+        ({"looks": 3, "nested": 0, "span": 1}, Looks(looks=3)),
+    ],
+    ids=str,
+)
+def test_settings_that_ask_for_nothing_are_left_out(settings, wanted):
+    """So that an axis of a recipe may hold them."""
+    assert find_exposure(settings) == wanted
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"look": 3}, "an exposure has no setting look: give one of looks, patch, nested, span"),
+        ({"looks": 4, "span": 10.0}, "span and looks are of different exposures: give one"),
+        ({"looks": 4, "nested": 2}, "nested and looks are of different exposures: give one"),
+        ({"looks": 4, "patch": 8}, "patch and looks are of different exposures: give one"),
+        ({"patch": 8, "span": 2.0}, "span and patch are of different exposures: give one"),
+        ({"looks": 0}, "looks = 0: .*greater than or equal to 2"),
+        ({"looks": 65}, "looks = 65: .*less than or equal to 64"),
+        ({"looks": 2.5}, "looks = 2.5: .*valid integer"),
+        ({"nested": -1}, "nested = -1: .*greater than or equal to 1"),
+        ({"span": 0.5}, "span = 0.5: .*greater than 1"),
+        ({"span": 1e13}, "span = .*less than or equal to 1000000000000"),
+        ({"patch": 1}, "patch = 1: .*greater than or equal to 2"),
+    ],
+    ids=str,
+)
+def test_what_is_no_exposure_is_one_line(settings, match):
+    with pytest.raises(InputError, match=match) as error:
+        find_exposure(settings)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("given", ["looks", 3, ["looks"]])
+def test_something_else_than_settings_is_no_exposure(given):
+    class Holder(BaseModel):
+        exposure: AnyExposure
+
+    with pytest.raises(ValidationError):
+        Holder(exposure=given)
+
+
+ONE_DMD = {"camera": "dmd"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "faults"),
+    [
+        ({**ONE_DMD}, []),
+        ({**ONE_DMD, "looks": 4}, []),
+        ({**ONE_DMD, "looks": 4, "dark": 30.0}, []),
+        ({**ONE_DMD, "looks": 4, "dark": 30.0, "sigma": 2.0}, []),
+        ({"camera": "two-arm", "looks": 4}, []),
+        ({"camera": "paper", "looks": 4}, ['`light="free-dwell"` or "two-arm" goes with them']),
+        ({"light": "equal-dwell", "looks": 4}, ["not equal-dwell"]),
+        ({**ONE_DMD, "rails": "dual", "looks": 4}, ['use `readout="both"`, or `rails="single"`']),
+        ({**ONE_DMD, "looks": 4, "noise": "gaussian"}, ["leave gaussian noise out"]),
+        ({**ONE_DMD, "looks": 4, "train_noise": "gaussian"}, ["leave gaussian noise out"]),
+        ({**ONE_DMD, "looks": 4, "shortest_dwell": "0.3s"}, ["give fewer looks, or a longer"]),
+        ({**ONE_DMD, "looks": 4, "design": "control"}, ["control has one look only"]),
+        (
+            {"camera": "paper", "looks": 4, "noise": "gaussian"},
+            ["not column", "leave gaussian noise out"],
+        ),
+        ({**ONE_DMD, "span": 10.0}, []),
+        ({**ONE_DMD, "span": 10.0, "dark": 30.0}, ["leave out camera noise, or train under ml_g"]),
+        ({**ONE_DMD, "span": 10.0, "dark": 30.0, "train_noise": "ml_gauss"}, []),
+        ({**ONE_DMD, "span": 10.0, "train_noise": "poisson"}, ["leave out poisson noise"]),
+        ({**ONE_DMD, "nested": 3, "design": "control"}, ["leave out control, whose masks learn"]),
+        ({**ONE_DMD, "nested": 6}, []),
+        ({**ONE_DMD, "nested": 7}, ["the first 7 of 6 masks cannot be nested: give at most 6"]),
+        (
+            {**ONE_DMD, "nested": 7, "train_noise": "none"},
+            ["leave out none noise", "give at most 6"],
+        ),
+        ({"camera": "paper", "patch": 4}, []),
+        ({**ONE_DMD, "patch": 4}, ["give the light law column"]),
+        ({"camera": "paper", "patch": 4, "levels": 2}, ["with continuous masks"]),
+        ({"camera": "paper", "patch": 4, "design": "random"}, ["random is not for patches"]),
+        ({"camera": "paper", "patch": 4, "classifier": "mlp"}, ["give classifier vit"]),
+    ],
+    ids=str,
+)
+def test_every_fault_of_an_exposure_is_told(settings, faults):
+    one = job(masks=6, photons=1e3, **settings)
+    found = one.exposure.faults(one)
+    assert len(found) == len(faults), found
+    for told, words in zip(found, faults, strict=True):
+        assert words in told
+        assert "\n" not in told
+
+
+@pytest.mark.parametrize(("settings", "wanted"), KINDS, ids=str)
+def test_tests_are_refused_the_noise_that_cannot_be_had(settings, wanted):
+    """Looks know counts of photons alone."""
+    found = wanted.test_faults(["poisson", "camera", "none", "gaussian", "shared.noises:photons"])
+    assert len(found) == (2 if isinstance(wanted, Looks) else 0)
+
+
+TRAINED = (FixedExposure, *3 * (ConditionedExposure,), LooksExposure, PatchExposure)
+
+
+@pytest.mark.parametrize(
+    ("settings", "kind"),
+    [(settings, kind) for (settings, _), kind in zip(KINDS, TRAINED, strict=True)],
+    ids=str,
+)
+def test_each_kind_begins_the_exposure_of_a_design(settings, kind):
+    camera = "paper" if "patch" in settings else "dmd"
+    one = job(masks=6, photons=1e3, camera=camera, **settings)
+    found = one.exposure.begin(one, (16, 16), generator())
+    assert isinstance(found, kind)
+    assert found.header() is not None
+    assert found.tokens((16, 16)) == (4 if "patch" in settings else 1)
+    if isinstance(found, ConditionedExposure):
+        assert (found.span, found.nested) == (settings.get("span", 1), settings.get("nested", 0))
+
+
+def test_the_training_noise_is_the_smooth_stand_in_but_for_looks():
+    for settings, wanted in KINDS:
+        camera = "paper" if "patch" in settings else "dmd"
+        noise = "poisson" if isinstance(wanted, Looks) else "ml_gauss"
+        assert job(masks=6, photons=1e3, camera=camera, **settings).noise == noise
+        for kept in ("camera", "gaussian", "none"):
+            assert wanted.training_noise(kept) == kept
+
+
+def test_patches_see_every_block_as_a_scene_of_its_own():
+    data = synthetic((8, 12))
+    seen = Patches(patch=4).seen(data)
+    assert seen.x_train.shape == (6 * len(data.x_train), 16)
+    assert seen.x_train.sum() == pytest.approx(data.x_train.sum(), rel=1e-5)
+    assert (seen.y_train.reshape(-1, 6) == data.y_train[:, None]).all()
+    assert seen.image_shape == (4, 4)
+    assert len(seen.x_test) == 0
+    assert Looks(looks=2).seen(data) is data

@@ -1,0 +1,278 @@
+"""Laws of the camera: a laboratory's units, presets, what follows from what, files and refusals."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+import torch
+
+from deepfsi.devices import DEVICES
+from deepfsi.errors import InputError
+from deepfsi.optics.camera import EXAMPLES, GUARD_S, PRESETS, Camera, template
+from deepfsi.optics.detection import Detection
+from deepfsi.units import seconds
+from shared.noises import saturating
+
+
+@pytest.mark.parametrize(
+    ("time", "wanted"),
+    [
+        (0.01, 0.01),
+        ("0.01", 0.01),
+        ("10ms", 0.01),
+        ("10 ms", 0.01),
+        ("44us", 44e-6),
+        ("44µs", 44e-6),
+        ("20NS", 20e-9),
+        ("3ps", 3e-12),
+        ("2s", 2.0),
+        (0, 0.0),
+        ("1e-3 s", 1e-3),
+    ],
+)
+def test_times_are_seconds_or_have_a_unit(time, wanted):
+    assert seconds(time) == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize("time", ["", "ms", "10m", "10min", "-1ms", -1, "nan", "inf", True, None])
+def test_what_is_no_time_is_told(time):
+    with pytest.raises(ValueError, match="is not a time: give seconds, or such as 10ms"):
+        seconds(time)
+
+
+@pytest.mark.parametrize("exposure", ["1ms", "10ms", 0.5])
+def test_rates_become_counts_of_an_exposure_and_times_its_shares(exposure):
+    """The same light and the same frames are as many more counts, and as many shorter shares."""
+    camera = Camera(exposure=exposure, flux=2e6, dark=300, shortest_dwell="40us")
+    time = seconds(exposure)
+    assert camera.budget == pytest.approx(2e6 * time)
+    assert camera.dark_counts == pytest.approx(300 * time)
+    assert camera.shortest_share == pytest.approx(40e-6 / time)
+
+
+def test_without_an_exposure_it_lasts_a_second_and_rates_are_counts():
+    camera = Camera(flux=1e5, dark=7)
+    assert (camera.budget, camera.dark_counts, camera.shortest_share) == (1e5, 7, 0)
+    assert Camera().budget is None
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_a_frame_of_a_device_is_counted_once_its_mirrors_have_settled(name):
+    device = DEVICES[name]
+    wanted = max(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - GUARD_S, 0)
+    assert Camera(device=name).shortest_dwell == pytest.approx(wanted, abs=1e-12)
+    assert Camera(device=name, shortest_dwell="1ms").shortest_dwell == 1e-3
+
+
+def test_a_device_gives_the_levels_of_its_cells():
+    """16 x 16 mirrors of a pixel show 0 to 256 of them; without a device any level goes."""
+    camera = Camera(device="1024x1024")
+    assert camera.mask_levels((64, 64)) == 257
+    assert Camera(device="1024x1024", levels=2).mask_levels((64, 64)) == 2
+    assert Camera(device="1024x1024", levels=0).mask_levels((64, 64)) == 0
+    assert Camera().mask_levels((64, 64)) == 0
+    with pytest.raises(InputError, match="use a larger device or fewer pixels"):
+        Camera(device="32x32").mask_levels((64, 64))
+
+
+@pytest.mark.parametrize(
+    ("name", "light", "rails", "detectors", "readout"),
+    [
+        ("dmd", "free-dwell", "single", 1, "difference"),
+        ("dmd-2x2", "free-dwell", "single", 4, "difference"),
+        ("dmd-4x4", "free-dwell", "single", 16, "difference"),
+        ("two-arm", "two-arm", "dual", 1, "both"),
+        ("paper", "column", "dual", 1, "difference"),
+    ],
+)
+def test_presets_are_cameras(name, light, rails, detectors, readout):
+    camera = Camera.load(name)
+    assert (camera.light, camera.rails, camera.readout) == (light, rails, readout)
+    assert camera.detection((8, 8)).count == detectors
+    assert camera.noise == "poisson"
+    assert set(PRESETS) >= {name}
+
+
+def test_the_usual_camera_is_one_dmd_with_one_detector():
+    assert Camera.load() == Camera.load("dmd") == Camera()
+
+
+@pytest.mark.parametrize(
+    ("given", "noise", "sigma"),
+    [
+        ({}, "poisson", 1.0),
+        ({"dark": 5}, "camera", 0.0),
+        ({"noise": "camera"}, "camera", 0.0),
+        ({"noise": "gaussian"}, "gaussian", 1.0),
+        ({"dark": 5, "sigma": 2}, "camera", 2.0),
+        ({"noise": "gaussian", "sigma": 3}, "gaussian", 3.0),
+    ],
+)
+def test_noise_follows_from_dark_counts_and_read_noise_from_it(given, noise, sigma):
+    camera = Camera(**given)
+    assert (camera.noise, camera.sigma) == (noise, sigma)
+
+
+def test_what_was_not_given_follows_from_an_override():
+    one = Camera.load("two-arm", dark=5.0)
+    assert one.given == {"light": "two-arm", "dark": 5.0}
+    other = Camera.load(one, light="free-dwell", dark=0.0)
+    assert (other.rails, other.readout, other.noise) == ("single", "difference", "poisson")
+    kept = Camera.load(Camera(rails="dual"), light="equal-dwell")
+    assert kept.rails == "dual"
+    assert Camera.load("dmd", device="dlp7000").shortest_dwell == 32e-6
+
+
+FULL = {
+    "light": "two-arm",
+    "device": "dlp9500",
+    "detectors": "2x2",
+    "exposure": "10ms",
+    "levels": 2,
+    "flux": 1e6,
+    "dark": 200,
+    "dead_time": "20ns",
+    "dead_time_model": "paralysable",
+    "sigma": 0.5,
+}
+
+
+@pytest.mark.parametrize("given", [{}, FULL, {"dark": 3}, *PRESETS.values()], ids=str)
+def test_a_camera_comes_back_from_json(given):
+    """Whole, and so that what followed from other fields follows from them again."""
+    camera = Camera(**given)
+    fields = json.loads(camera.model_dump_json())
+    assert Camera.model_validate(fields) == Camera.restored(fields) == camera
+    assert set(Camera.restored(fields).given) <= set(camera.given)
+    louder = {"dark": 70.0, "noise": "camera"}
+    assert Camera.load(Camera.restored(fields), **louder) == Camera.load(camera, **louder)
+
+
+def test_a_noise_of_ones_own_is_kept_as_it_is_and_written_by_its_path():
+    camera = Camera(noise=saturating)
+    assert camera.noise is saturating
+    assert camera == Camera(noise=saturating) != Camera()
+    assert camera.model_dump(mode="json")["noise"] == "shared.noises:saturating"
+    assert Camera(noise=lambda rates, generator: rates).noise_name == "own"
+    assert Camera(noise="own").noise_name == "own"  # of a file, whose function is not known
+
+
+def test_detectors_may_be_a_map_or_a_number(tmp_path):
+    tiles = Detection.of("2x2", (8, 8)).labels
+    np.save(tmp_path / "map.npy", tiles.numpy())
+    for given in (tiles, tiles.numpy(), tiles.tolist(), str(tmp_path / "map.npy")):
+        camera = Camera(detectors=given)
+        assert camera.detectors == tuple(tiles.tolist())
+        assert torch.equal(camera.detection((8, 8)).labels, tiles)
+        assert Camera.model_validate_json(camera.model_dump_json()) == camera
+    assert Camera(detectors=4).detectors == "4"
+
+
+def test_the_template_is_a_camera_file(tmp_path):
+    """As it is that of the usual camera; with every line in force, one of each field."""
+    file = tmp_path / "camera.toml"
+    file.write_text(template(), "utf-8")
+    assert Camera.load(file) == Camera.load(str(file)) == Camera.load("dmd")
+    every = {"light", *EXAMPLES}
+    assert every == set(Camera.model_fields)
+    lines = [line.removeprefix("# ") for line in template().splitlines()]
+    whole = "\n".join(line for line in lines if line.partition(" = ")[0] in every)
+    file.write_text(whole, "utf-8")
+    camera = Camera.load(file)
+    assert set(camera.given) == set(tomllib.loads(whole)) == every
+    assert (camera.device.name, camera.exposure, camera.dark_counts) == ("dlp7000", 0.01, 2.0)
+    assert Camera.load(file, exposure="20ms").budget == 2e4
+
+
+def test_files_that_a_camera_file_names_are_beside_it(tmp_path, monkeypatch):
+    """Wherever the program runs."""
+    (tmp_path / "lab").mkdir()
+    np.save(tmp_path / "lab" / "map.npy", np.arange(64) % 4)
+    (tmp_path / "lab" / "mirrors.toml").write_text("columns = 64\nrows = 64\nshortest_us = 100\n")
+    file = tmp_path / "lab" / "camera.toml"
+    file.write_text('detectors = "map.npy"\ndevice = "mirrors.toml"\n')
+    monkeypatch.chdir(tmp_path)
+    camera = Camera.load("lab/camera.toml")
+    assert camera.detection((8, 8)).count == 4
+    assert (camera.device.name, camera.device.columns) == ("mirrors", 64)
+    assert camera.shortest_dwell == pytest.approx(88e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ("dmd-3x3", "unknown camera 'dmd-3x3': did you mean 'dmd-2x2'|'dmd-4x4'"),
+        ("none.toml", r"no file none.toml: give a TOML file that is there"),
+        (5, "a camera cannot be 5: give a preset's name, a TOML file or its fields"),
+        ({"ligth": "column"}, "unknown key 'ligth': did you mean 'light'"),
+        ({"light": "colum"}, "light = 'colum': .*'column'"),
+        ({"rails": "triple"}, "rails = 'triple': .*'single'"),
+        ({"light": "two-arm", "rails": "single"}, "rails = 'single': .*use dual rails"),
+        ({"light": "column", "detectors": "2x2"}, "detectors = '2x2': .*give light equal-dwell"),
+        ({"light": "column", "device": "dlp7000"}, "device = 'dlp7000': .*or leave device out"),
+        ({"detectors": "2by2"}, "detectors = '2by2': give ROWSxCOLUMNS such as 2x2"),
+        ({"detectors": "0x2"}, "detectors = '0x2': give ROWSxCOLUMNS such as 2x2"),
+        ({"detectors": "no.npy"}, "detectors = 'no.npy': .*write it with numpy.save"),
+        ({"readout": "sum"}, "readout = 'sum': .*'both'"),
+        ({"device": "dlp7001"}, "device = 'dlp7001': .*did you mean 'dlp7000'"),
+        ({"device": "no.toml"}, "device = 'no.toml': no file no.toml"),
+        ({"exposure": "10 minutes"}, "exposure = '10 minutes': .*give seconds, or such as 10ms"),
+        ({"exposure": "10mm"}, "exposure = '10mm': .*is not a time"),
+        ({"exposure": 0}, "exposure = 0.0: .*greater than 0"),
+        ({"shortest_dwell": "44uss"}, "shortest_dwell = '44uss': .*is not a time"),
+        ({"shortest_dwell": "2s"}, "exposure = 1.0: .*at least: give a longer exposure"),
+        ({"device": "dlp7000", "exposure": "30us"}, "exposure = '30us': .*give a longer exposure"),
+        ({"levels": 1}, "levels = 1: .*give 2 or more, or 0"),
+        ({"levels": 2.5}, "levels = 2.5: .*valid integer"),
+        ({"flux": 0}, "flux = 0: .*greater than 0"),
+        ({"flux": float("inf")}, "flux = inf: .*finite"),
+        ({"dark": -1}, "dark = -1: .*greater than or equal to 0"),
+        ({"dark": 3, "noise": "poisson"}, "noise = 'poisson': .*give noise camera, or leave dark"),
+        ({"dark": 3, "noise": saturating}, "shared.noises:saturating noise has no dark counts"),
+        ({"dead_time": "1s"}, "dead_time = 1.0: .*less than or equal to 0.001"),
+        ({"dead_time_model": "dead"}, "dead_time_model = 'dead': .*'paralysable'"),
+        ({"noise": "poison"}, "noise = 'poison': .*did you mean 'poisson'"),
+        ({"noise": 3}, "noise = 3: give a noise's name, or noise"),
+        ({"sigma": -1}, "sigma = -1: .*greater than or equal to 0"),
+        ({"sigma": float("nan")}, "sigma = nan: .*finite"),
+        ({"dark": -1, "flux": 0}, "flux = 0: .*; dark = -1: "),
+    ],
+    ids=str,
+)
+def test_what_is_no_camera_is_one_line_that_names_the_field(given, match):
+    with pytest.raises(InputError, match=match) as error:
+        Camera.load(given)
+    assert "\n" not in str(error.value)
+    assert "Undefined" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("light = ", "camera.toml is no TOML file"),
+        ('light = "colum"', "camera.toml cannot be used at light: .*'column'"),
+        ('exposure = "10mm"', "camera.toml cannot be used at exposure: .*is not a time"),
+        ('ligth = "column"', "camera.toml has an unknown key 'ligth': did you mean 'light'"),
+    ],
+)
+def test_a_bad_camera_file_is_named(tmp_path, text, match):
+    file = tmp_path / "camera.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=match) as error:
+        Camera.load(file)
+    assert "\n" not in str(error.value)
+
+
+def test_words_say_optics_frames_and_light():
+    lines = Camera(**{**FULL, "device": "dlp7000", "noise": "camera"}).words.splitlines()
+    assert lines == [
+        "one DMD with a detector on each arm (light law two-arm); signed masks of two rails",
+        "2x2 detectors on each arm",
+        "device dlp7000: 1024 x 768 mirrors",
+        "an exposure of 0.01 s shows up to 312 frames, each counted for 32 µs or longer",
+        "budget 1e+04 counts in 0.01 s, at 1e+06 counts/s with all mirrors ON",
+        "2 dark counts of a detector in an exposure",
+        "read noise of 0.5 counts rms a readout",
+        "dead time 20 ns, paralysable",
+    ]
