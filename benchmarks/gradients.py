@@ -343,9 +343,7 @@ class Study:
         settings = Training(
             epochs=self.arguments.epochs * longer, lr=lr, mask_lr=mask_lr, precision="float32"
         )
-        job = Job(
-            masks=masks, photons=photons, camera="paper", seed=seed, training=settings
-        )
+        job = Job(masks=masks, photons=photons, camera="paper", seed=seed, training=settings)
         began = time.perf_counter()
         design = learn(self.training_set, job, ESTIMATORS.get(name))
         if name in (RETRAINED, TWICE):

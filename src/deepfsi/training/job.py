@@ -102,7 +102,14 @@ def _widths(given: Any) -> Any:
 
 
 class Training(BaseModel):
-    """Settings of a training: its steps, its network, its precision and its start."""
+    """Settings of a training: its steps, its network, its precision and its start.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Training(epochs=20, hidden=(256, 128), start="class-pairs").lr
+    0.01
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -193,21 +200,14 @@ class Job(BaseModel):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.
+    An exposure may be given by its settings, ``{"looks": 4}``, and a training by its fields.
 
-    Attributes
-    ----------
-    design : str
-    masks : int
-        m.
-    photons : float
-        Budget Φ; of a range the lowest.
-    camera : Camera
-        Or a preset's name, a TOML file, or its fields.
-    exposure : Exposure
-        Or its settings, such as ``{"looks": 4}``.
-    training : Training
-        Or its fields.
-    seed : int
+    Examples
+    --------
+    >>> import deepfsi
+    >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"looks": 4})
+    >>> job.camera.rails, job.exposure, job.training.start
+    ('dual', Looks(looks=4), 'class-pairs')
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
