@@ -366,7 +366,6 @@ def test_a_design_has_the_optics_that_it_needs(settings, light, rails, readout, 
         ({"training": {"noise": "none"}, "dark": 5.0}, "none"),
         ({"noise": photons}, "shared.noises:photons"),
     ],
-    ids=str,
 )
 def test_a_job_trains_under_its_cameras_noise_unless_told(settings, noise):
     own = {name: settings[name] for name in settings.keys() & {"exposure", "training"}}
