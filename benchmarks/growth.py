@@ -63,9 +63,7 @@ def train_once(scenes: int, side: int, classes: int) -> dict[str, float]:
     before, began = peak(), time.process_time()
     data = synthetic(scenes, side, classes)
     made = time.process_time()
-    learn(
-        data, photons=1e4, masks=MASKS, camera="paper", training={"epochs": 1, "batch": 100}
-    )
+    learn(data, photons=1e4, masks=MASKS, camera="paper", training={"epochs": 1, "batch": 100})
     return {
         "made": made - began,
         "seconds": time.process_time() - made,

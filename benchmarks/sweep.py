@@ -185,9 +185,13 @@ def accuracy(data: Dataset, device: str) -> None:
         budgets = BUDGETS[:3]
         settings = Training(epochs=EPOCHS, batch=BATCH, precision="float32")
         fast = settings.model_copy(update={"precision": "bfloat16"})
-        together = train(scenes, [Job(masks=masks, photons=b, camera="paper", training=fast) for b in budgets])
+        together = train(
+            scenes, [Job(masks=masks, photons=b, camera="paper", training=fast) for b in budgets]
+        )
         for photons, design in zip(budgets, together, strict=True):
-            (alone,) = train(scenes, [Job(masks=masks, photons=photons, camera="paper", training=settings)])
+            (alone,) = train(
+                scenes, [Job(masks=masks, photons=photons, camera="paper", training=settings)]
+            )
             one, other = (evaluate(d, data, photons, draws=1)[0].accuracy for d in (alone, design))
             differences.append(other - one)
             print(f"{masks:5d}  {photons:7g}  {one:13.4f}  {other:17.4f}  {other - one:+10.4f}")

@@ -104,9 +104,7 @@ def our_epochs(
     training_set: TrainingSet, data: Dataset, masks: int, epochs: int, precision: str
 ) -> tuple[list[float], float]:
     """Seconds of each epoch, and test accuracy."""
-    settings = Training(
-        epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision
-    )
+    settings = Training(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
     moments = Moments()
     job = Job(masks=masks, photons=BUDGET, camera="paper", training=settings)
     design = train(training_set, [job], report=moments.report)[0]

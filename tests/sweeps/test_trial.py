@@ -130,7 +130,7 @@ def test_the_control_group_is_for_photon_noise(digits):
 def test_a_design_that_cannot_be_had_is_refused_before_any_work(digits):
     with pytest.raises(ValueError, match="two-arm with a single rail"):
         small(light="two-arm", rails="single")
-    with pytest.raises(InputError, match="nothing to compare: raster cannot be had.*two-arm"):
+    with pytest.raises(InputError, match=r"nothing to compare: raster cannot be had.*two-arm"):
         plan(small(designs="raster", light="two-arm"), digits)
 
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.training.job import Job
     from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
+    from deepfsi.training.job import Job
 
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
