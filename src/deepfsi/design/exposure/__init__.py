@@ -203,7 +203,7 @@ class Looks(Exposure):
         return 1
 
     def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One with a network that chooses dwells, of the classifier's hidden layers."""
+        """One with a network that chooses dwells; parameters as for `Exposure.begin`."""
         from deepfsi.design.classifiers import Mlp
         from deepfsi.design.exposure.looks import Dwells, LooksExposure
 
@@ -291,7 +291,7 @@ class Patches(Exposure):
         )
 
     def begin(self, job: "Job", image_shape: tuple[int, ...], seed: "Generator") -> "Trained":
-        """One that cuts images in patches."""
+        """One that cuts images in patches; parameters as for `Exposure.begin`."""
         from deepfsi.design.exposure.trained import PatchExposure
 
         return PatchExposure(self.patch)

@@ -1,4 +1,4 @@
-"""What a trained design does with its exposure, and the counts and dwells so far.
+"""Exposures of trained designs, and the counts and dwells so far.
 
 One class for each kind of `design.exposure`, and nobody but these asks which one a design has:
 `FixedExposure` and `PatchExposure` here, `conditioned.ConditionedExposure`, `looks.LooksExposure`.
