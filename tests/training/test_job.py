@@ -62,6 +62,8 @@ def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
         {"design": "lda", "masks": 10},
         {"noise": "poison"},
         *({"sigma": bad} for bad in (-1, math.nan, math.inf)),
+        {"noise": "gaussian", "sigma": 0},
+        {"design": "control", "dark": 5.0},  # its masks learn under gaussian noise
         {"epochs": 0},
         {"batch": 1},
         *({"lr": bad} for bad in (0, -1, math.nan, math.inf)),
