@@ -322,8 +322,6 @@ class Job(BaseModel):
 
         The matrix (m, N) is of a design whose masks are the user's own.
         """
-        from deepfsi.training.masks import matrix_faults
-
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
@@ -334,7 +332,26 @@ class Job(BaseModel):
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '
                 "and `matrix`, or neither"
             )
-        return [*faults, *matrix_faults(self, data, matrix)]
+        return [*faults, *self._matrix_faults(data, matrix)]
+
+    def _matrix_faults(self, data: "Dataset", matrix: "np.ndarray | None") -> list[str]:
+        import numpy as np
+
+        from deepfsi.optics import codes, constraints, tiles
+
+        camera = self.optics
+        try:
+            constraints.check_light(camera.light, camera.rails)
+            scene = self.exposure.scene(data)
+            camera.mask_levels(scene.image_shape)
+            if matrix is None:
+                tiles.check_count(self.design, self.masks, scene, self.detection(scene.image_shape))
+            else:
+                codes.check_matrix(np.asarray(matrix), (self.masks, data.pixels))
+                constraints.own_rails(matrix, camera.light, camera.rails)
+        except InputError as error:
+            return [str(error)]
+        return []
 
     def _classifier_faults(self) -> list[str]:
         usual, mine, faults = Training(), self.training, []
