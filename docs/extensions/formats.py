@@ -1,13 +1,16 @@
 """Tables of what files hold, made from the models that read and write them.
 
 The directive `fields` makes the section of one model: each field with its type, the values allowed,
-its default, and its meaning from the field's description or the docstring.
+its default, and its meaning from the field's description or the docstring. Its heading is the
+model's name, unless the option `title` gives another.
 """
 
 import inspect
 import json
 from importlib import import_module
+from typing import ClassVar
 
+from docutils.parsers.rst.directives import unchanged
 from markdown import Made, table
 from numpydoc.docscrape import NumpyDocString
 from pydantic import TypeAdapter
@@ -29,11 +32,11 @@ def model(path):
     return getattr(import_module(module), name)
 
 
-def section(path):
+def section(path, title=None):
     """Heading, summary and table of a model."""
     found = model(path)
     summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
-    return f"### {found.__name__}\n\n{summary}\n\n{table(HEADS, rows(found))}"
+    return f"### {title or found.__name__}\n\n{summary}\n\n{table(HEADS, rows(found))}"
 
 
 HEADS = ["field", "meaning", "type", "default"]
@@ -47,10 +50,20 @@ def rows(found):
         meaning = field.get("description") or described.get(name) or CONSTANTS.get(name)
         if not meaning:
             raise LookupError(f"{found.__name__}.{name} has no description: give its field one")
-        default = "" if name not in schema.get("required", ()) else "required"
-        if "default" in field:
-            default = f"`{json.dumps(field['default'], ensure_ascii=False)}`"
-        yield f"`{name}`", meaning, kind(field), default.replace("`null`", "none")
+        required = name in schema.get("required", ())
+        default = "required" if required else usual(found, name, field)
+        yield f"`{name}`", meaning, kind(field), default
+
+
+def usual(found, name, field):
+    """Default of a field in words."""
+    if "default" in field:
+        if "$ref" in field:
+            return "its defaults"
+        return f"`{json.dumps(field['default'], ensure_ascii=False)}`".replace("`null`", "none")
+    declared = getattr(found, "model_fields", {}).get(name)
+    follows = declared is not None and declared.default_factory_takes_validated_data
+    return "follows from the others" if follows else ""
 
 
 def meanings(found):
@@ -106,10 +119,11 @@ class Fields(Made):
     """The directive; its argument is the dotted path of a model."""
 
     required_arguments = 1
+    option_spec: ClassVar = {"title": unchanged}
 
     def text(self):
         """Markdown of the section."""
-        return section(self.arguments[0])
+        return section(self.arguments[0], self.options.get("title"))
 
 
 def setup(app):

@@ -1,7 +1,8 @@
 """Reference of the modules of a folder of the package, from their docstrings.
 
 The directive `modules` makes a section of each module that has public names; names that the
-package itself gives have a section of their own, and are left out.
+package itself gives have a section of their own, and are left out. Fields of a model become its
+attributes, from their descriptions.
 """
 
 import pkgutil
@@ -9,7 +10,9 @@ import re
 from importlib import import_module
 from inspect import isclass, isfunction
 
+from formats import rows
 from markdown import Made
+from pydantic import BaseModel
 
 import deepfsi
 
@@ -27,12 +30,11 @@ def names(module):
 
 
 def under(folder):
-    """Public modules of a folder of the package, and of the folders in it."""
+    """Modules of a folder of the package, and of the folders in it."""
     package = import_module(f"deepfsi.{folder}")
     yield package.__name__
     for each in pkgutil.walk_packages(getattr(package, "__path__", []), f"{package.__name__}."):
-        if not each.ispkg:
-            yield each.name
+        yield each.name
 
 
 def section(path):
@@ -49,6 +51,25 @@ def section(path):
     lines.insert(3, f".. currentmodule:: {path}\n")
     text = "\n".join(lines)
     return f"## `{path}`\n\n```{{eval-rst}}\n{text}\n```"
+
+
+def fields(model):
+    """Lines of a section of attributes, from the fields of a model."""
+    lines = ["Attributes", "----------"]
+    for name, meaning, kind, default in rows(model):
+        words = re.sub(r"\[(.+?)\]\(.+?\)", r"\1", kind).replace("`", "")
+        usual = f"; {default.replace('`', '')}" if default else ""
+        lines += [f"{name.strip('`')} : {words}{usual}", f"    {meaning}"]
+    return [*lines, ""]
+
+
+def with_fields(app, what, name, thing, options, lines):
+    """Put the fields of a model before the sections of its docstring, or after all."""
+    told = isclass(thing) and issubclass(thing, BaseModel) and thing.model_fields
+    if what == "class" and told and "Attributes" not in lines:
+        below = [place - 1 for place, line in enumerate(lines) if re.fullmatch("-{4,}", line)]
+        place = below[0] if below else len(lines)
+        lines[place:place] = [*([] if below else [""]), *fields(thing)]
 
 
 def as_text(app, what, name, thing, options, lines):
@@ -80,6 +101,7 @@ class Modules(Made):
 
 def setup(app):
     """Add the directive, and read docstrings before numpydoc does."""
+    app.connect("autodoc-process-docstring", with_fields, priority=390)
     app.connect("autodoc-process-docstring", as_text, priority=400)
     app.add_directive("modules", Modules)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

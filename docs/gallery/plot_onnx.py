@@ -20,13 +20,13 @@ from deepfsi.report.style import STYLE
 plt.rcParams.update(STYLE)
 
 # %%
-# A design, and Poisson counts of the test pictures, as a camera would report them.
+# A design of one rail, and Poisson counts of the test pictures, as a camera would report them.
 
 digits = deepfsi.load_dataset("digits")
 design = deepfsi.learn(digits, photons=1e4, masks=10, training={"epochs": 20})
 scenes = torch.from_numpy(digits.x_test)
 photons = deepfsi.photons_per_pixel(scenes, 1e4, design.summed_reflectance)
-counts = design.scanner().counts(photons, torch.Generator().manual_seed(0)).numpy()
+counts = design.scanner().counts(photons, torch.Generator().manual_seed(0)).numpy()[:, 0]
 
 # %%
 # ``to_onnx`` gives the content of an ``.onnx`` file; all scaling is inside the graph.

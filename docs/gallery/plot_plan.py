@@ -46,7 +46,8 @@ for place, need in enumerate(plan["needs"]):
     high = [each["high"] for each in tried] - accuracy
     style = {"color": COLOURS[name], "linestyle": LINES.get(name, "-"), "marker": "osD"[place]}
     ax.errorbar(photons, accuracy, (low, high), capsize=2, label=name, **style)
-    ax.plot([need["low"], need["high"]], [0.8] * 2, color=COLOURS[name], linewidth=6, alpha=0.6)
+    ends = need["low"] or photons[0], need["high"] or photons[-1]
+    ax.plot(ends, [0.8] * 2, color=COLOURS[name], linewidth=6, alpha=0.6)
 ax.axhline(plan["target"], color="0.4", linestyle=":")
 ax.set(xscale="log", xlabel="photon budget of an exposure", ylabel="accuracy", ylim=(0, 1))
 ax.legend(loc="lower right")

@@ -134,10 +134,8 @@ class Experiment:
                 workers=Workers(workers, ray),
                 report=span,
             )
-            named = {"recipe": name}
-            named |= {"data": recipe.data, "split": recipe.split} if recipe.split else {}
             compared.append(part)
-            points += [p.model_copy(update={**named, **self._label(p)}) for p in part.points]
+            points += [self._named(point, name, recipe) for point in part.points]
             records += own
         results = _together(compared, points, records)
         if self.measure:
@@ -147,9 +145,13 @@ class Experiment:
         self.keep(folder, results, polars.DataFrame(rows(records), infer_schema_length=None))
         return results
 
-    def _label(self, point: Point) -> dict[str, str]:
-        own = self.label and point.learned
-        return {"label": self.label, "title": self.label} if own else {}
+    def _named(self, point: Point, part: str, recipe: Recipe) -> Point:
+        names = {"recipe": part}
+        if recipe.split:
+            names |= {"data": recipe.data, "split": recipe.split}
+        if self.label and point.learned:
+            names |= {"label": self.label, "title": self.label}
+        return point.model_copy(update=names)
 
     def _data(self, recipes: Mapping[str, Recipe]) -> dict[str, Dataset]:
         """Prepared data of each recipe, loaded once where recipes share it."""

@@ -12,6 +12,7 @@ signed masks, or (..., 1, m, N) where there is one rail, `Rails.stacked`.
 import math
 from typing import get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -117,6 +118,12 @@ def check(rails: Tensor, light: Light) -> Tensor:
             f"constraint: divide it by {_above(factor):.4g}, or choose another with `light`"
         )
     return rails
+
+
+def own_rails(matrix: np.ndarray, light: Light, rails: RailsKind) -> Tensor:
+    """Rails (2 or 1, m, N) of a user's matrix (m, N); `InputError` if it breaks the light law."""
+    signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
+    return check(expand(signed, light, rails), light)
 
 
 def _above(factor: float) -> float:

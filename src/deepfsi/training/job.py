@@ -102,7 +102,14 @@ def _widths(given: Any) -> Any:
 
 
 class Training(BaseModel):
-    """Settings of a training: its steps, its network, its precision and its start."""
+    """Settings of a training: its steps, its network, its precision and its start.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Training(epochs=20, hidden=(256, 128), start="class-pairs").lr
+    0.01
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -193,21 +200,14 @@ class Job(BaseModel):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.
+    An exposure may be given by its settings, ``{"looks": 4}``, and a training by its fields.
 
-    Attributes
-    ----------
-    design : str
-    masks : int
-        m.
-    photons : float
-        Budget Φ; of a range the lowest.
-    camera : Camera
-        Or a preset's name, a TOML file, or its fields.
-    exposure : Exposure
-        Or its settings, such as ``{"looks": 4}``.
-    training : Training
-        Or its fields.
-    seed : int
+    Examples
+    --------
+    >>> import deepfsi
+    >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"looks": 4})
+    >>> job.camera.rails, job.exposure, job.training.start
+    ('dual', Looks(looks=4), 'class-pairs')
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -322,17 +322,36 @@ class Job(BaseModel):
 
         The matrix (m, N) is of a design whose masks are the user's own.
         """
-        from deepfsi.training.masks import matrix_faults
-
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
+        if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
+            faults.append("gaussian noise is read noise: give `sigma` above 0")
         if (matrix is not None) != self.code.own:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '
                 "and `matrix`, or neither"
             )
-        return [*faults, *matrix_faults(self, data, matrix)]
+        return [*faults, *self._matrix_faults(data, matrix)]
+
+    def _matrix_faults(self, data: "Dataset", matrix: "np.ndarray | None") -> list[str]:
+        import numpy as np
+
+        from deepfsi.optics import codes, constraints, tiles
+
+        camera = self.optics
+        try:
+            constraints.check_light(camera.light, camera.rails)
+            scene = self.exposure.scene(data)
+            camera.mask_levels(scene.image_shape)
+            if matrix is None:
+                tiles.check_count(self.design, self.masks, scene, self.detection(scene.image_shape))
+            else:
+                codes.check_matrix(np.asarray(matrix), (self.masks, data.pixels))
+                constraints.own_rails(matrix, camera.light, camera.rails)
+        except InputError as error:
+            return [str(error)]
+        return []
 
     def _classifier_faults(self) -> list[str]:
         usual, mine, faults = Training(), self.training, []

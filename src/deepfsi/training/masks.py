@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.datasets import Dataset
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
@@ -16,28 +15,6 @@ from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.training.job import Job
 from deepfsi.training.training_set import TrainingSet
-
-
-def matrix_faults(job: Job, data: Dataset, matrix: np.ndarray | None) -> list[str]:
-    """Everything that a job asks of its matrix (m, N) and that cannot be had on this data."""
-    try:
-        constraints.check_light(job.optics.light, job.optics.rails)
-        scene = job.exposure.scene(data)
-        job.optics.mask_levels(scene.image_shape)
-        if matrix is not None:
-            codes.check_matrix(np.asarray(matrix), (job.masks, data.pixels))
-            own_rails(matrix, job.optics)
-            return []
-        tiles.check_count(job.design, job.masks, scene, job.detection(scene.image_shape))
-    except InputError as error:
-        return [str(error)]
-    return []
-
-
-def own_rails(matrix: np.ndarray, camera: Camera) -> Tensor:
-    """Rails (2 or 1, m, N) of a user's matrix (m, N); `InputError` if it breaks the light law."""
-    signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
-    return constraints.check(constraints.expand(signed, camera.light, camera.rails), camera.light)
 
 
 def initial_masks(
@@ -60,7 +37,7 @@ def initial_masks(
         start = start.expand(len(jobs), -1, -1).clone()
         return exposure.learned_masks(start, camera, levels)
     if matrix is not None:
-        rails = own_rails(matrix, camera).unsqueeze(0)
+        rails = constraints.own_rails(matrix, camera.light, camera.rails).unsqueeze(0)
     else:
         signed = torch.stack([_matrix(seen, job, seed, detection) for seed in matrix_seeds(jobs)])
         rails = exposure.fixed(_fitted(signed, code, camera), camera.light)

@@ -131,7 +131,14 @@ class Exposure(BaseModel):
 
 
 class Fixed(Exposure):
-    """Every mask is shown once, for a dwell of its own, and all are needed for an answer."""
+    """Every mask is shown once, for a dwell of its own, and all are needed for an answer.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=10, photons=1e4).exposure == deepfsi.Fixed()
+    True
+    """
 
 
 class Conditioned(Exposure):
@@ -163,14 +170,28 @@ class Conditioned(Exposure):
 
 
 class Range(Conditioned):
-    """One design for a range of budgets."""
+    """One design for a range of budgets, which are log-uniform in its training.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Range(span=1e4).highest(1e2)
+    1000000.0
+    """
 
     # Highest budget over the lowest, `photons`; those of the training are log-uniform between
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
 
 class Nested(Conditioned):
-    """One design of whose masks the first ones alone give an answer."""
+    """One design of whose masks the first ones alone give an answer.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=16, photons=1e5, exposure=deepfsi.Nested(nested=2)).exposure.span
+    1.0
+    """
 
     # Smallest number of first masks from which the network must classify
     nested: int = Field(
@@ -197,7 +218,14 @@ class Nested(Conditioned):
 
 
 class Looks(Exposure):
-    """Several looks, of which the counts so far choose the dwells of the next."""
+    """Several looks of one length, of which the counts so far choose the dwells of the next.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Job(masks=16, photons=1e4, exposure=deepfsi.Looks(looks=4)).noise
+    'poisson'
+    """
 
     training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
     """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
@@ -269,7 +297,18 @@ class Looks(Exposure):
 
 
 class Patches(Exposure):
-    """An image seen patch by patch: one set of masks for all patches, a transformer behind."""
+    """An image seen patch by patch: one set of masks for all patches, a transformer behind.
+
+    A patch has a detector for each mask, and a budget is of the whole image, which the patches
+    share as they share its light.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> seen = deepfsi.Patches(patch=4)
+    >>> deepfsi.Job(masks=8, photons=1e4, camera="paper", exposure=seen).training.classifier
+    'vit'
+    """
 
     training: ClassVar[dict[str, Any]] = {
         "start": "pca",

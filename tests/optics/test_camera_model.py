@@ -14,6 +14,8 @@ from deepfsi.optics.detection import Detection
 from deepfsi.units import seconds
 from shared.noises import saturating
 
+pytestmark = pytest.mark.core
+
 
 @pytest.mark.parametrize(
     ("time", "wanted"),
@@ -138,7 +140,7 @@ FULL = {
 }
 
 
-@pytest.mark.parametrize("given", [{}, FULL, {"dark": 3}, *PRESETS.values()], ids=str)
+@pytest.mark.parametrize("given", [{}, FULL, {"dark": 3}, *PRESETS.values()])
 def test_a_camera_comes_back_from_json(given):
     """Whole, and so that what followed from other fields follows from them again."""
     camera = Camera(**given)
@@ -238,7 +240,6 @@ def test_files_that_a_camera_file_names_are_beside_it(tmp_path, monkeypatch):
         ({"sigma": float("nan")}, "sigma = nan: .*finite"),
         ({"dark": -1, "flux": 0}, "flux = 0: .*; dark = -1: "),
     ],
-    ids=str,
 )
 def test_what_is_no_camera_is_one_line_that_names_the_field(given, match):
     with pytest.raises(InputError, match=match) as error:
