@@ -8,7 +8,7 @@ from dataset_samples import IMAGE, LABELS, numbered, refused
 from scipy.io import savemat
 from spectral.io import envi
 
-from deepfsi.datasets import cubes, load_dataset, load_spectra
+from deepfsi.datasets import cubes, load_dataset
 from deepfsi.datasets.cubes import read_cube
 
 
@@ -23,7 +23,7 @@ def test_files_side_by_side(tmp_path):
         assert data.hash == IMAGE.dataset("blocks", 2).hash
         assert data.name == Path(name).stem
         assert load_dataset(tmp_path / name).hash == IMAGE.dataset().hash
-        assert np.array_equal(load_spectra(tmp_path / name).labels, LABELS)
+        assert np.array_equal(read_cube(tmp_path / name).labels, LABELS)
     mixed = read_cube(tmp_path / "plot.npy", tmp_path / "farm_gt.mat", name="mixed")
     assert mixed.dataset().hash == IMAGE.dataset().hash
 
@@ -37,7 +37,7 @@ def test_envi(tmp_path, interleave):
     envi.save_classification(
         str(tmp_path / "farm_gt.hdr"), LABELS, class_names=["none", "oak", "ash", "elm", "yew"]
     )
-    image = load_spectra(tmp_path / "farm.hdr")
+    image = read_cube(tmp_path / "farm.hdr")
     assert image.class_names == ("oak", "ash", "elm", "yew")
     assert image.wavelengths is not None
     assert image.wavelengths == pytest.approx([400, 500, 600, 700, 800])
@@ -100,6 +100,6 @@ def test_files_that_do_not_serve(tmp_path, monkeypatch):
 
 def test_a_missing_file(tmp_path):
     with refused("a.mat", "no file"):
-        load_spectra(tmp_path / "a.mat")
+        load_dataset(tmp_path / "a.mat")
     with refused("'indian-pines'?"):
-        load_spectra("indian-pine")
+        load_dataset("indian-pine")

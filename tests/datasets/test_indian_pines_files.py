@@ -7,8 +7,8 @@ import pytest
 from dataset_samples import NM, refused
 from scipy.io import savemat
 
-from deepfsi.datasets import check, download, list_datasets, load_dataset, load_spectra
-from deepfsi.datasets.indian_pines import CLASSES, WATER
+from deepfsi.datasets import check, download, list_datasets, load_dataset
+from deepfsi.datasets.indian_pines import CLASSES, WATER, load_scene
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_the_community_s_files(home, name, bands):
     assert np.isnan(data.wavelengths[bands:]).all()
     kept = NM if bands == 220 else np.delete(NM, WATER)
     assert data.wavelengths[:bands].tolist() == kept.tolist()
-    scene = load_spectra(name)
+    scene = load_scene(name)
     assert scene.cube.shape == (145, 145, bands)
     assert np.array_equal(
         load_dataset(name, split="blocks").x_test, scene.dataset("blocks", bands=256).x_test
@@ -110,5 +110,5 @@ def test_the_simulated_scene_says_so_everywhere(home):
     assert "Simulated" in data.preprocessing
     assert "not the real scene" in data.preprocessing
     assert data.image_shape == (256,)
-    assert load_spectra("indian-pines-surrogate").name == "indian-pines-surrogate"
+    assert load_scene("indian-pines-surrogate").name == "indian-pines-surrogate"
     assert load_dataset("indian-pines").name != data.name

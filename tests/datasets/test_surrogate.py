@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from dataset_samples import NM, fields
 
-from deepfsi.datasets import indian_pines, load_spectra, surrogate
+from deepfsi.datasets import indian_pines, surrogate
 
 REAL = Path(os.environ.get("DEEPFSI_DATA") or ".") / "indian_pines"
 
@@ -37,7 +37,7 @@ LIVE = np.r_[0:103, 108:149, 163:219]  # bands that the air lets through
 @pytest.fixture(scope="module")
 def scene():
     """The simulated scene on the real label map."""
-    return load_spectra("indian-pines-surrogate")
+    return indian_pines.load_scene("indian-pines-surrogate")
 
 
 @real_labels

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from deepfsi.datasets import load_spectra
+from deepfsi.datasets.indian_pines import load_scene
 from deepfsi.report.style import svg
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
@@ -118,7 +118,7 @@ def test_both_splits_are_trained_and_tested_apart(simulated):
     }
     assert len(keys["random"]) == len(keys["blocks"]) > 0
     assert not keys["random"] & keys["blocks"]
-    scene = load_spectra(SIMULATED)
+    scene = load_scene(SIMULATED)
     for split, part in results.extra["parts"].items():
         train, test = scene.parts(split)
         uses = Packed(**part["uses"]).values
@@ -132,7 +132,7 @@ def test_both_splits_are_trained_and_tested_apart(simulated):
 def test_maps_show_what_the_design_says_of_each_pixel(simulated):
     _, results, _ = simulated
     extra = results.extra
-    scene = load_spectra(SIMULATED)
+    scene = load_scene(SIMULATED)
     for row in extra["maps"]:
         seen = Packed(**row["map"]).values
         uses = Packed(**extra["parts"][row["split"]]["uses"]).values

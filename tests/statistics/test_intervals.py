@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from deepfsi.statistics.intervals import balanced, wilson, worst_of
+from deepfsi.statistics.intervals import balanced, student, wilson, worst_of
 
 
 def test_every_class_counts_alike():
@@ -53,3 +53,11 @@ def test_it_covers_the_truth(truth, images, share):
 
 def test_the_worst_class_is_among_those_that_are_tested():
     assert worst_of([0.9, None, 0.2, 0.3]) == 2
+
+
+def test_an_interval_over_trials_covers_what_it_says():
+    """Student's interval of five normal values holds their mean in 95 % of cases."""
+    runs = 2000
+    values = np.random.default_rng(0).normal(0.3, 0.02, (runs, 5))
+    held = [low <= 0.3 <= high for low, high in map(student, values)]
+    assert np.mean(held) == pytest.approx(0.95, abs=5 * (0.95 * 0.05 / runs) ** 0.5)

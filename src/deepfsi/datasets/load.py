@@ -11,7 +11,6 @@ from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.pictures import load_pictures
-from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError, closest
 
 DIM_BLACK = (0.3, 1.0)
@@ -117,16 +116,6 @@ def as_dataset(data: Source) -> Dataset:
             "a path, or a tuple (x, y) or (x, y, x_test, y_test)"
         )
     return load_dataset(data)
-
-
-def load_spectra(source: str | os.PathLike[str]) -> SpectralImage:
-    """Load a hyperspectral image with its label map, as a whole: for maps and overviews."""
-    # The source is one of the names that begin with ``indian-pines``, or the path of a cube, as in
-    # `load_dataset`; the image's `dataset` makes the scenes that `load_dataset` gives
-    name = os.fspath(source)
-    if name in indian_pines.SOURCES:
-        return indian_pines.load_scene(name)
-    return read_cube(_existing(name))
 
 
 def check_source(source: str) -> None:

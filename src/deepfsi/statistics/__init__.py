@@ -1,1 +1,1 @@
-"""Confidence intervals and significance tests; knows nothing of designs."""
+"""Confidence intervals; knows nothing of designs."""

@@ -1,7 +1,9 @@
-"""Confidence intervals of one accuracy, and of the mean of the classes' accuracies."""
+"""Confidence intervals of an accuracy, over images or trials, and of the mean of the classes'."""
 
 import math
 from collections.abc import Sequence
+
+import numpy as np
 
 
 def wilson(accuracy: float, images: int) -> tuple[float, float]:
@@ -10,6 +12,15 @@ def wilson(accuracy: float, images: int) -> tuple[float, float]:
 
     found = binomtest(round(accuracy * images), images).proportion_ci(0.95, method="wilson")
     return float(found.low), float(found.high)
+
+
+def student(values: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of a mean over trials."""
+    from scipy import stats
+
+    mean = float(np.mean(values))
+    half = float(stats.t.ppf(0.975, len(values) - 1)) * float(stats.sem(values))
+    return mean - half, mean + half
 
 
 def balanced(rates: Sequence[float | None], images: Sequence[int]) -> tuple[float, float, float]:

@@ -14,8 +14,7 @@ from deepfsi.design.evaluation import COVERS
 from deepfsi.design.exposure import find_exposure
 from deepfsi.optics import codes
 from deepfsi.optics.detection import Detection
-from deepfsi.statistics.differences import of_trials
-from deepfsi.statistics.intervals import worst_of
+from deepfsi.statistics.intervals import student, worst_of
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.results import SCHEMA, Data, Point, Provenance, Results
 
@@ -170,7 +169,7 @@ def _over_trials(
 ) -> tuple[float, float, float]:
     """Mean of a measure, and its interval: over trials, of a single one over its test images."""
     values = [float(test[measure]) for test in tests]
-    ends = (tests[0][low], tests[0][high]) if len(tests) == 1 else of_trials(values).interval()
+    ends = (tests[0][low], tests[0][high]) if len(tests) == 1 else student(values)
     return float(np.mean(values)), max(ends[0], 0.0), min(ends[1], 1.0)
 
 

@@ -13,8 +13,8 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.stopping import Stopped, stop
 from deepfsi.progress import SILENT, Report
-from deepfsi.statistics.differences import of_trials
 from deepfsi.sweeps.results import Point, Results
+from deepfsi_paper.differences import of_trials
 from deepfsi_paper.experiment import budgets, points
 
 

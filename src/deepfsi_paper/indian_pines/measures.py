@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.datasets import Dataset, SpectralImage, load_spectra
-from deepfsi.datasets.indian_pines import WATER
+from deepfsi.datasets import Dataset, SpectralImage
+from deepfsi.datasets.indian_pines import WATER, load_scene
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import SILENT, Report
@@ -152,7 +152,7 @@ def measure(
 
     Parameters as of `Experiment.measure`.
     """
-    scene = load_spectra(results.recipe["data"])
+    scene = load_scene(results.recipe["data"])
     splits = list(dict.fromkeys(point.split for point in results.points))
     parts: dict[str, Parts] = {}
     maps: list[ClassMap] = []

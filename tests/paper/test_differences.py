@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.statistics import differences
-from deepfsi.statistics.differences import Difference, above, difference, of_trials
+from deepfsi_paper import differences
+from deepfsi_paper.differences import Difference, above, difference, of_trials
 from shared.results import a_point
 
 
