@@ -1,6 +1,8 @@
 """MNIST and Fashion-MNIST: the original gzipped idx files, checked by their hashes."""
 
 import gzip
+import tomllib
+from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,41 +31,12 @@ class Original(NamedTuple):
 
 
 ORIGINALS = {
-    # Y. LeCun, L. Bottou, Y. Bengio, P. Haffner, "Gradient-based learning applied to document
-    # recognition", Proc. IEEE 86(11), 1998
-    "mnist": Original(
-        classes=tuple("0123456789"),
-        mirrors=(
-            "https://ossci-datasets.s3.amazonaws.com/mnist/",
-            "https://storage.googleapis.com/cvdf-datasets/mnist/",
-        ),
-        hashes=(
-            "sha256:440fcabf73cc546fa21475e81ea370265605f56be210a4024d2ca8f203523609",
-            "sha256:3552534a0a558bbed6aed32b30c495cca23d567ec52cac8be1a0730e8010255c",
-            "sha256:8d422c7b0a1c1c79245a5bcf07fe86e33eeafee792b84584aec276f5a2dbc4e6",
-            "sha256:f7ae60f92e00ec6debd23a6088c31dbd2371eca3ffa0defaefb259924204aec6",
-        ),
-    ),
-    # H. Xiao, K. Rasul, R. Vollgraf, "Fashion-MNIST: a novel image dataset for benchmarking
-    # machine learning algorithms", arXiv:1708.07747, 2017
-    # its "T-shirt/top" has no slash here, as classes are names of folders
-    "fashion-mnist": Original(
-        classes=(
-            *("T-shirt or top", "Trouser", "Pullover", "Dress", "Coat"),
-            *("Sandal", "Shirt", "Sneaker", "Bag", "Ankle boot"),
-        ),
-        mirrors=(
-            "http://fashion-mnist.s3-website.eu-central-1.amazonaws.com/",
-            "https://github.com/zalandoresearch/fashion-mnist/raw/master/data/fashion/",
-        ),
-        hashes=(
-            "md5:8d4fb7e6c68d591d4c3dfef9ec88bf0d",
-            "md5:25c81989df183df01b3e8a0aad5dffbe",
-            "md5:bef4ecab320f06d8554ea6380940ec79",
-            "md5:bb300cfdad3c16e7a12a480ee83cd310",
-        ),
-    ),
+    name: Original(**{field: tuple(values) for field, values in fields.items()})
+    for name, fields in tomllib.loads(
+        files(__package__).joinpath("idx.toml").read_text("utf-8")
+    ).items()
 }
+"""Data sets by name."""
 
 
 def load_idx(name: str, rescale: Range) -> Dataset:

@@ -1,75 +1,27 @@
 """Words of the field and abbreviations that the pages use, each with what it means."""
 
 import re
+import tomllib
+from importlib.resources import files
 
 from markupsafe import Markup, escape
 
-DESIGNS = {
-    "impulse": "a detector for each pixel, exposed all the time, and no masks: the most that the "
-    "photons allow under photon noise, but no single-pixel camera",
-    "raster": "one pixel after the other is shown, each for 1/N of the time",
-    "hadamard": "all patterns of the Hadamard basis, of ±1, half of the pixels lit in each",
-    "truncated-hadamard": "the Hadamard patterns of lowest spatial frequency",
-    "pca": "the leading principal components of the training scenes as masks "
-    "(feature-specific imaging)",
-    "deepfsi": "masks learned together with the network that classifies their counts",
-    "control": "the control group: DeepFSI's masks learned under read noise, with a network "
-    "trained for photon noise",
-    "random": "masks of random ±1",
-    "lda": "linear discriminants of the classes as masks",
-    "class-pairs": "differences of the classes' mean scenes as masks",
-    "s-matrix": "the non-negative Hadamard patterns of spectroscopy, one rail",
-    "custom": "masks of a user's own",
-}
+_TERMS = tomllib.loads(files(__package__).joinpath("terms.toml").read_text("utf-8"))
+
+DESIGNS: dict[str, str] = _TERMS["designs"]
 """What each design is."""
 
-LAWS = {
-    "column": "optics split the light of each pixel among all masks at once, with a detector for "
-    "each readout, which no single mirror device does",
-    "equal-dwell": "one device shows one pattern after another, all for the same time",
-    "free-dwell": "one device shows one pattern after another, each for a time of its own",
-    "two-arm": "one device shows one mask after another; each mirror sends its light in one of two "
-    "directions, both with detectors, so that none is lost",
-}
+LAWS: dict[str, str] = _TERMS["laws"]
 """What each light law allows, and with which optics."""
 
 ONE_DETECTOR = ("equal-dwell", "free-dwell")
 """Light laws of one device and one detector, or one for each part of the device."""
 
-WORDS = {
-    "photon budget Φ": "mean number of photons that reach the coding device in one exposure, over "
-    "the training scenes; a brighter scene sends more",
-    "mask": "a pattern on the coding device: the share of each pixel's photons that is counted",
-    "dwell": "share of the exposure for which a pattern is shown",
-    "rail": "the counts of one sign of a mask: a mask with negative entries has two rails, whose "
-    "counts are subtracted unless it is said that both are read",
-    "light law": "what masks may do with the photons, which depends on the optics",
-    "counts": "photons that the detectors count, in the mean over test scenes",
-    "balanced accuracy": "mean of the classes' accuracies, each counting alike",
-    "95 % interval": "range that holds the mean in 95 of 100 repetitions of what it covers",
-}
+WORDS: dict[str, str] = _TERMS["words"]
 """Words of the field."""
 
-ABBREVIATIONS = {
-    "II": f"impulse imaging: {DESIGNS['impulse']}",
-    "RS": f"raster scan: {DESIGNS['raster']}",
-    "HB": f"Hadamard basis: {DESIGNS['hadamard']}",
-    "TH": f"truncated Hadamard: {DESIGNS['truncated-hadamard']}",
-    "FSI": f"feature-specific imaging: {DESIGNS['pca']}",
-    "PCA": "principal component analysis",
-    "DFSI": f"DeepFSI: {DESIGNS['deepfsi']}",
-    "CG": DESIGNS["control"],
-    "RND": DESIGNS["random"],
-    "LDA": f"linear discriminant analysis: {DESIGNS['lda']}",
-    "CP": DESIGNS["class-pairs"],
-    "USER": DESIGNS["custom"],
-    "AGN": "additive Gaussian noise: read noise, the same for every readout",
-    "PN": "photon noise: exact Poisson counts",
-    "DMD": "digital micromirror device, which shows the masks",
-    "RMSE": "root-mean-square error",
-    "MNIST": "handwritten digits, a common test of classifiers",
-    "CIFAR": "small colour photographs of ten classes, a common test of classifiers",
-    "JPEG": "a lossy format of pictures",
+ABBREVIATIONS: dict[str, str] = {
+    name: words.format_map(DESIGNS) for name, words in _TERMS["abbreviations"].items()
 }
 """Abbreviations in words and figures of the pages."""
 
