@@ -1,4 +1,4 @@
-"""Measures of sensing matrices: how much their masks repeat, and how alike two are.
+"""Measures of sensing matrices: what light they use, how much they repeat, how alike two are.
 
 Matrices are numpy arrays (m, N), one signed mask a row, as everywhere.
 """
@@ -8,6 +8,24 @@ import scipy.linalg
 import scipy.special
 
 from deepfsi.errors import InputError
+
+
+def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
+    """Share of a scene's light that the detectors count, Σ_ij |M_ij| x̄_j / Σ_j x̄_j."""
+    # M (m, N) are shares of each pixel's photons, in masks of which each pixel is on one rail (on
+    # two arms it is on both), x̄ (N,) the mean reflectance of each pixel over the training scenes.
+    # For a single detector it is at most 1
+    masks = _masks(matrix)
+    scene = np.asarray(mean_scene, dtype=np.float64)
+    if scene.shape != masks.shape[1:]:
+        raise InputError(
+            f"a mean scene of shape {scene.shape} does not fit masks of {masks.shape[1]} pixels: "
+            "give one number for each pixel"
+        )
+    light = float(scene.sum())
+    if not (np.isfinite(light) and (scene >= 0).all() and light > 0):
+        raise InputError("the mean scene holds no light, or is negative: give reflectances")
+    return float((np.abs(masks) @ scene).sum() / light)
 
 
 def effective_directions(matrix: np.ndarray) -> float:

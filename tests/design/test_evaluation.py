@@ -188,14 +188,6 @@ def test_throughput_of_known_designs(made, digits, design, light, throughput):
         assert result.throughput == pytest.approx(throughput, rel=1e-5)
 
 
-@pytest.mark.parametrize("light", ["column", "free-dwell"])
-def test_shares_are_those_of_the_mean_scene_under_the_masks(made, digits, light):
-    design = made("deepfsi", light, "dual")
-    scene = digits.x_train.mean(axis=0, dtype=np.float64)
-    counted = (np.abs(design.matrix) @ scene).sum() / scene.sum()
-    assert counted == pytest.approx(float(design.shares.sum()), rel=1e-5)
-
-
 def test_poisson_and_its_stand_in_agree_in_bright_light(good, digits):
     exact, stand_in = (
         evaluate(good, digits, 1e5, noise=noise, draws=5)[0].accuracy

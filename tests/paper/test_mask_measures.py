@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from deepfsi.errors import InputError
+from deepfsi.optics.codes import sensing_matrix
 from deepfsi_paper.mask_measures import (
     effective_directions,
     matched_similarity,
     subspace_similarity,
+    throughput,
 )
 
 SIMILARITIES = [matched_similarity, subspace_similarity]
@@ -25,6 +27,26 @@ def disguised(masks: np.ndarray, seed: int = 1) -> np.ndarray:
     rng = np.random.default_rng(seed)
     factors = rng.choice([-1.0, 1.0], len(masks)) * rng.uniform(0.1, 10, len(masks))
     return (factors[:, None] * masks)[rng.permutation(len(masks))]
+
+
+def test_throughput_of_designs_that_are_known(digits):
+    scene = digits.x_train.mean(axis=0)
+    assert throughput(sensing_matrix("impulse", 64, digits), scene) == pytest.approx(1)
+    assert throughput(sensing_matrix("raster", 64, digits), scene) == pytest.approx(1 / 64)
+    assert throughput(sensing_matrix("hadamard", 64, digits) / 64, scene) == pytest.approx(1)
+
+
+def test_throughput_weighs_pixels_by_their_light():
+    masks = np.array([[0.5, 0.0, 0.25], [-0.25, 0.0, 0.5]])
+    assert throughput(masks, np.array([3.0, 5.0, 2.0])) == pytest.approx((0.75 * 3 + 0.75 * 2) / 10)
+
+
+@pytest.mark.parametrize("light", ["column", "free-dwell"])
+def test_throughput_is_the_share_that_the_finished_design_counts(made, digits, light):
+    design = made("deepfsi", light, "dual")
+    counted = float(design.shares.sum())
+    scene = digits.x_train.mean(axis=0, dtype=np.float64)
+    assert throughput(design.matrix, scene) == pytest.approx(counted, rel=1e-5)
 
 
 @pytest.mark.parametrize("rows", [1, 5, 20])
@@ -129,6 +151,7 @@ def test_directions_that_are_rounding_do_not_count():
 
 def test_dark_masks_measure_nothing():
     dark, bright = np.zeros((2, 8)), orthonormal(2, 8)
+    assert throughput(dark, np.ones(8)) == 0
     assert effective_directions(dark) == 0
     for similarity in SIMILARITIES:
         assert similarity(dark, bright) == 0
@@ -141,6 +164,10 @@ def test_dark_masks_measure_nothing():
         (lambda: effective_directions(np.ones(8)), "give (m, N), a mask a row"),
         (lambda: effective_directions(np.full((2, 3), np.nan)), "not finite"),
         (lambda: effective_directions(np.zeros((0, 3))), "give (m, N), a mask a row"),
+        (lambda: throughput(np.ones((2, 3)), np.ones(4)), "does not fit masks of 3 pixels"),
+        (lambda: throughput(np.ones((2, 3)), np.zeros(3)), "no light"),
+        (lambda: throughput(np.ones((2, 3)), np.array([2.0, np.nan, 1.0])), "no light"),
+        (lambda: throughput(np.ones((2, 3)), np.array([2.0, -1.0, 1.0])), "no light"),
         (lambda: matched_similarity(np.ones((2, 3)), np.ones((2, 4))), "3 and 4 pixels"),
         (lambda: subspace_similarity(np.ones((2, 3)), np.ones((2, 4))), "3 and 4 pixels"),
     ],

@@ -38,201 +38,119 @@ class Frozen(BaseModel):
 
 
 class Point(Frozen):
-    """Trials of one setting, averaged.
+    """Trials of one setting, averaged."""
 
-    Attributes
-    ----------
-    recipe : str
-        Name of the recipe, in an experiment that has several.
-    data, split : str
-        Data set and its split, in an experiment that has several.
-    trained_under, noise : str
-        Noise of the training and of the test.
-    trained_at, photons : float
-        Budget of the training and of the test.
-    levels : int
-        Grey levels of the masks in the test; 0 for continuous ones.
-    detectors : str
-        Detectors on parts of the device: ROWSxCOLUMNS, bands of a spectrum, or a map's name.
-    readout : {"difference", "both", ""}
-        What the network reads of two rails; empty of a single one.
-    light, rails : str
-        Light law, and signed or non-negative masks.
-    design, variant : str
-        Name of the design, and which of several training settings, in words.
-    masks : int
-        Number of masks, m.
-    trials : int
-        Trainings with different seeds that are averaged.
-    label, title : str
-        Short and long name of the design.
-    specific, learned : bool
-        Whether the design depends on the task, and whether its masks are trained.
-    ratio : float
-        m · D / N, readouts of a rail over pixels.
-    validation : float or None
-        Mean accuracy on validation data, if any was held out; balanced accuracy where a recipe
-        balances its training.
-    accuracy, low, high : float
-        Mean over trials, and its 95 % interval.
-    covers : str
-        What the interval covers.
-    balanced, balanced_low, balanced_high : float
-        Mean of the classes' accuracies, and its 95 % interval, which covers the same.
-    worst : float
-        Lowest accuracy of a class, in the mean over trials.
-    worst_class : int
-        Place of that class among those of the data.
-    counts : float
-        Photons that the detectors count, in the mean over test scenes and trials.
-    throughput : float
-        Share of the budget that the detectors count, in the training mean; of masks that are
-        quantised for a test only, that of the masks before.
-    seconds : float
-        Mean time of a training.
-    accuracies : tuple of float
-        Of each trial.
-    keys : tuple of str
-        Design file of each trial.
-    best : bool
-        Whether its mask count was chosen on validation data, or nothing was chosen.
-    one_class : bool
-        Whether each trial gives one class as the answer to every test scene.
-    """
-
-    recipe: str = ""
-    data: str = ""
-    split: str = ""
-    trained_under: str
-    light: str
-    rails: str
-    detectors: str
-    readout: str
-    design: str
-    trained_at: float
-    variant: str
-    noise: str
-    photons: float
-    levels: int
-    masks: int
-    label: str
-    title: str
-    specific: bool
-    learned: bool
-    ratio: float
-    trials: int
-    validation: float | None
-    accuracy: float
-    low: float
-    high: float
-    covers: str
-    balanced: float
-    balanced_low: float
-    balanced_high: float
-    worst: float
-    worst_class: int
-    counts: float
-    throughput: float
-    seconds: float
-    accuracies: tuple[float, ...]
-    keys: tuple[str, ...]
-    best: bool
-    one_class: bool = False
+    recipe: str = Field("", description="name of the recipe, in an experiment that has several")
+    data: str = Field("", description="data set, in an experiment that has several")
+    split: str = Field("", description="its split, in an experiment that has several")
+    trained_under: str = Field(description="noise of the training")
+    light: str = Field(description="light law")
+    rails: str = Field(description="signed or non-negative masks: dual or single")
+    detectors: str = Field(
+        description="detectors on parts of the device: ROWSxCOLUMNS, bands of a spectrum, or a "
+        "map's name"
+    )
+    readout: str = Field(
+        description="what the network reads of two rails, difference or both; empty of a single one"
+    )
+    design: str = Field(description="name of the design")
+    trained_at: float = Field(description="budget of the training")
+    variant: str = Field(description="which of several training settings, in words")
+    noise: str = Field(description="noise of the test")
+    photons: float = Field(description="budget of the test")
+    levels: int = Field(description="grey levels of the masks in the test; 0 for continuous ones")
+    masks: int = Field(description="number of masks, m")
+    label: str = Field(description="short name of the design")
+    title: str = Field(description="long name of the design")
+    specific: bool = Field(description="whether the design depends on the task")
+    learned: bool = Field(description="whether its masks are trained")
+    ratio: float = Field(description="m · D / N, readouts of a rail over pixels")
+    trials: int = Field(description="trainings with different seeds that are averaged")
+    validation: float | None = Field(
+        description="mean accuracy on validation data, if any was held out; balanced accuracy "
+        "where a recipe balances its training"
+    )
+    accuracy: float = Field(description="mean over trials")
+    low: float = Field(description="lower end of its 95 % interval")
+    high: float = Field(description="upper end of its 95 % interval")
+    covers: str = Field(description="what the interval covers")
+    balanced: float = Field(description="mean of the classes' accuracies")
+    balanced_low: float = Field(description="lower end of its interval, which covers the same")
+    balanced_high: float = Field(description="upper end of its interval")
+    worst: float = Field(description="lowest accuracy of a class, in the mean over trials")
+    worst_class: int = Field(description="place of that class among those of the data")
+    counts: float = Field(
+        description="photons that the detectors count, in the mean over test scenes and trials"
+    )
+    throughput: float = Field(
+        description="share of the budget that the detectors count, in the training mean; of masks "
+        "that are quantised for a test only, that of the masks before"
+    )
+    seconds: float = Field(description="mean time of a training")
+    accuracies: tuple[float, ...] = Field(description="of each trial")
+    keys: tuple[str, ...] = Field(description="design file of each trial")
+    best: bool = Field(
+        description="whether its mask count was chosen on validation data, or nothing was chosen"
+    )
+    one_class: bool = Field(
+        False, description="whether each trial gives one class as the answer to every test scene"
+    )
 
 
 class Data(Frozen):
-    """Data set of a comparison and the sizes of its parts.
+    """Data set of a comparison and the sizes of its parts."""
 
-    Attributes
-    ----------
-    name, hash : str
-        Name, and content hash of scenes and labels.
-    image_shape : tuple of int
-        Rows and columns of a scene, or bands of a spectrum.
-    classes : tuple of str
-        Names of the classes.
-    train, validation, test : int
-        Number of scenes trained on, held out, and tested on.
-    preprocessing : str
-        Steps from the data's own values to reflectance.
-    mean_reflectance : float
-        Of a pixel of the training scenes.
-    commonest : float
-        Share of the test scenes that are of their commonest class: the accuracy of guessing it.
-    """
-
-    name: str
-    hash: str
-    image_shape: tuple[int, ...]
-    classes: tuple[str, ...]
-    train: int
-    validation: int
-    test: int
-    commonest: float
-    preprocessing: str
-    mean_reflectance: float
+    name: str = Field(description="name")
+    hash: str = Field(description="content hash of scenes and labels")
+    image_shape: tuple[int, ...] = Field(
+        description="rows and columns of a scene, or bands of a spectrum"
+    )
+    classes: tuple[str, ...] = Field(description="names of the classes")
+    train: int = Field(description="scenes trained on")
+    validation: int = Field(description="scenes held out")
+    test: int = Field(description="scenes tested on")
+    commonest: float = Field(
+        description="share of the test scenes that are of their commonest class: the accuracy of "
+        "guessing it"
+    )
+    preprocessing: str = Field(description="steps from the data's own values to reflectance")
+    mean_reflectance: float = Field(description="of a pixel of the training scenes")
 
 
 class Provenance(Frozen):
-    """Versions, device and times behind a comparison.
+    """Versions, device and times behind a comparison."""
 
-    Attributes
-    ----------
-    deepfsi, torch, numpy, python : str
-        Versions.
-    device : str
-        That trained: a processor or a GPU.
-    finished : str
-        Date and time.
-    seconds, training_seconds : float
-        Time of the comparison, and of its trainings together.
-    """
-
-    deepfsi: str
-    torch: str
-    numpy: str
-    python: str
-    device: str
-    finished: str
-    seconds: float
-    training_seconds: float
+    deepfsi: str = Field(description="version")
+    torch: str = Field(description="version")
+    numpy: str = Field(description="version")
+    python: str = Field(description="version")
+    device: str = Field(description="that trained: a processor or a GPU")
+    finished: str = Field(description="date and time")
+    seconds: float = Field(description="time of the comparison")
+    training_seconds: float = Field(description="time of its trainings together")
 
 
 class Results(Frozen):
-    """Results of a comparison.
+    """Results of a comparison."""
 
-    Attributes
-    ----------
-    title : str
-        Of the report.
-    command : str
-        That made it.
-    data : Data
-        Data set.
-    provenance : Provenance
-        Versions, device and times.
-    points : tuple of Point
-        One for each setting.
-    recipe : dict
-        Its settings.
-    chosen_on : {"validation", "nothing"}
-        Data that mask counts were chosen on.
-    chosen_by : {"accuracy", "balanced"}
-        Accuracy that they were chosen by.
-    extra : dict
-        Further numbers of an experiment.
-    """
-
-    revision: Annotated[int, AfterValidator(_readable)] = Field(SCHEMA, alias="schema")
-    title: str
-    command: str
-    recipe: dict[str, Any]
-    data: Data
-    provenance: Provenance
-    chosen_on: str
-    chosen_by: str = "accuracy"
-    points: Annotated[tuple[Point, ...], AfterValidator(_some)]
-    extra: dict[str, Any] = {}
+    revision: Annotated[int, AfterValidator(_readable)] = Field(
+        SCHEMA, alias="schema", description="version of the format"
+    )
+    title: str = Field(description="of the report")
+    command: str = Field(description="that made it")
+    recipe: dict[str, Any] = Field(description="its settings")
+    data: Data = Field(description="data set")
+    provenance: Provenance = Field(description="versions, device and times")
+    chosen_on: str = Field(
+        description="data that mask counts were chosen on: validation or nothing"
+    )
+    chosen_by: str = Field(
+        "accuracy", description="accuracy that they were chosen by: accuracy or balanced"
+    )
+    points: Annotated[tuple[Point, ...], AfterValidator(_some)] = Field(
+        description="one for each setting"
+    )
+    extra: dict[str, Any] = Field({}, description="further numbers of an experiment")
 
     @property
     def had_choice(self) -> bool:

@@ -30,18 +30,12 @@ _slot = 0
 
 
 class Resources(BaseModel):
-    """Share of a cluster that each batch takes.
-
-    Attributes
-    ----------
-    cpus, gpus : float
-        Processors, and GPUs or a share of one.
-    """
+    """Share of a cluster that each batch takes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    cpus: float = Field(1, gt=0, allow_inf_nan=False)
-    gpus: float = Field(0, ge=0, allow_inf_nan=False)
+    cpus: float = Field(1, gt=0, allow_inf_nan=False, description="processors")
+    gpus: float = Field(0, ge=0, allow_inf_nan=False, description="GPUs, or a share of one")
 
 
 @dataclass(frozen=True)
