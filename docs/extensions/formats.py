@@ -8,6 +8,7 @@ model's name, unless the option `title` gives another.
 import inspect
 import json
 from importlib import import_module
+from typing import ClassVar
 
 from docutils.parsers.rst.directives import unchanged
 from markdown import Made, table
@@ -118,7 +119,7 @@ class Fields(Made):
     """The directive; its argument is the dotted path of a model."""
 
     required_arguments = 1
-    option_spec = {"title": unchanged}
+    option_spec: ClassVar = {"title": unchanged}
 
     def text(self):
         """Markdown of the section."""

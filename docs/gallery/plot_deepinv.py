@@ -39,8 +39,9 @@ class SinglePixelCamera(LinearPhysics):
 
 
 # %%
-# Thirty-two learned masks of the paper's optics; the pseudo-inverse is deepinv's. Its networks take the same camera. At
-# 10⁴ photons hardly a picture is left, and the classes are still read from the same counts.
+# Thirty-two learned masks of the paper's optics; the pseudo-inverse is deepinv's. Its networks take
+# the same camera. At 10⁴ photons hardly a picture is left, and the classes are still read from the
+# same counts.
 
 digits = deepfsi.load_dataset("digits")
 scenes = torch.from_numpy(digits.x_test[:6])

@@ -15,8 +15,8 @@ plt.rcParams.update(STYLE)
 
 # %%
 # Eight masks at 3000 photons under each constraint. ``free-dwell`` and ``equal-dwell`` are one
-# device with one detector, ``two-arm`` has a second detector for the mirrors that are OFF. Masks are
-# signed, in two rails, where the camera can show both at once.
+# device with one detector, ``two-arm`` has a second detector for the mirrors that are OFF. Masks
+# are signed, in two rails, where the camera can show both at once.
 
 digits = deepfsi.load_dataset("digits")
 cameras = [
