@@ -22,7 +22,6 @@ import json
 import math
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -63,14 +62,26 @@ LINES = {
 def train(
     data: Dataset, photons: float, light_s: float, looks: int, masks: int, epochs: int
 ) -> Design:
-    how: dict[str, Any] = {"photons": photons, "noise": "poisson", "rails": "single", "batch": 500}
-    how |= {"epochs": epochs, "hidden": (256, 128), "device": "cpu"}
+    training = {"noise": "poisson", "batch": 500, "epochs": epochs, "hidden": (256, 128)}
     if looks == RASTER:
-        return learn(data, design="raster", light="equal-dwell", masks=data.pixels, **how)
+        return learn(
+            data,
+            design="raster",
+            photons=photons,
+            masks=data.pixels,
+            camera={"light": "equal-dwell"},
+            training=training,
+            device="cpu",
+        )
     return learn(
-        data, masks=masks, looks=looks, shortest_dwell=SHORTEST_S / light_s, levels=2,
-        start="class-pairs", lr=5e-3, light="free-dwell", **how,
-    )  # fmt: skip
+        data,
+        photons=photons,
+        masks=masks,
+        camera={"shortest_dwell": SHORTEST_S, "exposure": light_s, "levels": 2},
+        exposure={"looks": looks},
+        training={**training, "start": "class-pairs", "lr": 5e-3},
+        device="cpu",
+    )
 
 
 def test(design: Design, data: Dataset, photons: float) -> tuple[float, float]:

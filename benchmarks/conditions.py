@@ -76,10 +76,8 @@ def main(words: Sequence[str] | None = None) -> dict[str, list[float]]:
             scenes,
             photons=given.photons * (1 + learned),
             masks=given.masks,
-            epochs=given.epochs,
-            light="free-dwell",
-            rails="single",
-            levels=levels,
+            camera={"levels": levels},
+            training={"epochs": given.epochs},
             device="cpu",
         )
         moved = displaced(data)

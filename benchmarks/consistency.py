@@ -130,7 +130,8 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=2)
     given = parser.parse_args()
     data = load_dataset(given.data)
-    settings = {"masks": given.masks, "epochs": given.epochs, "light": "equal-dwell"}
+    settings = {"masks": given.masks, "training": {"epochs": given.epochs}}
+    settings["camera"] = {"light": "equal-dwell", "rails": "dual"}
     design, other = (learn(data, photons=1e4, seed=k, **settings) for k in (0, 1))
     known, n = faults(data, design, other), len(data.x_test)
     print("| what is wrong | " + " | ".join(f"{photons:.0e}" for photons in BUDGETS) + " |")

@@ -107,8 +107,14 @@ def measure(data: Dataset, masks: int, epochs: int, scenes: int) -> dict[tuple, 
     """Results as counted and as corrected, by design, model and dead time in ns."""
     labels, out = data.y_test[:scenes], {}
     for name, (light, rails) in DESIGNS.items():
-        settings = {"masks": masks, "epochs": epochs, "light": light, "rails": rails}
-        design = learn(data, photons=RATE * EXPOSURE_S, device="cpu", **settings)
+        design = learn(
+            data,
+            masks=masks,
+            photons=RATE * EXPOSURE_S,
+            camera={"light": light, "rails": rails},
+            training={"epochs": epochs},
+            device="cpu",
+        )
         shown = show(design, data, scenes)
         for model, paralysable in MODELS.items():
             for tau in DEAD_TIMES_NS:

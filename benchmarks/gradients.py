@@ -35,7 +35,7 @@ from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.noise import poisson
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import measure, project
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, Training
 from deepfsi.training.training_set import TrainingSet
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
@@ -230,16 +230,19 @@ def learn(
         settings.hidden,
         generator=torch.Generator().manual_seed(job.seed),
     )
-    pixels = training_set.pixels(job.light)
+    pixels = training_set.pixels(job.camera.light)
     matrix = training_set.matrix(settings.start, job.masks, job.seed) if keep is None else keep
     start = torch.from_numpy(matrix).float()
-    masks = LearnedMasks(start[:, pixels].unsqueeze(0), job.light, job.rails)
+    masks = LearnedMasks(start[:, pixels].unsqueeze(0), job.camera.light, job.camera.rails)
     groups = [
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
     detection = job.detection(training_set.data.image_shape)
-    x, count = training_set.centred(job.light, torch.float32, detection), len(training_set.labels)
+    x, count = (
+        training_set.centred(job.camera.light, torch.float32, detection),
+        len(training_set.labels),
+    )
     batch = min(settings.batch or min(max(count // 100, 32), 500), count)
     steps = count // batch
     optimiser = torch.optim.AdamW(groups, weight_decay=settings.decay, fused=True)
@@ -278,7 +281,7 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
     """The design as the package would store it: masks of all pixels, statistics of all scenes."""
     with torch.no_grad():
         rails = torch.zeros(2, job.masks, training_set.data.pixels)
-        rails[..., training_set.pixels(job.light)] = masks().stacked[0]
+        rails[..., training_set.pixels(job.camera.light)] = masks().stacked[0]
         plus, minus = project(training_set.full, rails).unbind(dim=1)
         counts = (plus + minus).mean(dim=0)
         power = (plus - minus).var(dim=0, correction=0) + counts * (
@@ -286,13 +289,13 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
         )
         return Design(
             name=job.design,
-            rails=Rails.of(constraints.check(rails, job.light)),
+            rails=Rails.of(constraints.check(rails, job.camera.light)),
             classifier=network,
             mean=(plus - minus).mean(dim=0) / training_set.summed_reflectance,
             std=power.mean().sqrt().expand(job.masks) / training_set.summed_reflectance,
             shares=counts / training_set.summed_reflectance,
             summed_reflectance=training_set.summed_reflectance,
-            light=job.light,
+            light=job.camera.light,
             image_shape=training_set.data.image_shape,
             classes=training_set.data.classes,
         )
@@ -340,10 +343,10 @@ class Study:
         """Train once and classify the scenes of a part."""
         longer = self.arguments.longer if name == LONGER else 1
         lr, mask_lr = rates
-        settings = TrainingSettings(
+        settings = Training(
             epochs=self.arguments.epochs * longer, lr=lr, mask_lr=mask_lr, precision="float32"
         )
-        job = Job(masks=masks, photons=photons, seed=seed, training=settings)
+        job = Job(masks=masks, photons=photons, camera="paper", seed=seed, training=settings)
         began = time.perf_counter()
         design = learn(self.training_set, job, ESTIMATORS.get(name))
         if name in (RETRAINED, TWICE):

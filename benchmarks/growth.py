@@ -57,11 +57,13 @@ def peak() -> float:
 
 def train_once(scenes: int, side: int, classes: int) -> dict[str, float]:
     """Processor seconds and memory of making a data set, and of one epoch with its set-up."""
-    learn(synthetic(100, 4, 2), photons=1e3, masks=2, epochs=1)  # loads what all need
+    learn(
+        synthetic(100, 4, 2), photons=1e3, masks=2, camera="paper", training={"epochs": 1}
+    )  # loads what all need
     before, began = peak(), time.process_time()
     data = synthetic(scenes, side, classes)
     made = time.process_time()
-    learn(data, photons=1e4, masks=MASKS, epochs=1, batch=100)
+    learn(data, photons=1e4, masks=MASKS, camera="paper", training={"epochs": 1, "batch": 100})
     return {
         "made": made - began,
         "seconds": time.process_time() - made,

@@ -66,7 +66,12 @@ def main(words: list[str] | None = None) -> None:
     for masks in arguments.masks:
         hidden = tuple(arguments.hidden)
         design = learn(
-            data, photons=PHOTONS, masks=masks, hidden=hidden, epochs=1, design="truncated-hadamard"
+            data,
+            design="truncated-hadamard",
+            photons=PHOTONS,
+            masks=masks,
+            camera="paper",
+            training={"hidden": hidden, "epochs": 1},
         )
         rows = np.arange(arguments.exposures) % len(data.x_test)
         scenes = torch.from_numpy(data.x_test[rows]) * (PHOTONS / design.summed_reflectance)
@@ -91,9 +96,13 @@ def main(words: list[str] | None = None) -> None:
         )
     looks, exposures = 8, max(arguments.exposures // 8, 1)
     design = learn(
-        data, photons=PHOTONS, masks=arguments.masks[-1], hidden=hidden, epochs=1, looks=looks,
-        light="free-dwell", rails="single", design="truncated-hadamard",
-    )  # fmt: skip
+        data,
+        design="truncated-hadamard",
+        photons=PHOTONS,
+        masks=arguments.masks[-1],
+        exposure={"looks": looks},
+        training={"hidden": hidden, "epochs": 1},
+    )
     rng, spans = np.random.default_rng(0), []
     for _ in range(exposures):
         began = time.perf_counter_ns()

@@ -33,7 +33,7 @@ CHOSEN_HERE = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "OMP_NUM_THREADS")
 def train_once(data: str, scenes: int, masks: int, epochs: int) -> tuple[float, float]:
     """Wall and processor seconds of a training in this process."""
     from deepfsi.datasets import load_dataset
-    from deepfsi.training.job import Job, TrainingSettings
+    from deepfsi.training.job import Job, Training
     from deepfsi.training.learning import train
     from deepfsi.training.training_set import TrainingSet
 
@@ -41,9 +41,9 @@ def train_once(data: str, scenes: int, masks: int, epochs: int) -> tuple[float, 
     few = replace(whole, x_train=whole.x_train[:scenes], y_train=whole.y_train[:scenes])
     training_set = TrainingSet(few, "cpu")
     training_set.prepare("pca")
-    settings = TrainingSettings(epochs=epochs, batch=min(500, len(few.y_train)))
+    settings = Training(epochs=epochs, batch=min(500, len(few.y_train)))
     wall, used = time.perf_counter(), time.process_time()
-    train(training_set, [Job(masks=masks, photons=1e4, training=settings)])
+    train(training_set, [Job(masks=masks, photons=1e4, camera="paper", training=settings)])
     return time.perf_counter() - wall, time.process_time() - used
 
 

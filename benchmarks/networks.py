@@ -17,9 +17,11 @@ import torch
 
 from deepfsi.datasets import load_dataset
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.exposure import Fixed, Looks
+from deepfsi.optics.camera import Camera
 from deepfsi.progress import Moments
-from deepfsi.training import job as rules
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training import precision as rules
+from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -41,12 +43,19 @@ BUDGETS, SEEDS, EPOCHS = (1e3, 1e4, 1e5), 3, 20
 
 def jobs_of(kind: tuple, budgets: tuple[float, ...], seeds: int, epochs: int) -> list[Job]:
     light, masks, detectors, looks, hidden = kind
-    several = {"lr": 5e-3, "start": "class-pairs", "looks": looks} if looks > 1 else {}
-    settings = TrainingSettings(epochs=epochs, batch=500, hidden=hidden, levels=2, **several)
-    optics = {"light": light, "rails": "single", "detectors": detectors}
-    noise = {"noise": "poisson"} if looks > 1 else {}
+    several = {"lr": 5e-3} if looks > 1 else {}
+    training = Training(epochs=epochs, batch=500, hidden=hidden, **several)
+    camera = Camera(light=light, rails="single", detectors=detectors, levels=2)
+    exposure = Looks(looks=looks) if looks > 1 else Fixed()
     return [
-        Job(masks=masks, photons=photons, seed=seed, training=settings, **optics, **noise)
+        Job(
+            masks=masks,
+            photons=photons,
+            camera=camera,
+            exposure=exposure,
+            training=training,
+            seed=seed,
+        )
         for photons in budgets
         for seed in range(seeds)
     ]

@@ -17,13 +17,18 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from deepfsi.training.patches import Patches, PatchJob, PatchTraining, precision, train
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.datasets import from_arrays
+from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
+from deepfsi.design.exposure import Patches
+from deepfsi.optics.codes import sensing_matrix
 from deepfsi.progress import Moments, Report
+from deepfsi.training.job import Job
+from deepfsi.training.learning import train
+from deepfsi.training.precision import network_dtype
+from deepfsi.training.training_set import TrainingSet
 from deepfsi_paper.studies import find
 
 BUDGET, CLASSES = 1e4, 10
@@ -32,19 +37,16 @@ BUDGET, CLASSES = 1e4, 10
 class Plain(nn.Module):
     """Masks and transformer as a user would write them."""
 
-    def __init__(self, patches: Patches, settings: PatchTraining) -> None:
+    def __init__(self, job: Job, data: Dataset, light: float) -> None:
         super().__init__()
-        start = patches.matrix("pca")
+        start = sensing_matrix("pca", job.masks, job.exposure.seen(data))
         start = start / np.abs(start).sum(axis=0).max()
         self.unit = float(np.sqrt(np.mean(start**2)))
         self.masks = nn.Parameter(torch.tensor(start / self.unit, dtype=torch.float32))
-        self.side, self.shape = patches.side, patches.data.image_shape
-        self.light = patches.summed_reflectance
-        tokens, pixels = patches.x.shape[1:]
+        self.side, self.shape, self.light = job.exposure.patch, data.image_shape, light
+        tokens = job.exposure.begin(job, data.image_shape, torch.Generator()).tokens(self.shape)
         self.norm = nn.BatchNorm1d(1, affine=False)
-        self.vit = Vit(
-            pixels, tokens, CLASSES, settings.width, settings.depth, settings.heads, settings.hidden
-        )
+        self.vit = Vit(job.masks, tokens, CLASSES, **job.training.classifier_arguments)
 
     def forward(self, x: Tensor) -> Tensor:
         """Logits of images (B, H · W)."""
@@ -61,11 +63,11 @@ class Plain(nn.Module):
         return self.vit(self.norm(centred.reshape(-1, 1)).view_as(counts))
 
 
-def plain_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
+def plain_epochs(scenes: TrainingSet, job: Job) -> list[float]:
     """Seconds of each epoch."""
     torch.manual_seed(0)
-    model = Plain(patches, settings).to(patches.device)
-    data = patches.data
+    data, settings = scenes.data, job.training
+    model = Plain(job, data, scenes.summed_reflectance).to(scenes.device)
     images = TensorDataset(torch.from_numpy(data.x_train), torch.from_numpy(data.y_train))
     loader = DataLoader(images, batch_size=settings.batch, shuffle=True, drop_last=True)
     optimiser = torch.optim.AdamW(
@@ -82,8 +84,8 @@ def plain_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
         began = time.perf_counter()
         running = 0.0
         for x, y in loader:
-            logits = model(x.to(patches.device))
-            loss = nn.functional.cross_entropy(logits, y.to(patches.device))
+            logits = model(x.to(scenes.device))
+            loss = nn.functional.cross_entropy(logits, y.to(scenes.device))
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -93,17 +95,17 @@ def plain_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
     return seconds
 
 
-def our_epochs(patches: Patches, settings: PatchTraining) -> list[float]:
+def our_epochs(scenes: TrainingSet, job: Job) -> list[float]:
     """Seconds of each epoch."""
     moments = Moments()
 
     def tick(share: float, what: str) -> None:
-        if patches.device.type == "cuda":
+        if scenes.device.type == "cuda":
             torch.cuda.synchronize()
         moments.report(share, what)
 
-    train(patches, PatchJob(photons=BUDGET, patch=patches.side, training=settings), Report(tick))
-    return moments.epochs(settings.epochs)
+    train(scenes, [job], report=Report(tick))
+    return moments.epochs(job.training.epochs)
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -117,31 +119,42 @@ def main(given: Sequence[str] | None = None) -> None:
     arguments = parser.parse_args(given)
 
     recipe = find(arguments.recipe)[0].recipes(quick=False)[arguments.recipe]
-    settings = recipe.training.model_copy(update={"epochs": arguments.epochs})
+    _, settings = next(recipe.trainings("deepfsi"))
+    _, exposure = recipe.exposures()[0]
     rng = np.random.default_rng(0)
     x = rng.random((arguments.images, arguments.size, arguments.size), dtype=np.float32)
     data = from_arrays(x, np.arange(len(x)) % CLASSES, x[:CLASSES], np.arange(CLASSES))
-    patches = Patches(data, recipe.patch, arguments.device)
-    kind = precision(PatchJob(photons=BUDGET, training=settings), patches)
+
+    def job(epochs: int) -> Job:
+        return Job(
+            masks=exposure.patch**2,
+            photons=BUDGET,
+            camera="paper",
+            exposure=Patches(patch=exposure.patch),
+            training={**settings, "epochs": epochs},
+        )
+
+    scenes, timed, short = TrainingSet(data, arguments.device), job(arguments.epochs), job(1)
+    batch, kind = timed.training.batch, network_dtype(timed, scenes.device)
+    sizes = timed.training.classifier_arguments
     print(
-        f"{len(x)} random images of {arguments.size}x{arguments.size}, batch {settings.batch}, "
-        f"width {settings.width}, depth {settings.depth}; {patches.device.type}, "
+        f"{len(x)} random images of {arguments.size}x{arguments.size}, batch {batch}, "
+        f"width {sizes['width']}, depth {sizes['depth']}; {scenes.device.type}, "
         f"{torch.get_num_threads()} threads, ours {kind}, torch {torch.__version__}"
     )
-    short = settings.model_copy(update={"epochs": 1})
-    plain_epochs(patches, short)
-    our_epochs(patches, short)
+    plain_epochs(scenes, short)
+    our_epochs(scenes, short)
     times: dict[str, list[float]] = {"plain": [], "ours": []}
     for _ in range(arguments.rounds):
-        times["plain"] += plain_epochs(patches, settings)
-        times["ours"] += our_epochs(patches, settings)
+        times["plain"] += plain_epochs(scenes, timed)
+        times["ours"] += our_epochs(scenes, timed)
     medians = {name: statistics.median(seconds) for name, seconds in times.items()}
-    seen = len(x) // settings.batch * settings.batch
+    seen = len(x) // batch * batch
     for name, seconds in medians.items():
-        whole = recipe.training.epochs * 50_000 * seconds / seen / 60
+        whole = settings["epochs"] * 50_000 * seconds / seen / 60
         print(
             f"{name:5s} {seen / seconds:9.0f} images/s, {seconds:.3f} s an epoch (least "
-            f"{min(times[name]):.3f}); {recipe.training.epochs} epochs of 50 000 images: "
+            f"{min(times[name]):.3f}); {settings['epochs']} epochs of 50 000 images: "
             f"{whole:.1f} min"
         )
     print(f"ratio {medians['plain'] / medians['ours']:.2f}")

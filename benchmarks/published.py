@@ -94,8 +94,7 @@ def recipe(light: Light, photons: Sequence[float], epochs: int, data: str = "mni
         designs="deepfsi",
         photons=tuple(photons),
         masks=MASKS[light],
-        light=light,
-        rails=("dual", "single"),
+        camera={"light": light, "rails": ("dual", "single")},
         draws=1,
         training={"epochs": epochs, "hidden": HIDDEN},
     )
@@ -155,10 +154,8 @@ def print_same_counts(
             data.hold_out(),
             counts=float(network.clicks(data.x_test).sum(axis=1).mean()),
             masks=point.masks,
-            light="column",
-            rails=point.rails,
-            epochs=epochs,
-            hidden=HIDDEN,
+            camera={"light": "column", "rails": point.rails},
+            training={"epochs": epochs, "hidden": HIDDEN},
         )
         [seen] = evaluate(made, data, made.info["job"]["photons"], draws=1)
         accuracy = f"{seen.accuracy:.4f} [{seen.low:.4f}, {seen.high:.4f}]"

@@ -15,7 +15,7 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from deepfsi.datasets import load_dataset
-from deepfsi.training.job import Job, Precision, TrainingSettings
+from deepfsi.training.job import Job, Precision, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -26,9 +26,9 @@ def profiled(
     scenes: TrainingSet, masks: int, precision: Precision, epochs: int
 ) -> dict[str, float]:
     """Own processor time of each operation of a training."""
-    settings = TrainingSettings(precision=precision, epochs=epochs)
+    settings = Training(precision=precision, epochs=epochs)
     with profile(activities=[ProfilerActivity.CPU]) as profiler:
-        train(scenes, [Job(masks=masks, photons=1e4, training=settings)])
+        train(scenes, [Job(masks=masks, photons=1e4, camera="paper", training=settings)])
     return {each.key: each.self_cpu_time_total for each in profiler.key_averages()}
 
 

@@ -33,7 +33,7 @@ from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import Workers, default_count
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -58,7 +58,7 @@ def sweep(
         designs="deepfsi",
         photons=BUDGETS,
         ratios=PAPER_RATIOS,
-        noise=("poisson", "gaussian"),
+        camera={"light": "column", "noise": ("poisson", "gaussian")},
         trials=seeds,
         validation=0,
         draws=1,
@@ -101,9 +101,9 @@ def seconds_an_epoch(scenes: TrainingSet, jobs: list[Job]) -> float:
     return moments.epochs(2)[1]
 
 
-def short(masks: int, photons: float = 1e4, epochs: int = 2, **changes: object) -> Job:
-    settings = TrainingSettings(epochs=epochs, batch=BATCH, precision="bfloat16")
-    return Job(masks=masks, photons=photons, training=settings, **changes)
+def short(masks: int, photons: float = 1e4, epochs: int = 2) -> Job:
+    settings = Training(epochs=epochs, batch=BATCH, precision="bfloat16")
+    return Job(masks=masks, photons=photons, camera="paper", training=settings)
 
 
 def one_against_many(scenes: TrainingSet) -> None:
@@ -183,11 +183,15 @@ def accuracy(data: Dataset, device: str) -> None:
     differences = []
     for masks in (10, 92):
         budgets = BUDGETS[:3]
-        settings = TrainingSettings(epochs=EPOCHS, batch=BATCH, precision="float32")
+        settings = Training(epochs=EPOCHS, batch=BATCH, precision="float32")
         fast = settings.model_copy(update={"precision": "bfloat16"})
-        together = train(scenes, [Job(masks=masks, photons=b, training=fast) for b in budgets])
+        together = train(
+            scenes, [Job(masks=masks, photons=b, camera="paper", training=fast) for b in budgets]
+        )
         for photons, design in zip(budgets, together, strict=True):
-            (alone,) = train(scenes, [Job(masks=masks, photons=photons, training=settings)])
+            (alone,) = train(
+                scenes, [Job(masks=masks, photons=photons, camera="paper", training=settings)]
+            )
             one, other = (evaluate(d, data, photons, draws=1)[0].accuracy for d in (alone, design))
             differences.append(other - one)
             print(f"{masks:5d}  {photons:7g}  {one:13.4f}  {other:17.4f}  {other - one:+10.4f}")

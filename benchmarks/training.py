@@ -22,7 +22,7 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.evaluation import evaluate
 from deepfsi.progress import Moments
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -104,11 +104,9 @@ def our_epochs(
     training_set: TrainingSet, data: Dataset, masks: int, epochs: int, precision: str
 ) -> tuple[list[float], float]:
     """Seconds of each epoch, and test accuracy."""
-    settings = TrainingSettings(
-        epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision
-    )
+    settings = Training(epochs=epochs, batch=BATCH, lr=LR, mask_lr=MASK_LR, precision=precision)
     moments = Moments()
-    job = Job(masks=masks, photons=BUDGET, training=settings)
+    job = Job(masks=masks, photons=BUDGET, camera="paper", training=settings)
     design = train(training_set, [job], report=moments.report)[0]
     seconds = moments.epochs(epochs)
     return seconds, evaluate(design, data, BUDGET, draws=1)[0].accuracy

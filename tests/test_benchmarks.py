@@ -21,7 +21,7 @@ from deepfsi.hardware.patterns.mirrors import recount, unpack
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import summed_reflectance
 from deepfsi.optics.noise import attach_gradient
-from deepfsi.training.job import Job, TrainingSettings
+from deepfsi.training.job import Job, Training
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 
@@ -130,8 +130,8 @@ def test_a_step_with_straight_slopes_is_what_autograd_gives():
 
 def test_the_comparison_trains_as_the_package(digits):
     scenes = TrainingSet(digits, "cpu")
-    settings = TrainingSettings(epochs=2, precision="float32")
-    job = Job(masks=6, photons=300, seed=3, training=settings)
+    settings = Training(epochs=2, precision="float32")
+    job = Job(masks=6, photons=300, camera="paper", seed=3, training=settings)
     (theirs,) = train(scenes, [job])
     ours = benchmark("gradients").learn(scenes, job, None)
     assert torch.allclose(ours.rails.stacked, theirs.rails.stacked, rtol=0, atol=1e-4)
@@ -145,7 +145,12 @@ def test_the_comparison_trains_as_the_package(digits):
 
 def test_masks_to_keep_stay_while_their_classifier_learns(digits):
     gradients, scenes = benchmark("gradients"), TrainingSet(digits, "cpu")
-    job = Job(masks=6, photons=300, training=TrainingSettings(epochs=1, precision="float32"))
+    job = Job(
+        masks=6,
+        photons=300,
+        camera="paper",
+        training=Training(epochs=1, precision="float32"),
+    )
     first = gradients.learn(scenes, job, None)
     again = gradients.learn(scenes, job, gradients.straight, keep=first.matrix)
     assert torch.allclose(again.rails.stacked, first.rails.stacked, rtol=0, atol=1e-5)
@@ -206,9 +211,10 @@ def test_the_comparison_of_streaming_runs(capsys):
 
 def test_both_trainings_of_ovit_do_the_same_work(capsys):
     """They start from one set of masks, and see the same patches in the same light."""
-    from deepfsi.training.patches import Patches, PatchTraining
-
     from deepfsi.datasets import from_arrays
+    from deepfsi.design.exposure import Patches
+    from deepfsi.design.exposure.trained import cut
+    from deepfsi.training.masks import initial_masks
 
     ovit = benchmark("ovit")
     ovit.main(["--images", "100", "--size", "16", "--rounds", "1", "--epochs", "1"])
@@ -218,13 +224,22 @@ def test_both_trainings_of_ovit_do_the_same_work(capsys):
 
     x = torch.rand(60, 16, 16, generator=generator()).numpy()
     data = from_arrays(x, torch.arange(60).numpy() % 10)
-    patches = Patches(data, 4, "cpu")
-    plain = ovit.Plain(patches, PatchTraining(width=8, depth=1, heads=2, hidden=8))
+    scenes = TrainingSet(data, "cpu")
+    job = Job(
+        masks=16,
+        photons=ovit.BUDGET,
+        camera="paper",
+        exposure=Patches(patch=4),
+        training={"classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8}},
+    )
+    plain = ovit.Plain(job, data, scenes.summed_reflectance)
     matrix = plain.masks.detach() * plain.unit
-    assert torch.allclose(matrix, patches.masks("pca")().difference, atol=1e-6)
-    rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / patches.summed_reflectance)
+    exposure = job.exposure.begin(job, data.image_shape, generator())
+    start = initial_masks(scenes.seen(job.exposure), [job], exposure, None)()
+    assert torch.allclose(matrix, start.difference[0], atol=1e-6)
+    rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
     seen = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
-    assert torch.allclose(seen, patches.x * (ovit.BUDGET / patches.summed_reflectance))
+    assert torch.allclose(seen, cut(rows, (16, 16), 4))
     assert plain(torch.from_numpy(data.x_train)).shape == (len(data.x_train), 10)
 
 

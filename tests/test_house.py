@@ -12,6 +12,8 @@ import pytest
 
 import deepfsi
 
+pytestmark = pytest.mark.core
+
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
 TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}

@@ -13,26 +13,27 @@ import deepfsi
 from conftest import RECIPE, quick, same
 from deepfsi.cli import as_options
 from deepfsi.progress import Report, shown
-from deepfsi.training.job import TUNED, Job, TrainingSettings
-from deepfsi.training.learning import OWN_DEFAULT
+from deepfsi.training.job import TUNED, Job, Training
+from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
 SOURCE = Path(deepfsi.__file__).parent
 
 
-def test_every_setting_is_a_keyword_with_the_default_of_its_model():
+def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
     keywords = inspect.signature(deepfsi.learn).parameters
-    fields = {**Job.model_fields, **TrainingSettings.model_fields}
-    del fields["training"]
-    assert set(fields) | {"data", "counts", "matrix", "device", "report"} == set(keywords)
-    none = (*OWN_DEFAULT, "classifier_arguments", "photons")  # counts may stand for photons
-    for name, field in fields.items():
-        default = inspect.Parameter.empty if field.is_required() else field.default
-        assert keywords[name].default == (None if name in none else default)
-    assert {name for own in TUNED.values() for name in own} <= set(OWN_DEFAULT)
+    own = {"data", "counts", "matrix", "device", "report", "settings"}
+    assert set(keywords) == own
+    assert all(f"``{name}``" in deepfsi.learn.__doc__ for name in Job.model_fields)
+    assert {name for own in TUNED.values() for name in own} <= set(Training.model_fields)
 
 
-@pytest.mark.parametrize("name", sorted({*deepfsi.__all__} - {"InputError"}))
+HAVE_FIELDS = {"learn", "evaluate", "Camera", "Job", "Training", "Fixed", "Range", "Nested"}
+HAVE_FIELDS |= {"Looks", "Patches"}
+"""Those whose keywords are the fields of a model, which says what it does not know."""
+
+
+@pytest.mark.parametrize("name", sorted({*deepfsi.__all__} - {"InputError"} - HAVE_FIELDS))
 def test_no_public_callable_hides_its_keywords(name):
     kinds = {each.kind for each in inspect.signature(getattr(deepfsi, name)).parameters.values()}
     assert inspect.Parameter.VAR_KEYWORD not in kinds
@@ -42,33 +43,47 @@ def test_the_package_says_that_it_is_typed():
     assert files("deepfsi").joinpath("py.typed").is_file()
 
 
-def test_a_misspelt_keyword_is_pythons_own_error(digits):
-    with pytest.raises(TypeError, match="epoch"):
-        deepfsi.learn(digits, photons=1e4, masks=5, epoch=3)
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ({"mask": 3}, "no setting 'mask': did you mean 'masks'"),
+        ({"epochs": 3}, "no setting 'epochs': give `training={'epochs': ...}`"),
+        ({"light": "column"}, "no setting 'light': give `camera={'light': ...}`"),
+        ({"training": {"epoch": 3}}, "a training has no setting 'epoch': did you mean 'epochs'"),
+        ({"camera": {"lihgt": "column"}}, "unknown key 'lihgt': did you mean 'light'"),
+        ({"exposure": {"look": 3}}, "no setting look"),
+    ],
+)
+def test_a_misspelt_setting_says_where_it_belongs(digits, setting, said):
+    with pytest.raises(deepfsi.InputError) as error:
+        deepfsi.learn(digits, **{"photons": 1e4, "masks": 5, **setting})
+    assert said in str(error.value)
+    with pytest.raises(deepfsi.InputError, match="unknown key 'sigam'"):
+        deepfsi.evaluate(learn(digits, **BRIEF), digits, 1e4, sigam=2)
 
 
 def test_settings_that_are_not_given_are_those_tuned_for_the_design(digits):
     brief = {"photons": 1e4, "masks": 64, "epochs": 1, "device": "cpu"}
-    tuned = deepfsi.learn(digits, design="raster", **brief).info["job"]["training"]
+    tuned = learn(digits, design="raster", **brief).info["job"]["training"]
     assert (tuned["lr"], tuned["scale"]) == (TUNED["raster"]["lr"], "each")
-    own = deepfsi.learn(digits, design="raster", lr=1e-3, **brief).info["job"]["training"]
+    own = learn(digits, design="raster", lr=1e-3, **brief).info["job"]["training"]
     assert (own["lr"], own["scale"]) == (1e-3, "each")
 
 
 def test_data_may_be_a_name_or_arrays(digits):
-    design = deepfsi.learn("digits", **BRIEF)
+    design = learn("digits", **BRIEF)
     assert same(design, quick(digits, masks=5))
     assert deepfsi.evaluate(design, "digits", 1e4) == deepfsi.evaluate(design, digits, 1e4)
     rng = np.random.default_rng(0)
     x, y = rng.random((60, 4, 4)), np.arange(60) % 2
-    assert deepfsi.learn((x, y), **BRIEF).image_shape == (4, 4)
-    assert deepfsi.learn((torch.from_numpy(x), torch.from_numpy(y)), **BRIEF).masks == 5
+    assert learn((x, y), **BRIEF).image_shape == (4, 4)
+    assert learn((torch.from_numpy(x), torch.from_numpy(y)), **BRIEF).masks == 5
 
 
 @pytest.mark.parametrize("data", [[1, 2], np.zeros((3, 4)), None, 7])
 def test_data_of_another_kind_says_what_to_give(data):
     with pytest.raises(deepfsi.InputError, match="give a Dataset, a name") as error:
-        deepfsi.learn(data, **BRIEF)
+        learn(data, **BRIEF)
     assert "\n" not in str(error.value)
 
 
@@ -81,10 +96,10 @@ def test_a_design_shows_itself_in_one_line(made):
 
 
 def test_a_bar_is_shown_where_a_terminal_is_attached(digits, capsys, monkeypatch):
-    deepfsi.evaluate(deepfsi.learn(digits, **BRIEF), digits, 1e4)
+    deepfsi.evaluate(learn(digits, **BRIEF), digits, 1e4)
     assert capsys.readouterr().err == ""
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich's word for a terminal
-    design = deepfsi.learn(digits, **BRIEF)
+    design = learn(digits, **BRIEF)
     assert "deepfsi, 5 masks" in capsys.readouterr().err
     deepfsi.evaluate(design, digits, 1e4)
     assert "deepfsi, 5 masks" in capsys.readouterr().err

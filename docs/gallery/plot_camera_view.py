@@ -25,8 +25,8 @@ from deepfsi.report.style import STYLE
 plt.rcParams.update(STYLE)
 
 # %%
-# Twenty non-negative masks of one device and one detector, the camera unless another is given. Each
-# is shown for its own share of the exposure.
+# Twenty non-negative masks of one device and one detector (the camera unless another is given),
+# each shown for its own share of the exposure.
 
 digits = deepfsi.load_dataset("digits")
 design = deepfsi.learn(digits, photons=1e5, masks=20, training={"epochs": 30})

@@ -67,7 +67,7 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
 def faults(error: "ValidationError") -> list[str]:
     """Every bad field of pydantic's error, with what was given."""
     return [
-        (f"{_place(fault)} = {_given(fault)}: " if fault["loc"] else "") + _words(fault)
+        (f"{_place(fault)}{_given(fault)}: " if fault["loc"] else "") + _words(fault)
         for fault in error.errors()
         if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]
@@ -78,8 +78,11 @@ def _place(fault: "ErrorDetails") -> str:
 
 
 def _given(fault: "ErrorDetails") -> str:
+    """What was given, but of a table, whose faults name their own fields."""
+    if isinstance(fault["input"], dict):
+        return ""
     text = " ".join(repr(fault["input"]).split())
-    return text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ..."
+    return " = " + (text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ...")
 
 
 def _words(fault: "ErrorDetails") -> str:

@@ -51,7 +51,7 @@ def patterns(lab):
 @pytest.fixture
 def run(done, lab, patterns, tmp_path):
     """Counted acquisition of the three scenes."""
-    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
     done("camera", "simulate", patterns, *words, "-o", tmp_path / "run")
     done("camera", "count", tmp_path / "run")
     return tmp_path / "run"
@@ -97,7 +97,7 @@ def test_from_photons_to_classes(done, lab, patterns, tmp_path):
     run = tmp_path / "run"
     out = done(
         "camera", "simulate", patterns, "--scene", lab / "images", "--flux", 1e7,
-        "--exposure", "5ms", "--camera", "ideal", "-o", run, "--json",
+        "--exposure", "5ms", "--virtual", "ideal", "-o", run, "--json",
     )  # fmt: skip
     assert len(json.loads(out)["acquisition"]["scenes"]) == 3
     out = done("camera", "count", run, "--exposure", "1ms", "--json")
@@ -140,7 +140,7 @@ def other_run(done, made, lab, run, digits, tmp_path):
     other.save(tmp_path / "random.safetensors")
     words = ["--device", "64x48", "-o", tmp_path / "random"]
     done("dmd", "export", tmp_path / "random.safetensors", *words)
-    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
     done("camera", "simulate", tmp_path / "random", *words, "-o", tmp_path / "theirs")
     shutil.copy(tmp_path / "theirs" / "photons.ptu", run / "photons.ptu")
     done("camera", "count", run)
@@ -195,7 +195,7 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
     bare.save(lab / "bare.safetensors")
     words = ["--device", "64x48", "-o", patterns]
     done("dmd", "export", lab / "bare.safetensors", *words)
-    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--camera", "ideal"]
+    words = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
     done("camera", "simulate", patterns, *words, "-o", run.parent / "bare")
     done("camera", "count", run.parent / "bare")
     words = ["camera", "classify", lab / "bare.safetensors", run.parent / "bare"]
@@ -277,7 +277,7 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
     done("camera", "spots", "--size", "32x32", "-o", spots)
     done(
         "camera", "simulate", tmp_path / "p", "--scene", spots, "--flux", 1e7, "--exposure", "2s",
-        "--repeats", 1, "--camera", camera, "-o", run,
+        "--repeats", 1, "--virtual", camera, "-o", run,
     )  # fmt: skip
     done("camera", "count", run)
     text = done("camera", "calibrate", run, "--spots", spots, "-o", out, "--json")
@@ -362,7 +362,7 @@ def test_patterns_of_devices_by_size_have_times_of_their_own(done, refuse, lab, 
 def test_a_large_recording_is_asked_for(done, refuse, lab, patterns, tmp_path, monkeypatch):
     """All of a pass is written: its photons are forecast before the work."""
     words = ["camera", "simulate", patterns, "--scene", lab / "images", "--exposure", "5ms"]
-    words += ["--camera", "ideal", "-o", tmp_path / "run"]
+    words += ["--virtual", "ideal", "-o", tmp_path / "run"]
     said = refuse(*words, "--flux", 1e12)
     assert "GB" in said
     assert "--yes" in said
@@ -402,7 +402,7 @@ def test_scenes_have_the_white_of_the_design(done, digits, tmp_path):
     design = tmp_path / "d.safetensors"
     done("design", "--design", "pca", "--data", tmp_path / "train", *words, "-o", design)
     done("dmd", "export", design, "--device", "64x48", "-o", tmp_path / "p")
-    words = ["--flux", 1e6, "--exposure", "2ms", "--camera", "ideal"]
+    words = ["--flux", 1e6, "--exposure", "2ms", "--virtual", "ideal"]
     said = done("camera", "simulate", tmp_path / "p", "--scene", tmp_path / "dim", *words,
                 "-o", tmp_path / "run")  # fmt: skip
     assert "4 images of 8x8 pixels" in said

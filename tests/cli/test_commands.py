@@ -26,7 +26,8 @@ COMMANDS = [
 
 @pytest.fixture(scope="module")
 def design_file(tmp_path_factory):
-    from deepfsi import learn, load_dataset
+    from deepfsi import load_dataset
+    from shared.jobs import learn
 
     path = tmp_path_factory.mktemp("design") / "digits.safetensors"
     learn(load_dataset("digits"), photons=1e3, masks=4, epochs=2).save(path)
@@ -41,7 +42,7 @@ def test_every_command_has_help_with_an_example(done, command):
 
 HEADINGS = {
     "": ["Design:", "Study:", "Camera:", "Data:"],
-    "camera": ["Record a run:", "Read a run:", "Calibrate the camera:"],
+    "camera": ["Describe the camera:", "Record a run:", "Read a run:", "Calibrate the camera:"],
     "dmd": ["Commands:"],
     "data": ["Commands:"],
 }
@@ -128,9 +129,9 @@ def test_a_flexible_design(done, tmp_path):
     words += ["--hold-out", 300, "-o", file]
     made = json.loads(done("design", *words, "--json"))
     assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
-    training = made["info"]["job"]["training"]
-    settings = [training[key] for key in ("span", "nested", "levels", "start")]
-    assert settings == [1e3, 2, 2, "random"]
+    job = made["info"]["job"]
+    assert job["exposure"] == {"span": 1e3, "nested": 2}
+    assert (job["camera"]["levels"], job["training"]["start"]) == (2, "random")
     assert [len(frame.unique()) for frame in Design.load(file).rails.plus] == [2] * 6
     out = done("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
     assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
@@ -291,7 +292,7 @@ def test_bad_design_files(refuse, tmp_path, design_file, damage):
 @pytest.mark.parametrize(
     ("matrix", "words", "hint"),
     [
-        (np.ones((4, 64)), (), "column"),
+        (np.ones((4, 64)), (), "free-dwell"),
         (np.array(["a", "b"], dtype=object), (), "m.npy"),
         (np.eye(64)[:2] / 2, ("--masks", 5), "--masks"),
     ],

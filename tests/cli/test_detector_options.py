@@ -21,7 +21,7 @@ def test_a_design_of_several_detectors_goes_through_its_commands(done, tmp_path)
         words = (*DESIGN.split(), "--detectors", detectors, "-o", file)
         told.append(json.loads(done(*words, "--json")))
     assert told[0]["tests"] == told[1]["tests"]
-    assert told[0]["info"]["job"]["detectors"] == "2x2"
+    assert told[0]["info"]["job"]["camera"]["detectors"] == "2x2"
     assert "3 masks, 4 detectors" in done("evaluate", files[0], "--photons", "1e4")
     tested = json.loads(done("evaluate", files[0], "--photons", "1e4", "--json"))
     assert (tested["detectors"], tested["readout"]) == (4, "difference")
@@ -30,7 +30,7 @@ def test_a_design_of_several_detectors_goes_through_its_commands(done, tmp_path)
 
 
 def test_both_rails_are_read_where_asked(done, tmp_path):
-    words = ["design", "--photons", "1e4", "--masks", 3, "--epochs", 1, "-o"]
+    words = ["design", "--camera", "paper", "--photons", "1e4", "--masks", 3, "--epochs", 1, "-o"]
     file = tmp_path / "one.safetensors"
     assert "3 masks, both rails read" in done(*words, file, "--readout", "both")
     assert "3 masks at" in done(*words, file)
@@ -52,8 +52,9 @@ def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert "PCA 2x2 detectors difference" in page
     (tmp_path / "one.toml").write_text(
-        'designs = "pca"\nphotons = 1e4\nmasks = 3\nlight = "two-arm"\ntraining.epochs = 1\n'
-        'detectors = ["1x1", "2x2"]\nreadout = ["both", "difference"]\n'
+        'designs = "pca"\nphotons = 1e4\nmasks = 3\ntraining.epochs = 1\n'
+        '[camera]\nlight = "two-arm"\ndetectors = ["1x1", "2x2"]\n'
+        'readout = ["both", "difference"]\n'
     )
     table = tmp_path / "all.csv"
     done("sweep", tmp_path / "one.toml", "-o", tmp_path, "--workers", 1, "--table", table)
@@ -66,7 +67,7 @@ def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
     ("detectors", "told"),
     [
         ("9x9", "do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8"),
-        ("four", "a map of each pixel's detector, a .npy file"),
+        ("four", "give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map"),
         ("2", "do not divide"),
         ("none.npy", "none.npy"),
         ("floats.npy", "give the detector of each pixel as a whole number"),
@@ -96,7 +97,7 @@ def test_detectors_that_cannot_be_had_are_told(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--detectors 2x2", "column is other optics"),
+        ("--light column --detectors 2x2", "column is other optics"),
         ("--readout sum", "readout"),
         ("--detectors 2x2 --light free-dwell --rails dual --looks 2", "read by themselves"),
     ],

@@ -41,7 +41,7 @@ def lab(tmp_path_factory, digits):
 def simulated(done, lab, name, out, *words):
     """Acquisition of all scenes, counted; what `count` said."""
     given = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "1ms", "--repeats", 1]
-    done("camera", "simulate", lab / name, *given, "--camera", "ideal", "-o", out, "--yes", *words)
+    done("camera", "simulate", lab / name, *given, "--virtual", "ideal", "-o", out, "--yes", *words)
     return json.loads(done("camera", "count", out, "--json"))
 
 
@@ -101,7 +101,7 @@ def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp
     words = ["--size", "8x8", "--device", "64x48", "--detectors", 4, "-o", scan]
     done("dmd", "export", "hadamard", *words)
     done("camera", "spots", "--size", "16x16", "-o", spots)
-    given = ["--scene", spots, "--flux", 6e6, "--exposure", "100ms", "--camera", camera, "-o", run]
+    given = ["--scene", spots, "--flux", 6e6, "--exposure", "100ms", "--virtual", camera, "-o", run]
     done("camera", "simulate", scan, *given)
     done("camera", "count", run)
     out = tmp_path / "calibration"

@@ -33,12 +33,13 @@ STEPS = {
     "dmd export": "one.safetensors --device 64x64 -o patterns",
     "dmd check": "patterns",
     "dmd devices": "",
+    "camera describe": "one.safetensors",
     "camera prepare": "patterns --scenes images -o lab",
-    "camera simulate": "patterns --scene images --flux 1e7 --exposure 2ms --camera ideal -o run",
+    "camera simulate": "patterns --scene images --flux 1e7 --exposure 2ms --virtual ideal -o run",
     "camera count": "run",
     "camera classify": "one.safetensors run",
     "camera image": "run",
-    "camera live": "looks --scene images --flux 1e7 --exposure 2ms --camera ideal -o live",
+    "camera live": "looks --scene images --flux 1e7 --exposure 2ms --virtual ideal -o live",
     "camera inspect": "run/photons.ptu",
 }
 """Words after each command, in an order in which each finds what it needs."""

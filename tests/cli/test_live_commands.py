@@ -19,7 +19,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.live_settings import StopRule
 
-LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--camera", "ideal"]
+LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ def test_bad_words_are_refused_in_one_line(refuse, lab, tmp_path, words, message
         ("", "ALP4lib"),
         ("--counter-config levels.ini", "levels.ini"),
         ("--flux 1e7", "--flux is for virtual devices"),
-        ("--camera pmt", "--camera is for virtual devices"),
+        ("--virtual pmt", "--virtual is for virtual devices"),
         ("--latency command=1ms", "--latency is for virtual devices"),
         ("--seed 0", "--seed is for virtual devices"),
         ("--yes", "--yes is for virtual devices"),
@@ -198,7 +198,16 @@ def test_virtual_devices_need_a_flux(refuse, lab, tmp_path):
 
 def test_a_run_in_which_no_scene_has_light_ends_with_an_error(call, lab, tmp_path):
     """Its scenes are named, and its folder is kept."""
-    words = ["--scene", lab / "images", "--exposure", "10ms", "--flux", "1e-9", "--camera", "ideal"]
+    words = [
+        "--scene",
+        lab / "images",
+        "--exposure",
+        "10ms",
+        "--flux",
+        "1e-9",
+        "--virtual",
+        "ideal",
+    ]
     run = ["camera", "live", lab / "patterns", *words, "-o", tmp_path / "run"]
     code, out, errors = call(*map(str, run))
     assert code == 2

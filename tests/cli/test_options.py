@@ -35,5 +35,6 @@ def test_read_noise_is_taken_by_the_noises_that_have_it(done, refuse, tmp_path):
     done(*given, "--noise", "gaussian", "--sigma", "5", "-o", made)
     done("evaluate", made, "--photons", "1e4", "--noise", "camera", "--sigma", "5")
     done("evaluate", made, "--photons", "1e4")
-    told = refuse("evaluate", made, "--photons", "1e4", "--sigma", "1e9")
+    done("evaluate", made, "--photons", "1e4", "--sigma", "9")
+    told = refuse("evaluate", made, "--photons", "1e4", "--noise", "poisson", "--sigma", "1e9")
     assert "--sigma is not of poisson noise" in told

@@ -41,7 +41,6 @@ def test_a_sweep_by_name(done, tmp_path, monkeypatch):
     [
         ("mnst", "did you mean 'mnist'"),
         ("recipes/mnist.toml", "no recipe at recipes/mnist.toml"),
-        ("ovit", "deepfsi reproduce ovit"),
         ("nothing.toml", "nothing.toml is empty"),
         ("words.toml", "words.toml is not TOML"),
     ],

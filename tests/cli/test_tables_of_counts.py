@@ -221,7 +221,7 @@ def test_the_dead_time_of_a_recording_is_corrected_and_said(done, lab, tmp_path)
     camera.write_text("dead_time_s = 1e-7\nparalysable = true\n")
     write_pictures({"a.png": np.full((8, 8), 0.5)}, tmp_path / "images")
     words = ["--scene", tmp_path / "images", "--flux", 3 * FLUX, "--exposure", "5ms", "-o"]
-    done("camera", "simulate", lab.patterns, "--camera", camera, *words, tmp_path / "run")
+    done("camera", "simulate", lab.patterns, "--virtual", camera, *words, tmp_path / "run")
     bare = json.loads(done("camera", "count", tmp_path / "run", "--json"))
     words = ["--dead-time", "100ns", "--dead-time-model", "paralysable"]
     found = json.loads(done("camera", "count", tmp_path / "run", *words, "--json"))

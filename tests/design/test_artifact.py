@@ -16,9 +16,11 @@ from safetensors.torch import save_file
 from torch import nn
 
 import deepfsi
-from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on
+from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on, quick
+from deepfsi import Camera
 from deepfsi.design.artifact import Design
 from deepfsi.design.artifact_file import SCHEMA
+from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -66,6 +68,66 @@ def test_the_file_says_where_the_design_comes_from(made, digits, saved):
     job = info["job"]
     assert (job["photons"], job["seed"], job["masks"]) == (1e4, 0, 7)
     assert (job["camera"]["light"], job["camera"]["noise"]) == ("column", "poisson")
+
+
+@every_optics
+def test_the_file_keeps_the_camera_that_it_was_trained_for(digits, tmp_path, light, rails):
+    given = Camera(light=light, rails=rails, exposure="10ms", flux=1e6, dark=300, sigma=2, levels=2)
+    made = quick(digits, camera=given, masks=5)
+    loaded = Design.load(made.save(tmp_path / "design.safetensors"))
+    assert loaded.camera == made.camera == given
+    assert loaded.camera_with(noise="gaussian").sigma == 2
+    assert loaded.camera_with(noise="poisson").dark == 0
+    assert loaded.camera_with(dark=700).dark_counts == 7
+
+
+@every_optics
+def test_a_file_that_knows_no_camera_has_its_optics(made, tmp_path, light, rails):
+    """Files of before there were cameras."""
+    path = made("deepfsi", light, rails).save(tmp_path / "design.safetensors")
+    rewrite(path, lambda header, _: header["info"]["job"].pop("camera"))
+    camera = Design.load(path).camera
+    assert (camera.light, camera.rails) == (light, rails)
+    assert (camera.noise, camera.dark) == ("poisson", 0)
+    rewrite(path, lambda header, _: header.update(info={}))
+    assert Design.load(path).camera == camera
+
+
+def test_a_file_that_knows_no_camera_has_its_detectors(digits, tmp_path):
+    path = quick(digits, light="two-arm", detectors="2x2").save(tmp_path / "design.safetensors")
+    rewrite(path, lambda header, _: header.update(info={}))
+    loaded = Design.load(path)
+    assert loaded.camera.detection((8, 8)).key == loaded.detection.key
+    assert loaded.camera.readout == loaded.detection.readout
+
+
+def test_a_camera_that_cannot_be_is_one_line(saved):
+    rewrite(saved, lambda header, _: header["info"]["job"]["camera"].update(light="colum"))
+    with pytest.raises(InputError, match="the design's camera cannot be used at light") as error:
+        Design.load(saved).camera  # noqa: B018
+    assert "\n" not in str(error.value)
+
+
+def test_noise_follows_again_from_what_a_file_keeps(digits, saved):
+    """Of a camera that gave neither noise nor sigma."""
+    loaded = Design.load(saved)
+    assert (loaded.camera_with(dark=5.0).noise, loaded.camera_with(dark=5.0).sigma) == ("camera", 0)
+    noisy = quick(digits, dark=5.0)
+    assert noisy.camera_with(noise="gaussian").sigma == 1
+
+
+def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "foreign_noise.py").write_text("open('ran', 'w')\ndef noise(rates, generator): ...")
+    rewrite(
+        saved,
+        lambda header, _: header["info"]["job"]["camera"].update(noise="foreign_noise:noise"),
+    )
+    loaded = Design.load(saved)
+    with pytest.raises(InputError, match="a file does not run: give `noise`, it or another"):
+        evaluate(loaded, digits, 1e4)
+    assert evaluate(loaded, digits, 1e4, draws=1, noise="poisson")[0].noise == "poisson"
+    assert not (tmp_path / "ran").exists()
 
 
 def test_the_file_names_the_package_version(saved):

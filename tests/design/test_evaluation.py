@@ -136,6 +136,27 @@ def test_counts_are_of_the_test_scenes_and_of_light_alone(good, digits):
     assert noisy.counts == pytest.approx(usual.counts, rel=1e-6)
 
 
+def test_a_test_is_under_the_designs_camera_unless_another_is_given(digits):
+    """Rates are counts of its exposure."""
+    camera = {"exposure": "10ms", "dark": 5e4, "sigma": 2.0}
+    made = quick(digits, camera=camera)
+    own, again, other = (
+        evaluate(made, digits, 1e3, draws=1, **settings)[0]
+        for settings in (
+            {},
+            {"noise": "camera", "dark": 500.0, "exposure": 1.0},
+            {"camera": "dmd"},
+        )
+    )
+    assert own.confusion == again.confusion
+    assert (own.noise, other.noise) == ("camera", "poisson")
+    louder = evaluate(made, digits, 1e3, draws=1, camera=camera, exposure="1s")[0]
+    assert louder.confusion != own.confusion
+    assert louder == evaluate(made, digits, 1e3, draws=1, dark=5e4, exposure="1s")[0]
+    with pytest.raises(InputError, match="unknown key 'nois': did you mean 'noise'"):
+        evaluate(made, digits, 1e3, nois="poisson")
+
+
 def test_counts_of_chosen_dwells_are_those_that_were_drawn(digits):
     """Sum of single counts of every look, within the Poisson error of all."""
     looks = quick(digits, light="free-dwell", rails="single", looks=3, noise="poisson")

@@ -12,6 +12,8 @@ from deepfsi.design.exposure.trained import FixedExposure, PatchExposure
 from deepfsi.errors import InputError
 from shared.jobs import job
 
+pytestmark = pytest.mark.core
+
 KINDS = [
     ({}, Fixed()),
     ({"span": 10.0}, Range(span=10.0)),

@@ -165,6 +165,17 @@ def test_settings_of_the_usual_classifier_are_not_ignored(digits):
         learned(digits, nn.Linear(6, 10), classifier_arguments={"width": 3})
 
 
+def test_arguments_of_a_partial_are_settings_of_the_job(digits):
+    given = functools.partial(Cnn, width=3)
+    one = learned(digits, given, classifier_arguments={"width": 4})
+    assert one.info["job"]["training"]["classifier_arguments"] == {"width": 4}
+    other = learned(digits, given)
+    assert other.info["job"]["training"]["classifier_arguments"] == {"width": 3}
+    assert other.classifier.arguments == {"width": 3}
+    with pytest.raises(InputError, match="give them as keywords"):
+        learned(digits, functools.partial(Cnn, 3))
+
+
 @pytest.fixture
 def foreign(digits, tmp_path, monkeypatch):
     """A design file whose classifier's module says that it was imported; and that module's name."""

@@ -9,6 +9,8 @@ from deepfsi.optics.masks import FixedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import project, project_rails
 
+pytestmark = pytest.mark.core
+
 FLOAT64 = 1e-15
 
 

@@ -6,8 +6,8 @@ Light law and rails are the paper's unless others, or a camera, are given.
 
 from typing import Any
 
-import deepfsi
 from deepfsi.training.job import Job, sorted_settings
+from deepfsi.training.learning import learn as learned
 
 OF_LEARN = ("counts", "matrix", "device", "report")
 
@@ -32,4 +32,4 @@ def job(**settings: Any) -> Job:
 def learn(data: Any, **settings: Any) -> Any:
     """Design of single settings, learned."""
     own = {name: settings.pop(name) for name in OF_LEARN if name in settings}
-    return deepfsi.learn(data, **own, **nested(**settings))
+    return learned(data, **own, **nested(**settings))

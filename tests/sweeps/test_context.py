@@ -5,14 +5,14 @@ import weakref
 import numpy as np
 import pytest
 import torch
-from deepfsi.training.footprint import footprint
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.sweeps import context
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.trial import plan
-from deepfsi.training import footprint as memory
+from deepfsi.training import batches as memory
+from deepfsi.training.batches import footprint
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import learn

@@ -25,7 +25,7 @@ from conftest import synthetic
 from deepfsi.datasets import load_dataset
 from deepfsi.errors import InputError
 from deepfsi.sweeps import ray_cluster
-from deepfsi.sweeps.patch_trials import PatchContext, PatchRecipe, plan_patches
+from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.ray_cluster import answers, run_on_ray
 from deepfsi.sweeps.recipe import Recipe
@@ -130,19 +130,21 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, connected, tmp_path):
 @pytest.mark.slow
 def test_patches_are_trained_on_a_cluster_as_here(connected, tmp_path):
     data = synthetic((8, 8))
-    recipe = PatchRecipe(
+    recipe = Recipe(
         data="synthetic",
         validation=24,
-        patch=4,
         designs=("pca", "deepfsi"),
-        photons=(1e4,),
+        photons=1e4,
+        masks=3,
         trials=1,
-        training={"epochs": 1, "batch": 24, "width": 8, "heads": 2, "depth": 1, "hidden": 8},
+        camera="paper",
+        exposure={"patch": 4},
+        training={"epochs": 1, "batch": 24},
     )
-    context = PatchContext(data, recipe.validation, recipe.patch, "cpu")
+    context = SweepContext(data, recipe.validation, "cpu")
     there, here = (
         run_trials(
-            plan_patches(recipe, data),
+            plan(recipe, data),
             context,
             tmp_path / folder,
             Workers(ray=ray, resources=Resources(cpus=2)),

@@ -62,6 +62,8 @@ def test_jobs_that_differ_in_more_cannot_share_a_training(digits, change):
         {"design": "lda", "masks": 10},
         {"noise": "poison"},
         *({"sigma": bad} for bad in (-1, math.nan, math.inf)),
+        {"noise": "gaussian", "sigma": 0},
+        {"design": "control", "dark": 5.0},  # its masks learn under gaussian noise
         {"epochs": 0},
         {"batch": 1},
         *({"lr": bad} for bad in (0, -1, math.nan, math.inf)),
@@ -366,7 +368,6 @@ def test_a_design_has_the_optics_that_it_needs(settings, light, rails, readout, 
         ({"training": {"noise": "none"}, "dark": 5.0}, "none"),
         ({"noise": photons}, "shared.noises:photons"),
     ],
-    ids=str,
 )
 def test_a_job_trains_under_its_cameras_noise_unless_told(settings, noise):
     own = {name: settings[name] for name in settings.keys() & {"exposure", "training"}}

@@ -251,7 +251,7 @@ def budget_range(text: str) -> tuple[float, float]:
 
 def check_sigma(given: Mapping[str, Any], noises: Iterable[str]) -> None:
     """Raise `InputError` if read noise is given and none of these noises has any."""
-    named = list(dict.fromkeys(noises))
+    named = [each for each in dict.fromkeys(noises) if each != "ml_gauss"]  # of photons
     if "sigma" in given and not {"gaussian", "camera"} & {*named}:
         raise InputError(
             f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
@@ -306,9 +306,9 @@ def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
     code = codes.DESIGNS[design]
     if not code.fixed_count:
         raise InputError(f"{design} needs a number of masks: add --masks, for instance --masks 10")
-    detection = ONE if code.every_pixel else job["camera"].detection(data.image_shape)
-    scenes = find_exposure(job.get("exposure", {})).seen(data)
-    return tiles.count_allowed(design, scenes, detection)[1]
+    scene = find_exposure(job.get("exposure", {})).scene(data)
+    detection = ONE if code.every_pixel else job["camera"].detection(scene.image_shape)
+    return tiles.count_allowed(design, scene, detection)[1]
 
 
 def recipe_fields(
@@ -342,7 +342,12 @@ def recipe_settings(
     for name, text in given.items():
         table, key = owner(name)
         if name != "camera":
-            (tables[table] if table else fields)[key] = values(name, text)
+            if name == "hidden":  # widths of one network
+                tables[table][key] = [numbers(name, text, whole=True)]
+            elif table:
+                tables[table][key] = values(name, text)
+            else:
+                fields[key] = numbers(name, text, whole=name == "masks")
     replaced = {"masks": "ratios", "ratios": "masks"}
     left_out = {replaced[name] for name in fields if name in replaced}
     merged = {name: value for name, value in base.items() if name not in left_out} | fields

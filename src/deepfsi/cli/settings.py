@@ -33,6 +33,9 @@ NO_OPTIONS = ("classifier_arguments",)
 
 AXES = "; several separated by commas"
 
+ONE_VALUE = ("camera", "hidden")
+"""Options of one value where others are axes."""
+
 FIRST = "Options"
 """Heading of the options that most need, first of all."""
 
@@ -151,7 +154,7 @@ def _option(name: str, panel: str, field: "FieldInfo", axes: bool) -> inspect.Pa
     flag = field.annotation is bool
     words = field.description or ""
     if axes:
-        words += "" if flag or name == "camera" else AXES
+        words += "" if flag or name in ONE_VALUE else AXES
     elif _has_default(panel, field):
         words += f"  [default: {_text(field.default)}]"
     option = typer.Option(f"--{name.replace('_', '-')}", help=words, rich_help_panel=panel)
@@ -165,7 +168,7 @@ def _option(name: str, panel: str, field: "FieldInfo", axes: bool) -> inspect.Pa
 
 
 def _has_default(panel: str, field: "FieldInfo") -> bool:
-    """True where a default holds whatever else is given; fields of a camera follow others."""
+    """True where a default holds whatever else is given, as it does not in a camera."""
     told = panel == "Camera" or field.annotation is bool or "unless given" in str(field.description)
     return not told and isinstance(field.default, str | int | float | tuple)
 

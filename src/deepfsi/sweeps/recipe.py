@@ -72,15 +72,23 @@ def _table_of_axes(given: Any, make: Callable[[Settings], Any]) -> dict[str, tup
     }
     faults = [f"{name} is empty: give one value or more" for name in axes if not axes[name]]
     for name, values in axes.items():
+        read = []
         for value in values:
             try:
                 with as_input_error():
-                    make({name: value})
+                    read.append(_number(getattr(make({name: value}), name, value), value))
             except InputError as error:
                 faults.append(str(error))
+        axes[name] = tuple(read)
     if faults:
         raise ValueError("; ".join(faults))
     return axes
+
+
+def _number(read: Any, given: Any) -> Any:
+    """What a model reads of a setting where that is a number, or several; else what was given."""
+    numbers = read if isinstance(read, tuple) and not isinstance(given, str) else (read,)
+    return read if all(isinstance(each, int | float) for each in numbers) else given
 
 
 def _camera(given: Any) -> dict[str, tuple[Any, ...]]:

@@ -327,6 +327,8 @@ class Job(BaseModel):
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.code.signed and self.camera.rails == "single":
             faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
+        if "gaussian" in (self.noise, self.masks_from().noise) and not self.camera.sigma:
+            faults.append("gaussian noise is read noise: give `sigma` above 0")
         if (matrix is not None) != self.code.own:
             faults.append(
                 'a matrix goes with the custom design, and only with it: give `design="custom"` '

@@ -14,6 +14,8 @@ from deepfsi.optics.detection import Detection
 from deepfsi.units import seconds
 from shared.noises import saturating
 
+pytestmark = pytest.mark.core
+
 
 @pytest.mark.parametrize(
     ("time", "wanted"),
