@@ -53,7 +53,8 @@ def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
     assert "PCA 2x2 detectors difference" in page
     (tmp_path / "one.toml").write_text(
         'designs = "pca"\nphotons = 1e4\nmasks = 3\ntraining.epochs = 1\n'
-        '[camera]\nlight = "two-arm"\ndetectors = ["1x1", "2x2"]\nreadout = ["both", "difference"]\n'
+        '[camera]\nlight = "two-arm"\ndetectors = ["1x1", "2x2"]\n'
+        'readout = ["both", "difference"]\n'
     )
     table = tmp_path / "all.csv"
     done("sweep", tmp_path / "one.toml", "-o", tmp_path, "--workers", 1, "--table", table)
