@@ -67,9 +67,13 @@ def with_fields(app, what, name, thing, options, lines):
     """Put the fields of a model before the sections of its docstring, or after all."""
     told = isclass(thing) and issubclass(thing, BaseModel) and thing.model_fields
     if what == "class" and told and "Attributes" not in lines:
+        try:
+            table = fields(thing)
+        except LookupError:  # of the package itself: its fields have comments
+            return
         below = [place - 1 for place, line in enumerate(lines) if re.fullmatch("-{4,}", line)]
         place = below[0] if below else len(lines)
-        lines[place:place] = [*([] if below else [""]), *fields(thing)]
+        lines[place:place] = [*([] if below else [""]), *table]
 
 
 def as_text(app, what, name, thing, options, lines):

@@ -2,8 +2,8 @@
 Masks against light
 ===================
 
-The paper's camera is learned three times, for 100, 10⁴ and 10⁶ photons an exposure. With 100 photons
-each mask takes all the light of a few pixels. With more light, all masks share every pixel.
+The paper's camera is learned three times, for 100, 10⁴ and 10⁶ photons an exposure. With 100
+photons each mask takes all the light of a few pixels. With more light, all masks share every pixel.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ plt.rcParams.update(STYLE)
 
 # %%
 # A design is six masks and the network that reads their counts. The optics split the light of each
-# pixel among all masks (``column``). It is tested on pictures that it
-# was not trained on, under exact photon noise.
+# pixel among all masks (``column``). It is tested on pictures that it was not trained on, under
+# exact photon noise.
 
 digits = deepfsi.load_dataset("digits")
 designs, results = {}, {}

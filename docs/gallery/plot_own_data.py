@@ -38,7 +38,8 @@ data = deepfsi.from_arrays(x, y, name="shapes")
 
 # %%
 # Four designs of eight masks (raster scan has one for each pixel, impulse imaging a detector for
-# each), at four budgets, for one micromirror device with one detector. A folder keeps what is trained; here it is a temporary one.
+# each), at four budgets, for one micromirror device with one detector. A folder keeps what is
+# trained; here it is a temporary one.
 
 recipe = Recipe(
     designs=("impulse", "raster", "pca", "deepfsi"),

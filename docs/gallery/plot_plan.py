@@ -35,7 +35,8 @@ with tempfile.TemporaryDirectory() as folder:
 
 # %%
 # Dots are trained designs, with 95 % intervals over the 360 test pictures. Thick bars at the target
-# are the photons needed: 95 % intervals that also cover what lies between tried budgets.
+# are the photons needed: 95 % intervals that also cover what lies between tried budgets. One
+# without an upper end is drawn to the highest budget.
 
 figure, ax = plt.subplots(figsize=(6.4, 4), layout="constrained")
 for place, need in enumerate(plan["needs"]):

@@ -28,8 +28,9 @@ x = 0.9 - depth * np.exp(-(((bands - centre[:, None]) / width) ** 2))
 data = deepfsi.from_arrays(x, y, name="dyes")
 
 # %%
-# Learned at 1000 photons, for optics that split the light of each band among all masks. Positive values are counted on the first rail, negative ones on the
-# second; the network reads the difference.
+# Learned at 1000 photons, for optics that split the light of each band among all masks. Positive
+# values are counted on the first rail, negative ones on the second; the network reads the
+# difference.
 
 design = deepfsi.learn(data, camera="paper", photons=1e3, masks=4, training={"epochs": 30})
 results = deepfsi.evaluate(design, data, [1e2, 1e3, 1e4, 1e5])

@@ -126,8 +126,8 @@ plt.show()
 #    y = 50. Poisson variances add, also in a difference: √(200 + 150), about 19. So a mask whose
 #    rails are both bright has a noisy difference, which the training takes into account.
 #
-# **2.** Learn the same design without ``--rails dual``: non-negative masks, one frame each. Which is
-# better here, and why may it be?
+# **2.** Learn the same design without ``--rails dual``: non-negative masks, one frame each. Which
+# is better here, and why may it be?
 #
 # .. dropdown:: Answer
 #

@@ -131,8 +131,8 @@ folder.cleanup()
 #    the difference is known better than each accuracy; a paired comparison, or more test pictures,
 #    tells.
 #
-# **2.** Add ``impulse`` to the designs, with ``--camera paper`` (``column``, dual rails). Why does impulse
-# imaging win, and why is it no option here?
+# **2.** Add ``impulse`` to the designs, with ``--camera paper`` (``column``, dual rails). Why does
+# impulse imaging win, and why is it no option here?
 #
 # .. dropdown:: Answer
 #

@@ -35,8 +35,8 @@ run = commands_in(work)
 #
 # A laboratory describes its camera once, in a file, in its own units. This one has a DLP7000 of
 # 1024 × 768 mirrors and one detector, which counts 10⁷ photons per second when all mirrors are ON.
-# In an exposure of 1 ms that is a budget of 10⁴ photons. The detector is blind for 28.5 ns after each
-# count. What is not said follows from the rest; ``camera describe`` says what the camera can show.
+# In an exposure of 1 ms that is a budget of 10⁴ photons. The detector is blind for 28.5 ns after
+# each count. What is not said follows from the rest; ``camera describe`` says what it can show.
 
 (work / "my-lab.toml").write_text("""
 light = "free-dwell"    # one device, one detector
@@ -123,9 +123,9 @@ plt.show()
 #
 # .. dropdown:: Answer
 #
-#    Not with eight frames. A frame is counted for 44 µs less 10 µs, in which the mirrors settle, and
-#    2 µs of margin: for 32 µs at least. So the exposure has room for 31 frames. The training knows it
-#    from the camera, and gives no frame less.
+#    Not with eight frames. A frame is counted for 44 µs less 10 µs, in which the mirrors settle,
+#    and 2 µs of margin: for 32 µs at least. So the exposure has room for 31 frames. The training
+#    knows it from the camera, and gives no frame less.
 #
 # **2.** Your detector has an efficiency of 0.25, and 10⁵ photons reach the device. Which budget
 # does the classifier get?

@@ -78,7 +78,7 @@ def _place(fault: "ErrorDetails") -> str:
 
 
 def _given(fault: "ErrorDetails") -> str:
-    """What was given, but of a table, whose faults name their own fields."""
+    """Value of a field in words; none of a table, whose faults name their own fields."""
     if isinstance(fault["input"], dict):
         return ""
     text = " ".join(repr(fault["input"]).split())

@@ -466,7 +466,9 @@ def test_what_a_page_cannot_play_is_refused(designs, made):
     good = made("deepfsi", "column", "dual")
     with pytest.raises(InputError, match="own in it: give a design with the package's own"):
         check_playable(replace(good, classifier=torch.nn.Linear(7, 10)))
-    other = replace(good, info={"job": {"noise": "shared.noises:photons"}})
+    other = replace(
+        good, info={"job": {"camera": {"light": "column", "noise": "shared.noises:photons"}}}
+    )
     with pytest.raises(InputError, match=r"for shared\.noises:photons noise"):
         check_playable(other)
     with pytest.raises(InputError, match="of image patches"):

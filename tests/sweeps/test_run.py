@@ -11,11 +11,7 @@ from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.trial import Trial, plan
 from shared.trials import small, train_trials
 
-FILES = {
-    name: tomllib.loads(file.read_text())
-    for name, file in sorted(shipped().items())
-    if not name.startswith("ovit")  # of another kind: test_ovit
-}
+FILES = {name: tomllib.loads(file.read_text()) for name, file in sorted(shipped().items())}
 
 
 RECIPES = {
@@ -72,17 +68,28 @@ def test_every_coarse_recipe_is_sound(settings):
 
 @pytest.mark.parametrize("settings", RECIPES.values(), ids=RECIPES)
 def test_every_recipe_runs_small(settings, digits, tmp_path):
-    nested = settings.get("training", {}).get("nested", 0)
-    detectors = settings.get("detectors", "1x1")
+    camera, exposure = settings.get("camera", {}), settings.get("exposure", {})
+    nested = exposure.get("nested", 0)
+    detectors = camera.get("detectors", "1x1")
+    training = {**settings.get("training", {}), "epochs": 1, "batch": 500}
+    if "patch" in exposure:
+        exposure = {**exposure, "patch": 4}
+        training["classifier_arguments"] = {"width": 8, "depth": 1, "heads": 2, "hidden": 8}
     tiny = {
         "data": "digits",
+        "images": None,
         "masks": max(4, *nested) if isinstance(nested, list) else max(4, nested),
         "ratios": (),
-        "detectors": detectors if isinstance(detectors, str) else detectors[:2],
+        "camera": {
+            **camera,
+            "detectors": detectors if isinstance(detectors, str) else detectors[:2],
+        },
+        "exposure": exposure,
         "photons": 1e3,
         "gaussian_photons": 1e3 if "gaussian_photons" in settings else (),
         "trials": 1,
-        "training": {**settings.get("training", {}), "epochs": 1, "batch": 500},
+        "validation": min(settings.get("validation", 200), 200),
+        "training": training,
     }
     recipe = Recipe(**{**settings, **tiny})
     results, _ = compare(recipe, digits, tmp_path, command="deepfsi")

@@ -90,6 +90,10 @@ def main() -> NoReturn:
         said = getattr(error, "format_message", error.__str__)()
         context = getattr(error, "ctx", None)  # of an error in the words of the command
         _fail(f"{said.rstrip('.')}; see `{context.command_path} --help`" if context else said)
+    except ValueError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # what pydantic makes of Ctrl-C
+            raise
+        code = STOPPED
     except OSError as error:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == STOPPED:

@@ -86,7 +86,7 @@ def _table_of_axes(given: Any, make: Callable[[Settings], Any]) -> dict[str, tup
 
 
 def _number(read: Any, given: Any) -> Any:
-    """What a model reads of a setting where that is a number, or several; else what was given."""
+    """Number, or several, that a model reads of a setting; of other settings the given value."""
     numbers = read if isinstance(read, tuple) and not isinstance(given, str) else (read,)
     return read if all(isinstance(each, int | float) for each in numbers) else given
 

@@ -51,12 +51,12 @@ class Trial(BaseModel):
         (0,), description="grey levels of the masks in the tests, dark included; 0: continuous"
     )
 
-    @property
+    @functools.cached_property
     def key(self) -> str:
         """Content hash that names the record."""
         return self._hash(NAMES)
 
-    @property
+    @functools.cached_property
     def design_key(self) -> str:
         """Content hash that names the design: of what the training depends on."""
         tests = {"draws", "test_photons", "test_noise", "test_levels"}

@@ -37,7 +37,7 @@ RIVALS = {
     "gaussian": ("raster", "hadamard", "truncated-hadamard", "pca"),
     "poisson": ("raster", "hadamard", "truncated-hadamard", "pca", "control"),
 }
-"""The other designs with one detector."""
+"""The other designs of masks."""
 
 SHORT = {"gaussian": "AGN", "poisson": "PN"}
 """The paper's names of both noises."""
@@ -181,7 +181,7 @@ def _advantageous(of: str, split: str, compared: Compared, chosen: Chosen) -> Cl
         said += f"; not clearly above {listed(unclear)}"
     holds = above(compared.values())
     return Claim(
-        f"PN, {split} split: DeepFSI is above every other design with one detector at every budget",
+        f"PN, {split} split: DeepFSI is above every other design of masks at every budget",
         holds,
         said,
         "" if holds else "In bright light all designs come to what the classifier can do.",
@@ -259,7 +259,7 @@ def _found(numbers: Numbers) -> str:
             f"{SURROGATE} has simulated spectra on the real label map and bands. "
         )
     text += (
-        f"On {of}, DeepFSI less the best other design with one detector, which validation pixels "
+        f"On {of}, DeepFSI less the best other design of masks, which validation pixels "
         f"choose: {'; '.join(parts)}. "
     )
     if leakages:

@@ -158,7 +158,7 @@ def read_claims(read: dict[tuple[str, float], Point]) -> list[Claim]:
             + (f"; below: {listed(against)}" if against else ""),
         ),
         Claim(
-            "AGN: DeepFSI is the highest of the designs with one detector",
+            "AGN: DeepFSI is the highest of the designs of masks",
             above(rivals.values()),
             f"nearest: {rivals[worst]} over {read[worst].label} at "
             f"{photons_text(worst[1])} photons",
