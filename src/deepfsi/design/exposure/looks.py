@@ -27,7 +27,7 @@ from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
-from deepfsi.optics.dwells import share_out
+from deepfsi.optics.dwells import Shares, share_out
 from deepfsi.optics.masks import LearnedMasks, through
 from deepfsi.optics.rails import Rails
 
@@ -61,17 +61,17 @@ class Dwells:
         each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
         return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
 
-    def by_rail(self, dwell: np.ndarray) -> np.ndarray:
+    def by_rail(self, dwell: Shares) -> Shares:
         """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
         if not self.each_rail:
             return dwell
-        return np.swapaxes(dwell.reshape(*dwell.shape[:-1], self.masks, 2), -2, -1)
+        return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
 
-    def by_mask(self, dwell: np.ndarray) -> np.ndarray:
+    def by_mask(self, dwell: Shares) -> Shares:
         """Inverse of `by_rail`."""
         if not self.each_rail:
             return dwell
-        return np.swapaxes(dwell, -2, -1).reshape(*dwell.shape[:-2], -1)
+        return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
 LARGEST_SCORE = 4.0
@@ -79,6 +79,14 @@ LARGEST_SCORE = 4.0
 
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
+
+
+def next_dwell(
+    choose: Callable[[Tensor], Tensor], inputs: Tensor, left: Tensor, looks: int
+) -> Tensor:
+    """Dwells (..., q) of the next of K looks, of inputs and the share (..., 1) that is left."""
+    scores = choose(torch.cat([inputs, left], dim=-1))
+    return (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / looks
 
 
 def expose(
@@ -96,8 +104,7 @@ def expose(
     seen = Observation(features, total)
     for look in range(looks):
         left = torch.full_like(total[..., :1], 1 - look / looks)
-        scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
-        dwell = (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / looks
+        dwell = next_dwell(choose, seen.inputs(mean, std), left, looks)
         if shortest:
             dwell = through(dwell, share_out(dwell.detach(), shortest))
         counts, shown = show(dwell)
