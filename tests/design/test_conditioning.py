@@ -51,7 +51,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
     for masks in (3, 5, 8):
         part = design.first(masks)
         seen = counts[..., :masks].squeeze(-2)
-        chance = part.classify(seen, 5e3 * part.used)
+        chance = part.classify(seen, 5e3 * part.exposure.used)
         width = 2 if light == "two-arm" else 1
         features = torch.zeros(20, 8 * width)
         features[:, : masks * width] = part.features_of(seen)

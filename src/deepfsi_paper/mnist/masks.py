@@ -10,18 +10,18 @@ from pydantic import TypeAdapter
 
 from deepfsi.datasets import Dataset
 from deepfsi.optics.codes import sensing_matrix
-from deepfsi.optics.measures import (
-    effective_directions,
-    matched_similarity,
-    subspace_similarity,
-    throughput,
-)
 from deepfsi.progress import Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.style import photons_text
 from deepfsi.statistics.differences import Difference, above, of_trials
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
+from deepfsi_paper.measures import (
+    effective_directions,
+    matched_similarity,
+    subspace_similarity,
+    throughput,
+)
 from deepfsi_paper.mnist.figures import (
     LearnedMasks,
     Measure,
