@@ -182,7 +182,7 @@ def test_the_file_keeps_the_conditioning(digits, tmp_path):
     design = quick(digits, **TRAINED).first(5)
     again = Design.load(design.save(tmp_path / "d.safetensors"))
     assert again.exposure == design.exposure
-    assert 0 < again.used < 1
+    assert 0 < again.exposure.used < 1
     counts = np.full((3, 2, 5), 40.0)
     assert np.array_equal(again.classify(counts, 1e3), design.classify(counts, 1e3))
 
