@@ -38,6 +38,10 @@ def _padded_pixels(shape: Shape, classes: int) -> int:
     return int(np.prod(padded_shape(shape)))
 
 
+def _residues(shape: Shape, classes: int) -> int:
+    return s_matrix_order(int(np.prod(shape)))
+
+
 @dataclass(frozen=True)
 class Code:
     """All that the name of a design implies; nobody else compares names."""
@@ -128,7 +132,7 @@ DESIGNS: dict[str, Code] = {
         "S",
         "S-matrix",
         lambda data, masks, seed: s_matrix(data.pixels),
-        lambda shape, classes: s_matrix_order(int(np.prod(shape))),
+        _residues,
         fixed_count=True,
         single_rail=True,
     ),
