@@ -18,7 +18,7 @@ from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_s
 
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
-from deepfsi.design.exposure.looks import LooksExposure, next_dwell
+from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.trained import Observation
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
@@ -74,7 +74,7 @@ class _Look(_Fixed):
         features = design.features_of(counts) / photons.unsqueeze(-1)
         seen = Observation(features, exposure.dwells.by_mask(dwell))
         inputs = seen.inputs(design.mean, design.std)
-        asked = next_dwell(self.network, inputs, left.unsqueeze(-1), exposure.looks)
+        asked = exposure.next_dwell(self.network, inputs, left.unsqueeze(-1))
         shown = share_out(asked, shortest.clip(min=exposure.shortest).unsqueeze(-1))
         chances = design.logits_of(seen, photons.unsqueeze(-1)).softmax(dim=-1)
         return chances, exposure.dwells.by_rail(shown).reshape(-1, *exposure.dwells.shape)
