@@ -12,7 +12,7 @@ from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp, Replicas
 from deepfsi.design.evaluation import evaluate
-from deepfsi.design.exposure.looks import Dwells, LooksExposure, expose
+from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
@@ -175,7 +175,10 @@ def test_gradients_through_all_looks_are_those_of_finite_differences():
             rates = dwell * light
             return rates + 0.1 * rates.sqrt() * next(draws), dwell
 
-        looks = expose(lambda inputs: inputs @ weight.T, read, LOOKS, 4, mean.expand(5, -1), std)
+        exposure = LooksExposure(
+            Dwells(4, each_rail=False), lambda inputs: inputs @ weight.T, LOOKS
+        )
+        looks = exposure.expose_live(read, mean.expand(5, -1), std)
         return torch.cat([seen.inputs(mean, std) for seen in looks]).square().sum()
 
     assert torch.autograd.gradcheck(exposed, (weight, light))

@@ -51,7 +51,7 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
     for masks in (3, 5, 8):
         part = design.first(masks)
         seen = counts[..., :masks].squeeze(-2)
-        chance = part.classify(seen, 5e3 * part.used)
+        chance = part.classify(seen, 5e3 * part.exposure.used)
         width = 2 if light == "two-arm" else 1
         features = torch.zeros(20, 8 * width)
         features[:, : masks * width] = part.features_of(seen)
@@ -182,7 +182,7 @@ def test_the_file_keeps_the_conditioning(digits, tmp_path):
     design = quick(digits, **TRAINED).first(5)
     again = Design.load(design.save(tmp_path / "d.safetensors"))
     assert again.exposure == design.exposure
-    assert 0 < again.used < 1
+    assert 0 < again.exposure.used < 1
     counts = np.full((3, 2, 5), 40.0)
     assert np.array_equal(again.classify(counts, 1e3), design.classify(counts, 1e3))
 

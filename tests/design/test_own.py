@@ -266,6 +266,13 @@ def test_the_graph_gives_what_torch_gives(digits, kind, rails):
     assert session.get_modelmeta().custom_metadata_map["name"] == '"deepfsi"'
 
 
+def test_the_graph_of_a_look_has_it_too(digits):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    one = learned(digits, Cnn, rails="single", light="free-dwell", looks=2)
+    session = onnxruntime.InferenceSession(to_onnx(one), providers=["CPUExecutionProvider"])
+    assert [each.name for each in session.get_outputs()] == ["probabilities", "next"]
+
+
 def test_a_graph_that_follows_one_path_only_is_refused(digits):
     pytest.importorskip("onnxruntime")
     with pytest.raises(InputError, match="without conditions on values"):

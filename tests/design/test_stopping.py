@@ -75,7 +75,7 @@ def test_the_loop_at_the_camera_gives_what_the_study_says(nested, digits):
             if enough:
                 break
         right.append(chances.argmax() == label)
-        used.append(nested.first(shown).used)
+        used.append(nested.first(shown).exposure.used)
         ends.append(shown)
     assert np.mean(right) == pytest.approx(found.stopped.mean)
     assert np.mean(used) == pytest.approx(found.used.mean)
@@ -232,7 +232,7 @@ def test_logits_at_stops_are_those_of_the_first_masks(digits):
             assert np.array_equal(mine[-1], nested.logits(features, 1e3).numpy())
             for masks in (2, 7):
                 part = nested.first(masks)
-                alone = part.logits(features[:, :masks], 1e3 * part.used).numpy()
+                alone = part.logits(features[:, :masks], 1e3 * part.exposure.used).numpy()
                 np.testing.assert_allclose(mine[masks - 2], alone, rtol=1e-4, atol=1e-4)
     assert logits.shape == (9, 8 * len(digits.x_test), 10)
 

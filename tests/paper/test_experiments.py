@@ -140,7 +140,7 @@ def test_every_recipe_can_be_planned(each, quick):
 
 def test_both_noises_cover_one_axis():
     """Budgets under read noise have the same impulse-imaging error as those under photon noise."""
-    from deepfsi.optics.budget import impulse_imaging_error
+    from deepfsi_paper.measures import impulse_imaging_error
 
     for quick in (False, True):
         recipe = mnist.EXPERIMENT.recipes(quick)["mnist"]

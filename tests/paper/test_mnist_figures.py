@@ -11,8 +11,8 @@ from matplotlib.text import Annotation
 
 from deepfsi.errors import InputError
 from deepfsi.optics import codes
-from deepfsi.optics.budget import impulse_imaging_error
 from deepfsi.report.style import COLOURS, svg
+from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.mnist import figures
 from deepfsi_paper.mnist.figures import LearnedMasks, Measure, Start
 from shared.figures import assert_legible, assert_sound

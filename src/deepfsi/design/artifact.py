@@ -183,24 +183,22 @@ class Design:
     def expose(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
     ) -> Iterator[Observation]:
-        """Exposures after each look, with counts of a scanner.
+        """Exposures after each look, with counts of a scanner of this design.
 
         Parameters
         ----------
         scanner : Scanner
-            Of this design.
         rates : tensor, shape (..., rails, m · D)
             As from `rates`: expected counts for a budget of one photon.
         generator : torch.Generator
         photons : float
             Budget Φ.
         """
-        return self.exposure.expose(
-            lambda expected, share: self.detection.features(
-                scanner.read(expected, generator, share)
-            ),
-            rates, photons, self.mean, self.std,
-        )  # fmt: skip
+
+        def read(expected: Tensor, share: Tensor | float) -> Tensor:
+            return self.detection.features(scanner.read(expected, generator, share))
+
+        return self.exposure.expose(read, rates, photons, self.mean, self.std)
 
     def classify_live(
         self,
@@ -278,15 +276,14 @@ class Design:
         device = self.rails.device
         with torch.no_grad():
             if shown is not None:
-                shown = torch.from_numpy(self._dwells.by_mask(shown.numpy())).to(device)
+                shown = self._dwells.by_mask(shown).to(device)
             logits = self.logits(self.features_of(read.to(device)), budget.to(device), shown)
         return logits.softmax(dim=-1).cpu().numpy()
 
     @property
     def _dwells(self) -> Dwells:
-        """Dwells of the frames of a look, or `InputError` if they are fixed."""
-        if not isinstance(self.exposure, LooksExposure):
-            raise InputError("the dwells of this design are fixed")
+        """Dwells of the frames of a look, of an exposure that chooses them."""
+        assert isinstance(self.exposure, LooksExposure)
         return self.exposure.dwells
 
     def features_of(self, counts: Tensor) -> Tensor:
@@ -345,7 +342,7 @@ class Design:
     def quantised(self, levels: int) -> "Design":
         """The design as a device of that many grey levels shows it, dark included (paper: 769).
 
-        Classifier and statistics stay; `TrainingSettings.levels` trains for such a device.
+        Classifier and statistics stay; a camera with so many `levels` trains for such a device.
         """
         shown = Rails.of(quantise(self.rails.stacked, self.light, levels))
         return replace(self, rails=shown, distribution=None)

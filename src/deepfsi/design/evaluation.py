@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -146,21 +146,19 @@ def evaluate(
     scanner = design.scanner(tested.noise, tested.sigma, dark)
     design.exposure.check_noise(scanner.noise)
 
-    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Guess:
-        *_, seen = design.expose(scanner, rates, generator, budget)
-        classes = design.logits_of(seen, budget).argmax(dim=-1)
-        return Guess(classes, budget * float(design.exposure.shown(rates, seen).sum()))
+    def guess_of(x: Tensor) -> Guess:
+        rates = design.rates(scanner, x)
 
-    generators = [torch.Generator(design.rails.device).manual_seed(seed) for _ in budgets]
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+            *_, seen = design.expose(scanner, rates, generator, budget)
+            classes = design.logits_of(seen, budget).argmax(dim=-1)
+            return classes, budget * float(design.exposure.shown(rates, seen).sum())
+
+        return guess
+
+    shares = design.shares.view(design.masks, -1).sum(dim=1)
     with shown(report, f"{design.name}, {design.masks} masks") as bar:
-        tallies = tally_scenes(
-            scenes, lambda x: design.rates(scanner, x), guess, budgets, generators, draws, bar
-        )
-    shares = design.shares.view(design.masks, -1).sum(dim=1).tolist()
-    return [
-        result_of(budget, scanner.noise, tally, draws, shares)
-        for budget, tally in zip(budgets, tallies, strict=True)
-    ]
+        return test_scenes(scenes, guess_of, budgets, draws, seed, scanner.noise, shares, bar)
 
 
 def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
@@ -175,44 +173,40 @@ def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> 
     return Camera.load(found, **settings)
 
 
-class Guess(NamedTuple):
-    """Classes (b,) of scenes that were exposed once, and the sum of their expected counts."""
-
-    classes: Tensor
-    counts: float
+Guess = Callable[[torch.Generator, float], tuple[Tensor, float]]
+"""Exposes scenes once at a budget: their classes (b,), and the sum of their expected counts."""
 
 
-class Tally(NamedTuple):
-    """Confusion matrix (C, C) of test scenes over all noise draws, and their mean counts."""
-
-    confusion: np.ndarray
-    counts: float
-
-
-def tally_scenes(
+def test_scenes(
     data: Dataset,
-    rates_of: Callable[[Tensor], Tensor],
-    guess: Callable[[Tensor, torch.Generator, float], Guess],
+    guess_of: Callable[[Tensor], Guess],
     budgets: Sequence[float],
-    generators: Sequence[torch.Generator],
     draws: int,
+    seed: int,
+    noise: str,
+    shares: Tensor,
     report: Report,
-) -> list[Tally]:
-    """Tally of the answers of a rule to the test scenes of a data set, at each budget."""
+) -> list[Result]:
+    """Results of the answers of a rule to the test scenes of a data set, at each budget."""
+    # shares (m,) of the budget that each mask counts
+    generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
     counts = np.zeros(len(budgets))
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
-            rates, truth = rates_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
+            guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    found = guess(rates, generator, budget)
-                    np.add.at(confusions[place], (truth, found.classes.cpu().numpy()), 1)
-                    counts[place] += found.counts
+                    classes, counted = guess(generator, budget)
+                    np.add.at(confusions[place], (truth, classes.cpu().numpy()), 1)
+                    counts[place] += counted
             report(done / len(chunks))
-    means = counts / (draws * len(data.x_test))
-    return [Tally(*each) for each in zip(confusions, means.tolist(), strict=True)]
+    means = (counts / (draws * len(data.x_test))).tolist()
+    return [
+        _result(budget, noise, confusion, mean, draws, shares.tolist())
+        for budget, confusion, mean in zip(budgets, confusions, means, strict=True)
+    ]
 
 
 def check_data(design: Design, data: Dataset) -> None:
@@ -241,9 +235,10 @@ def check_draws(draws: object, seed: int) -> None:
         raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")
 
 
-def result_of(budget: float, noise: str, tally: Tally, draws: int, share: list[float]) -> Result:
-    """`Result` of a test."""
-    confusion = tally.confusion
+def _result(
+    budget: float, noise: str, confusion: np.ndarray, counts: float, draws: int, share: list[float]
+) -> Result:
+    """`Result` of a confusion matrix (C, C) of all noise draws."""
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
@@ -263,7 +258,7 @@ def result_of(budget: float, noise: str, tally: Tally, draws: int, share: list[f
         balanced_high=upper,
         rates=rates,
         confusion=confusion.tolist(),
-        counts=tally.counts,
+        counts=counts,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],
     )

@@ -44,6 +44,7 @@ def playable(
     budgets = sorted({*BUDGETS, *inside})
     results = evaluate(design, data, budgets, draws=draws, seed=seed, report=report.part(0, 0.8))
     rules = _rules(design, data, seed, report.part(0.8, 1))
+    chooser = design.exposure.network
     return {
         **_optics(design),
         "name": design.name,
@@ -51,7 +52,11 @@ def playable(
         "mean": pack(design.mean.cpu().numpy()),
         "std": pack(design.std.cpu().numpy()),
         "network": _layers(classifier),
-        "exposure": _exposure(design),
+        "exposure": {
+            **asdict(design.exposure.header()),
+            "largest_score": LARGEST_SCORE,
+            "chooser": None if chooser is None else _layers(chooser),
+        },
         "budget": trained and {"low": trained[0], "high": trained[1]},
         "rules": rules,
         "scenes": _scenes(data, seed),
@@ -134,13 +139,6 @@ def _optics(design: Design) -> dict[str, Any]:
 
 def _layers(network: Mlp) -> list[dict[str, Any]]:
     return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
-
-
-def _exposure(design: Design) -> dict[str, Any]:
-    """Entry of the design file for its exposure, and the network that chooses dwells."""
-    network = design.exposure.network
-    chooser = None if network is None else _layers(network)
-    return {**asdict(design.exposure.header()), "largest_score": LARGEST_SCORE, "chooser": chooser}
 
 
 def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:

@@ -14,14 +14,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.evaluation import (
-    Guess,
-    Result,
-    check_data,
-    check_draws,
-    result_of,
-    tally_scenes,
-)
+from deepfsi.design.evaluation import Guess, Result, check_data, check_draws, test_scenes
 from deepfsi.errors import InputError
 from deepfsi.memory import check_memory, free_memory
 from deepfsi.optics.budget import check_budget, summed_reflectance
@@ -149,13 +142,24 @@ def ideal_observer(
     check_draws(draws, seed)
     scanner, rates_of = _front_end(design, scenes)
     with torch.no_grad(), shown(report, "ideal observer") as bar:
-        guess, shares = _rule(scenes, scanner, rates_of)
-        generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
-        tallies = tally_scenes(scenes, rates_of, guess, budgets, generators, draws, bar)
-    return [
-        result_of(budget, "poisson", tally, draws, shares.tolist())
-        for budget, tally in zip(budgets, tallies, strict=True)
-    ]
+        rates = rates_of(torch.from_numpy(scenes.x_train))
+        needed = COPIES * rates.numel() * rates.element_size()
+        check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
+        observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))
+        shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
+        del rates
+
+        def guess_of(x: Tensor) -> Guess:
+            rates = rates_of(x)
+
+            def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+                expected = rates * budget
+                chances = observer.chances(scanner.read(expected, generator), budget)
+                return chances.argmax(dim=-1), float(expected.sum())
+
+            return guess
+
+        return test_scenes(scenes, guess_of, budgets, draws, seed, "poisson", shares, bar)
 
 
 def _front_end(
@@ -173,20 +177,3 @@ def _front_end(
         )
     scanner = design.scanner()
     return scanner, lambda x: design.rates(scanner, x)
-
-
-def _rule(
-    data: Dataset, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
-) -> tuple[Callable[[Tensor, torch.Generator, float], Guess], Tensor]:
-    """Observer with the training scenes as prior, and the shares (m,) that their masks count."""
-    rates = rates_of(torch.from_numpy(data.x_train))
-    needed = COPIES * rates.numel() * rates.element_size()
-    check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
-    observer = IdealObserver(rates, torch.from_numpy(data.y_train), len(data.classes))
-
-    def guess(rates: Tensor, generator: torch.Generator, budget: float) -> Guess:
-        expected = rates * budget
-        chances = observer.chances(scanner.read(expected, generator), budget)
-        return Guess(chances.argmax(dim=-1), float(expected.sum()))
-
-    return guess, rates.mean(dim=0).flatten(0, -2).sum(dim=0)

@@ -104,10 +104,7 @@ def looks_of(design: Design) -> LooksExposure:
 def with_rule(design: Design, rule: StoppingRule) -> Design:
     """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
     looks_of(design)
-    held = {
-        "temperatures": [float(t) for t in rule.temperatures],
-        "threshold": float(rule.threshold),
-    }
+    held = {"temperatures": list(rule.temperatures), "threshold": rule.threshold}
     return replace(design, info={**design.info, "stopping": held})
 
 
@@ -264,10 +261,11 @@ def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
     return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
 
 
-def _accuracy_of_surest(confidence: np.ndarray, right: np.ndarray, share: float) -> float:
-    """Accuracy of a share of the answers, the surest."""
-    kept = np.argsort(-confidence, kind="stable")[: max(1, round(share * len(confidence)))]
-    return float(right[kept].mean())
+def _surest(confidence: np.ndarray, right: np.ndarray) -> list[float]:
+    """Accuracy of each of `ACCEPTED_SHARES` of the answers, the surest."""
+    sorted_right = right[np.argsort(-confidence, kind="stable")]
+    kept = (max(1, round(share * len(right))) for share in ACCEPTED_SHARES)
+    return [float(sorted_right[:count].mean()) for count in kept]
 
 
 def stop(
@@ -337,7 +335,7 @@ def _stopped(
 ) -> Stopped:
     ends, chosen = test.ends(rule.threshold), choice.ends(rule.threshold)
     confidence, right = _at(test.confidence, ends), _at(test.right, ends)
-    whole, whole_confidence = test.right[:, -1], test.confidence[:, -1]
+    whole = test.right[:, -1]
     curve = []
     for threshold in (*THRESHOLDS.tolist(), 1.0):
         stops = test.ends(threshold)
@@ -363,12 +361,13 @@ def _stopped(
         uncalibrated_log_loss=test.raw_log_loss,
         reliability=[{"confidence": one, "accuracy": other} for one, other, _ in groups],
         rejection=[
-            {
-                "accepted": accepted,
-                "stopped": _accuracy_of_surest(confidence, right, accepted),
-                "whole": _accuracy_of_surest(whole_confidence, whole, accepted),
-            }
-            for accepted in ACCEPTED_SHARES
+            {"accepted": accepted, "stopped": early, "whole": late}
+            for accepted, early, late in zip(
+                ACCEPTED_SHARES,
+                _surest(confidence, right),
+                _surest(test.confidence[:, -1], whole),
+                strict=True,
+            )
         ],
         curve=curve,
         validation={

@@ -1,4 +1,4 @@
-"""Light budgets: from a number of photons to photons per pixel, and the paper's noise axis.
+"""Light budgets: from a number of photons to photons per pixel.
 
 The budget Φ is the number of photons that are expected to reach the coding device while masks are
 shown, averaged over the training set. Illumination is fixed, so a brighter scene sends more:
@@ -9,7 +9,7 @@ with x the reflectance in [0, 1] and λ the expected photons of each pixel.
 """
 
 import math
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from deepfsi.errors import InputError
 
@@ -101,21 +101,3 @@ def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Ar
             "such as `Design.summed_reflectance`"
         )
     return x * (check_budget(photons) / summed_reflectance)  # type: ignore[operator, return-value]
-
-
-def impulse_imaging_error(
-    photons: float,
-    mean_reflectance: float,
-    pixels: int,
-    noise: Literal["poisson", "gaussian"],
-    sigma: float = 1.0,
-) -> float:
-    """Root mean square error of impulse imaging in reflectance, the paper's noise axis."""
-    # With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
-    # x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise
-    budget = check_budget(photons)
-    if noise not in ("poisson", "gaussian"):
-        raise InputError(f"no closed form for noise {noise!r}: choose poisson or gaussian")
-    if noise == "poisson":
-        return mean_reflectance * math.sqrt(pixels / budget)
-    return sigma * mean_reflectance * pixels / budget

@@ -45,12 +45,6 @@ GUARD_S = 2e-6
 LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time of a counter, seconds."""
 
-ONE_DEVICE = (
-    "several detectors are parts of one device, and column is other optics: give light "
-    "equal-dwell, free-dwell or two-arm"
-)
-"""Said where detectors are asked for under the light law `column`."""
-
 PRESETS: dict[str, dict[str, Any]] = {
     "dmd": {"light": "free-dwell"},
     "dmd-2x2": {"light": "free-dwell", "detectors": "2x2"},
@@ -114,11 +108,10 @@ def _detectors(given: Any) -> str | tuple[int, ...]:
 def _device(given: Any) -> Any:
     if not isinstance(given, str):
         return given
-    return _read_device(Path(given)) if given.endswith(".toml") else find_device(given)
-
-
-def _read_device(path: Path) -> Device:
-    with as_input_error(str(path)):
+    if not given.endswith(".toml"):
+        return find_device(given)
+    path = Path(given)
+    with as_input_error(given):
         return Device.model_validate({"name": path.stem, **_read_toml(path)})
 
 
@@ -233,7 +226,10 @@ class Camera(BaseModel):
         if isinstance(detectors, str) and not re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", detectors):
             raise ValueError("give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map")
         if info.data.get("light") == "column" and detectors not in ("1x1", "1"):
-            raise ValueError(ONE_DEVICE)
+            raise ValueError(
+                "several detectors are parts of one device, and column is other optics: give light "
+                "equal-dwell, free-dwell or two-arm"
+            )
         return detectors
 
     @field_validator("device")
@@ -358,7 +354,32 @@ class Camera(BaseModel):
     @property
     def words(self) -> str:
         """The camera in a few lines: its optics, what it can show, its light."""
-        return "\n".join(_describe(self))
+        masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[self.rails]
+        lines = [f"{OPTICS[self.light]} (light law {self.light}); {masks}"]
+        if self.light != "column":
+            where = " on each arm" if self.light == "two-arm" else ""
+            many = self.detectors if isinstance(self.detectors, str) else "of a map"
+            lines.append("one detector" + where if many == "1x1" else f"{many} detectors{where}")
+        if self.device is not None:
+            device = self.device
+            lines.append(f"device {device.name}: {device.columns} x {device.rows} mirrors")
+        if self.shortest_dwell:
+            lines.append(f"frames are counted for {self.shortest_dwell * 1e6:.4g} µs or longer")
+        if self.shortest_dwell and self.exposure is not None:
+            most = int(1 / self.shortest_share)
+            lines[-1] += f": up to {most} in an exposure of {self.exposure:g} s"
+        if self.budget is not None:
+            lines.append(
+                f"budget {self.budget:.4g} counts in {self.exposure_s:g} s, at {self.flux:.4g} "
+                "counts/s with all mirrors ON"
+            )
+        if self.dark:
+            lines.append(f"{self.dark_counts:.4g} dark counts of a detector in an exposure")
+        if self.sigma and self.noise_name in ("gaussian", "camera"):
+            lines.append(f"read noise of {self.sigma:g} counts rms a readout")
+        if self.dead_time:
+            lines.append(f"dead time {self.dead_time * 1e9:.4g} ns, {self.dead_time_model}")
+        return "\n".join(lines)
 
 
 CameraSource = str | os.PathLike[str] | Mapping[str, Any] | Camera | None
@@ -410,35 +431,6 @@ OPTICS = {
     "two-arm": "one DMD with a detector on each arm",
 }
 """What realises each light law."""
-
-
-def _describe(camera: Camera) -> list[str]:
-    masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[camera.rails]
-    lines = [f"{OPTICS[camera.light]} (light law {camera.light}); {masks}"]
-    if camera.light != "column":
-        where = " on each arm" if camera.light == "two-arm" else ""
-        many = camera.detectors if isinstance(camera.detectors, str) else "of a map"
-        lines.append("one detector" + where if many == "1x1" else f"{many} detectors{where}")
-    if camera.device is not None:
-        device = camera.device
-        lines.append(f"device {device.name}: {device.columns} x {device.rows} mirrors")
-    if camera.shortest_dwell:
-        lines.append(f"frames are counted for {camera.shortest_dwell * 1e6:.4g} µs or longer")
-    if camera.shortest_dwell and camera.exposure is not None:
-        most = int(1 / camera.shortest_share)
-        lines[-1] += f": up to {most} in an exposure of {camera.exposure:g} s"
-    if camera.budget is not None:
-        lines.append(
-            f"budget {camera.budget:.4g} counts in {camera.exposure_s:g} s, at {camera.flux:.4g} "
-            "counts/s with all mirrors ON"
-        )
-    if camera.dark:
-        lines.append(f"{camera.dark_counts:.4g} dark counts of a detector in an exposure")
-    if camera.sigma and camera.noise_name in ("gaussian", "camera"):
-        lines.append(f"read noise of {camera.sigma:g} counts rms a readout")
-    if camera.dead_time:
-        lines.append(f"dead time {camera.dead_time * 1e9:.4g} ns, {camera.dead_time_model}")
-    return lines
 
 
 def template() -> str:

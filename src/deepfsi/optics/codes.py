@@ -26,87 +26,43 @@ Shape = tuple[int, ...]
 Make = Callable[[Dataset, int, int], np.ndarray]
 """Sensing matrix (m, N), float64, of data, a number of masks m and a seed."""
 
-Counts = Callable[[Shape, int], tuple[int, int]]
-"""Smallest and largest number of masks, of a scene's shape and the number of classes."""
+Most = Callable[[Shape, int], int]
+"""Largest number of masks, of a scene's shape and the number of classes."""
 
 
-def _up_to_pixels(shape: Shape, classes: int) -> tuple[int, int]:
-    return 1, int(np.prod(shape))
+def _pixels(shape: Shape, classes: int) -> int:
+    return int(np.prod(shape))
 
 
-def _one_a_pixel(shape: Shape, classes: int) -> tuple[int, int]:
-    return int(np.prod(shape)), int(np.prod(shape))
+def _padded_pixels(shape: Shape, classes: int) -> int:
+    return int(np.prod(padded_shape(shape)))
 
 
-def _whole_basis(shape: Shape, classes: int) -> tuple[int, int]:
-    order = int(np.prod(padded_shape(shape)))
-    return order, order
-
-
-def _up_to_basis(shape: Shape, classes: int) -> tuple[int, int]:
-    return 1, int(np.prod(padded_shape(shape)))
-
-
-def _below_classes(shape: Shape, classes: int) -> tuple[int, int]:
-    return 1, min(classes - 1, int(np.prod(shape)))
-
-
-def _residues(shape: Shape, classes: int) -> tuple[int, int]:
-    order = s_matrix_order(int(np.prod(shape)))
-    return order, order
+def _residues(shape: Shape, classes: int) -> int:
+    return s_matrix_order(int(np.prod(shape)))
 
 
 @dataclass(frozen=True)
 class Code:
-    """All that the name of a design implies; nobody else compares names.
+    """All that the name of a design implies; nobody else compares names."""
 
-    Attributes
-    ----------
-    label : str
-        The paper's abbreviation.
-    title : str
-        For tables and figures.
-    make : callable or None
-        Its matrix; None of one that is learned, or a user's own.
-    counts : callable
-        Numbers of masks that it can have.
-    specific : bool
-        Feature-specific, that is, made from training data (drawn as a circle, others as a square).
-    learned : bool
-        Masks are optimised together with the classifier.
-    learned_under : str or None
-        Noise under which its masks are learned first, before a classifier of theirs alone.
-    fixed_count : bool
-        The number of masks follows from the scene's shape and cannot be chosen.
-    single_rail, signed : bool
-        Has no negative entries by definition, or needs them.
-    every_pixel : bool
-        Has a detector for each pixel: the light law `column`, and no device.
-    scaled : bool
-        Its scale is what defines it, so that no light law changes it.
-    seeded : bool
-        Its matrix is drawn from the seed.
-    shared : bool
-        The matrix of few masks is the first of that of many, so that one is made for all.
-    own : bool
-        Its matrix is the user's.
-    """
-
-    label: str
-    title: str
-    make: Make | None = None
-    counts: Counts = _up_to_pixels
+    label: str  # the paper's abbreviation
+    title: str  # for tables and figures
+    make: Make | None = None  # its matrix; None of one that is learned, or a user's own
+    most: Most = _pixels
+    # Feature-specific, that is, made from training data (drawn as a circle, others as a square)
     specific: bool = False
-    learned: bool = False
+    learned: bool = False  # masks are optimised together with the classifier
+    # Noise under which its masks are learned first, before a classifier of theirs alone
     learned_under: str | None = None
-    fixed_count: bool = False
-    single_rail: bool = False
-    signed: bool = False
-    every_pixel: bool = False
-    scaled: bool = False
-    seeded: bool = False
-    shared: bool = False
-    own: bool = False
+    fixed_count: bool = False  # it has the largest number of masks, and no other
+    single_rail: bool = False  # has no negative entries by definition
+    signed: bool = False  # needs them
+    every_pixel: bool = False  # has a detector for each pixel: light law `column`, and no device
+    scaled: bool = False  # its scale is what defines it, so that no light law changes it
+    seeded: bool = False  # its matrix is drawn from the seed
+    shared: bool = False  # the matrix of few masks is the first of that of many: made once
+    own: bool = False  # its matrix is the user's
 
     @property
     def learns_masks(self) -> bool:
@@ -123,7 +79,6 @@ DESIGNS: dict[str, Code] = {
         "II",
         "impulse imaging",
         lambda data, masks, seed: np.eye(data.pixels),
-        _one_a_pixel,
         fixed_count=True,
         single_rail=True,
         every_pixel=True,
@@ -132,7 +87,6 @@ DESIGNS: dict[str, Code] = {
         "RS",
         "raster scan",
         lambda data, masks, seed: np.eye(data.pixels) / data.pixels,
-        _one_a_pixel,
         fixed_count=True,
         single_rail=True,
         scaled=True,
@@ -141,7 +95,7 @@ DESIGNS: dict[str, Code] = {
         "HB",
         "Hadamard basis",
         lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
-        _whole_basis,
+        _padded_pixels,
         fixed_count=True,
         signed=True,
     ),
@@ -149,7 +103,7 @@ DESIGNS: dict[str, Code] = {
         "TH",
         "truncated Hadamard",
         lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
-        _up_to_basis,
+        _padded_pixels,
     ),
     "pca": Code(
         "FSI",
@@ -165,7 +119,7 @@ DESIGNS: dict[str, Code] = {
         "LDA",
         "linear discriminants",
         lambda data, masks, seed: discriminants(data.x_train, data.y_train, masks),
-        _below_classes,
+        lambda shape, classes: min(classes - 1, int(np.prod(shape))),
         specific=True,
     ),
     "class-pairs": Code(
@@ -206,7 +160,9 @@ def mask_count(ratio: float, pixels: float) -> int:
 
 def count_allowed(name: str, image_shape: Shape, classes: int) -> tuple[int, int]:
     """Smallest and largest number of masks that a design can have for one detector."""
-    return DESIGNS[name].counts(image_shape, classes)
+    code = DESIGNS[name]
+    most = code.most(image_shape, classes)
+    return most if code.fixed_count else 1, most
 
 
 def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:

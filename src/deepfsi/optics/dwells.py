@@ -11,12 +11,13 @@ ROUNDING = 1e-6
 """Share by which a dwell may fall short of the shortest one, which is rounding."""
 
 
-def share_out(dwell: Shares, shortest: float) -> Shares:
+def share_out(dwell: Shares, shortest: float | Shares) -> Shares:
     """Leave out the frames that are too short, and give their time to those that are shown."""
     # The shortest frames are left out one after another, until the time of a look, shared out among
     # the others in proportion to their dwells, leaves none of them below the shortest dwell. So as
     # many frames are shown as can be, and the longest one always is. What is left can be
-    # differentiated: the choice of the frames is fixed, their times are not. dwell (..., q)
+    # differentiated: the choice of the frames is fixed, their times are not. dwell (..., q);
+    # shortest, or (..., 1)
     order, longest_first = _longest_first(dwell)
     total = dwell.sum(-1)[..., None]
     enough = longest_first * total >= shortest * (1 - ROUNDING) * longest_first.cumsum(-1)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.exposure.conditioned import ConditionedExposure, first
-from deepfsi.design.exposure.looks import LooksExposure, expose
+from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, PatchExposure, TrainedExposure
 from deepfsi.laws import Light, Scale
 from deepfsi.optics import constraints
@@ -288,9 +288,7 @@ class LooksFeatures(Features):
             return side_by_side(drawn), dwell
 
         start = mean.expand(len(light), *mean.shape)
-        every = expose(
-            self.choose, read, self.exposure.looks, dwells.count, start, std, self.exposure.shortest
-        )
+        every = self.exposure.expose_live(read, start, std, self.choose)
         return torch.cat([seen.inputs(mean, std) for seen in every])
 
 

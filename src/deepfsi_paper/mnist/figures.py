@@ -18,12 +18,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.errors import InputError
-from deepfsi.optics.budget import impulse_imaging_error
 from deepfsi.optics.codes import DESIGNS
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest, mask_axes, peak, signed
 from deepfsi.sweeps.results import Point, Results
+from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.report import scales
 
 LOOKS: dict[str, dict[str, Any]] = {

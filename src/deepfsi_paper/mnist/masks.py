@@ -16,7 +16,7 @@ from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.differences import Difference, above, of_trials
 from deepfsi_paper.experiment import Experiment, Finding
-from deepfsi_paper.mask_measures import (
+from deepfsi_paper.measures import (
     effective_directions,
     matched_similarity,
     subspace_similarity,

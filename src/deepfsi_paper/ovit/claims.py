@@ -24,7 +24,7 @@ from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.differences import Difference, above, difference, of_trials
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
-from deepfsi_paper.mask_measures import effective_directions
+from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
 from deepfsi_paper.report.section import Claim, Picture, Table
 

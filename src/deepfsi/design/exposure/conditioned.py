@@ -11,7 +11,7 @@ they do within the sequence at a budget that is larger by the inverse of their s
 
 import math
 from dataclasses import field, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.design.exposure.trained import STRICT, BudgetLevel, TrainedExposure
+from deepfsi.design.exposure.trained import STRICT, TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
@@ -84,24 +84,10 @@ class ConditionedExposure(TrainedExposure):
         """Number of the classifier's inputs, whatever number of masks is shown."""
         return self.masks * self.width + 2
 
-    @property
-    def level(self) -> BudgetLevel:
-        """Level of a budget, -1 to 1 over the range of the training."""
-        middle = math.log(self.span) / 2
-        return BudgetLevel(self.used * self.photons, middle, max(middle, 1.0))
-
     def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
         """Inputs of the classifier, from those of `Exposure.inputs` and the budget."""
-        ratio = torch.as_tensor(photons).to(inputs) / self.level.unit
+        ratio = torch.as_tensor(photons).to(inputs) / (self.used * self.photons)
         return self.inputs(inputs, ratio, ratio.new_tensor(inputs.shape[-1] // self.width))
-
-    def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
-        """First layer for features and a `BudgetLevel`, parameters as for `TrainedExposure.fold`.
-
-        Masks not shown read 0, and how many are is one number for a design: both fold away.
-        """
-        kept = np.hstack([weight[:, : masks * self.width], weight[:, -2:-1]])
-        return kept, bias + weight[:, -1] * np.float32(masks / self.masks), self.level
 
     @property
     def chances(self) -> Tensor:
@@ -140,20 +126,13 @@ class ConditionedExposure(TrainedExposure):
         return tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy()
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
-        """Inputs of the classifier, features and two more; 0 are features beyond those shown.
-
-        Parameters
-        ----------
-        scaled : tensor, shape (..., k)
-            Standardised features of the first masks.
-        ratio : tensor, broadcastable to (..., 1)
-            Conditioning budget over `photons`.
-        shown : tensor, broadcastable to (..., 1)
-            Masks shown, at most these.
-        """
+        """Inputs of the classifier, features and two more; 0 are features beyond those shown."""
+        # scaled (..., k): standardised features of the first masks; (..., 1): ratio, conditioning
+        # budget over `photons`, and shown, number of masks
         seen = torch.where(first(scaled.shape[-1], shown * self.width), scaled, 0.0)
         seen = functional.pad(seen, (0, self.masks * self.width - scaled.shape[-1]))
-        level = (torch.log(ratio) - self.level.middle) / self.level.half
+        middle = math.log(self.span) / 2
+        level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
         column = seen[..., :1]
         share = shown / self.masks
         return torch.cat([seen, level.expand_as(column), share.expand_as(column)], dim=-1)

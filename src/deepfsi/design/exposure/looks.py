@@ -27,9 +27,12 @@ from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
-from deepfsi.optics.dwells import share_out
+from deepfsi.optics.dwells import Shares, share_out
 from deepfsi.optics.masks import LearnedMasks, through
 from deepfsi.optics.rails import Rails
+
+Choose = Callable[[Tensor], Tensor]
+"""From inputs (..., k + q + 1) to the scores (..., q) of dwells."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +64,17 @@ class Dwells:
         each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
         return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
 
-    def by_rail(self, dwell: np.ndarray) -> np.ndarray:
+    def by_rail(self, dwell: Shares) -> Shares:
         """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
         if not self.each_rail:
             return dwell
-        return np.swapaxes(dwell.reshape(*dwell.shape[:-1], self.masks, 2), -2, -1)
+        return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
 
-    def by_mask(self, dwell: np.ndarray) -> np.ndarray:
+    def by_mask(self, dwell: Shares) -> Shares:
         """Inverse of `by_rail`."""
         if not self.each_rail:
             return dwell
-        return np.swapaxes(dwell, -2, -1).reshape(*dwell.shape[:-2], -1)
+        return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
 LARGEST_SCORE = 4.0
@@ -79,31 +82,6 @@ LARGEST_SCORE = 4.0
 
 A mask that is never shown is never learned, and the scores would not come back from there.
 """
-
-
-def expose(
-    choose: Callable[[Tensor], Tensor],
-    show: Show,
-    looks: int,
-    dwells: int,
-    mean: Tensor,
-    std: Tensor,
-    shortest: float = 0.0,
-) -> Iterator[Observation]:
-    """Exposures after each look: one loop for training, tests and a camera, for one or many."""
-    # mean, std (..., k)
-    features, total = torch.zeros_like(mean), mean.new_zeros(*mean.shape[:-1], dwells)
-    seen = Observation(features, total)
-    for look in range(looks):
-        left = torch.full_like(total[..., :1], 1 - look / looks)
-        scores = choose(torch.cat([seen.inputs(mean, std), left], dim=-1))
-        dwell = (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / looks
-        if shortest:
-            dwell = through(dwell, share_out(dwell.detach(), shortest))
-        counts, shown = show(dwell)
-        features, total = features + counts, total + shown
-        seen = Observation(features, total)
-        yield seen
 
 
 @dataclass(frozen=True)
@@ -175,9 +153,30 @@ class LooksExposure(TrainedExposure):
         assert seen.dwell is not None
         return self.dwells.scaled(rates, seen.dwell)
 
-    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
-        """Exposures after each look at a camera, parameters as for `TrainedExposure.expose`."""
-        return expose(self.network, show, self.looks, self.dwells.count, mean, std, self.shortest)
+    def next_dwell(self, choose: Choose, inputs: Tensor, left: Tensor) -> Tensor:
+        """Dwells (..., q) of the next look, of inputs and the share (..., 1) that is left."""
+        scores = choose(torch.cat([inputs, left], dim=-1))
+        return (LARGEST_SCORE * torch.tanh(scores / LARGEST_SCORE)).softmax(dim=-1) / self.looks
+
+    def expose_live(
+        self, show: Show, mean: Tensor, std: Tensor, choose: Choose | None = None
+    ) -> Iterator[Observation]:
+        """Exposures after each look: one loop for training, tests and a camera, for one or many."""
+        # mean, std (..., k); in training `choose` is the networks of several designs
+        features, total = (
+            torch.zeros_like(mean),
+            mean.new_zeros(*mean.shape[:-1], self.dwells.count),
+        )
+        seen = Observation(features, total)
+        for look in range(self.looks):
+            left = torch.full_like(total[..., :1], 1 - look / self.looks)
+            dwell = self.next_dwell(choose or self.network, seen.inputs(mean, std), left)
+            if self.shortest:
+                dwell = through(dwell, share_out(dwell.detach(), self.shortest))
+            counts, shown = show(dwell)
+            features, total = features + counts, total + shown
+            seen = Observation(features, total)
+            yield seen
 
     @property
     def dwell_words(self) -> str:

@@ -7,7 +7,7 @@ One class for each kind of `design.exposure`, and nobody but these asks which on
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import prod
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -57,14 +57,6 @@ class Observation:
         relative = self.dwell * dwells
         each = relative.repeat_interleave(count // dwells, dim=-1) if count > dwells else relative
         return torch.cat([(self.features - each * mean) / std, relative / 3], dim=-1)
-
-
-class BudgetLevel(NamedTuple):
-    """Level of a budget Φ as a classifier reads it, (ln(Φ / unit) − middle) / half."""
-
-    unit: float
-    middle: float
-    half: float
 
 
 class TrainedExposure:
@@ -131,11 +123,6 @@ class TrainedExposure:
     def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
         """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
         return inputs
-
-    def fold(self, masks: int, weight: np.ndarray, bias: np.ndarray) -> tuple[Any, ...]:
-        """First layer for features, and for a `BudgetLevel` if the classifier has it."""
-        # Parameters of the layer, for m masks; returns weight, bias, and the level or None
-        return weight, bias, None
 
     def expose(
         self, read: Read, rates: Tensor, photons: float, mean: Tensor, std: Tensor

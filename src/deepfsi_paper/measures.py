@@ -1,13 +1,17 @@
-"""Measures of sensing matrices: what light they use, how much they repeat, how alike two are.
+"""Measures of sensing matrices (what light they use, how alike two are), and the noise axis.
 
 Matrices are numpy arrays (m, N), one signed mask a row, as everywhere.
 """
+
+import math
+from typing import Literal
 
 import numpy as np
 import scipy.linalg
 import scipy.special
 
 from deepfsi.errors import InputError
+from deepfsi.optics.budget import check_budget
 
 
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:
@@ -99,3 +103,21 @@ def _row_space(masks: np.ndarray) -> np.ndarray:
     _, strengths, rows = scipy.linalg.svd(masks.astype(np.float64), full_matrices=False)
     rounding = max(masks.shape) * np.finfo(masks.dtype).eps * strengths[0]
     return rows[strengths > rounding]
+
+
+def impulse_imaging_error(
+    photons: float,
+    mean_reflectance: float,
+    pixels: int,
+    noise: Literal["poisson", "gaussian"],
+    sigma: float = 1.0,
+) -> float:
+    """Root mean square error of impulse imaging in reflectance, the paper's noise axis."""
+    # With x̄ = s / N, each of N detectors counts λ = Φ x / s, and x̂ = s y / Φ. Hence the error is
+    # x̄ √(N / Φ) under photon noise and σ x̄ N / Φ under gaussian noise
+    budget = check_budget(photons)
+    if noise not in ("poisson", "gaussian"):
+        raise InputError(f"no closed form for noise {noise!r}: choose poisson or gaussian")
+    if noise == "poisson":
+        return mean_reflectance * math.sqrt(pixels / budget)
+    return sigma * mean_reflectance * pixels / budget

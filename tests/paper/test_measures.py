@@ -4,11 +4,15 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from deepfsi.errors import InputError
+from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
 from deepfsi.optics.codes import sensing_matrix
-from deepfsi_paper.mask_measures import (
+from deepfsi.optics.noise import readout
+from deepfsi_paper.measures import (
     effective_directions,
+    impulse_imaging_error,
     matched_similarity,
     subspace_similarity,
     throughput,
@@ -177,3 +181,30 @@ def test_what_cannot_be_measured_is_refused(call, said):
         call()
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("noise", "sigma"), [("poisson", 1.0), ("gaussian", 1.0), ("gaussian", 4)])
+@pytest.mark.parametrize("budget", [1e3, 1e6])
+def test_noise_axis_is_the_error_of_impulse_imaging(digits, noise, sigma, budget):
+    light = summed_reflectance(digits.x_train)
+    x = torch.from_numpy(digits.x_train).double()
+    generator = torch.Generator().manual_seed(0)
+    counts = readout(photons_per_pixel(x, budget, light), noise, sigma, generator)
+    squares = (counts * light / budget - x).square()
+    drawn = math.sqrt(squares.mean())
+    worth = impulse_imaging_error(budget, light / 64, 64, noise, sigma)
+    five_sigma = 5 * float(squares.std()) / math.sqrt(squares.numel()) / (2 * worth)
+    assert drawn == pytest.approx(worth, abs=five_sigma)
+
+
+def test_equal_budgets_are_not_equal_noise():
+    photon, read = (
+        impulse_imaging_error(1e4, 0.4, 1024, noise) for noise in ("poisson", "gaussian")
+    )
+    assert photon == pytest.approx(0.128)
+    assert read == pytest.approx(0.04096)
+
+
+def test_the_noise_axis_refuses_an_unknown_noise():
+    with pytest.raises(InputError):
+        impulse_imaging_error(1e4, 0.4, 1024, "poison")
