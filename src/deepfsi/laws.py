@@ -1,6 +1,10 @@
-"""Names of light laws, rails, readouts and scales, which optics, hardware and files share."""
+"""Names of light laws, rails, readouts, noises and scales, shared by optics, hardware and files."""
 
-from typing import Literal
+import re
+from typing import Literal, get_args
+
+from deepfsi import imports
+from deepfsi.errors import check_known
 
 Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
 """Name of a light law, see `optics.constraints`."""
@@ -13,3 +17,13 @@ Readout = Literal["difference", "both"]
 
 Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
+
+Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera"]
+"""Name of a detector noise, see `optics.noise`."""
+
+
+def check_noise(name: str) -> str:
+    """Return the name or import path of a noise, or raise `InputError` that names the closest."""
+    if not re.fullmatch(imports.PATTERN, name):
+        check_known("noise", name, get_args(Noise))
+    return name

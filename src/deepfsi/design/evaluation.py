@@ -11,9 +11,9 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
+from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
-from deepfsi.optics.noise import Noise
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
 

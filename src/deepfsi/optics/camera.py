@@ -30,7 +30,7 @@ from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.grid import find_grid
 from deepfsi.imports import UNNAMED
-from deepfsi.laws import Light, RailsKind, Readout
+from deepfsi.laws import Light, RailsKind, Readout, check_noise
 from deepfsi.units import Seconds
 
 if TYPE_CHECKING:
@@ -75,8 +75,6 @@ def noise_name(noise: Any) -> str:
 
 
 def _known_noise(noise: Any) -> Any:
-    from deepfsi.optics.noise import check_noise
-
     if not (isinstance(noise, str) or callable(noise)):
         raise ValueError("give a noise's name, or noise(rates, generator) of your own")
     if isinstance(noise, str) and noise != UNNAMED:
@@ -94,7 +92,7 @@ Noise = Annotated[
 
 
 def _detectors(given: Any) -> str | tuple[int, ...]:
-    from deepfsi.optics.detection import read_detectors
+    from deepfsi.optics.detectors import read_detectors
 
     if isinstance(given, str):
         return read_detectors(given)

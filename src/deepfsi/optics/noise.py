@@ -18,18 +18,15 @@ A rail that is dark by construction is not read out and adds no noise.
 """
 
 import math
-import re
 from collections.abc import Callable
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 
 from deepfsi import imports
 from deepfsi.errors import InputError, check_known
-
-Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera"]
-"""Name of a detector noise."""
+from deepfsi.laws import Noise, check_noise
 
 OwnNoise = Callable[[Tensor, torch.Generator | None], Tensor]
 """A user's own noise: counts of expected counts (..., m), drawn with a generator."""
@@ -40,13 +37,6 @@ POISSON_LIMIT = 1e6
 There the skewness, 1/√rate, is below 1e-3, while Poisson samplers on GPUs are poor for small
 differences and wrong at 1e10 (PyTorch issues 86782 and 136750).
 """
-
-
-def check_noise(name: str) -> str:
-    """Return the name or import path of a noise, or raise `InputError` that names the closest."""
-    if not re.fullmatch(imports.PATTERN, name):
-        check_known("noise", name, get_args(Noise))
-    return name
 
 
 def check_dark(dark: object, noise: str) -> float:
