@@ -172,7 +172,7 @@ def _front_end(
 def _guesses(
     observer: IdealObserver, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
 ) -> Callable[[Tensor], Guess]:
-    """What the observer takes exposures of scenes (n, N) for."""
+    """Answers of an observer to exposures of scenes (n, N)."""
 
     def guess_of(x: Tensor) -> Guess:
         rates = rates_of(x)
