@@ -148,17 +148,7 @@ def ideal_observer(
         observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))
         shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
         del rates
-
-        def guess_of(x: Tensor) -> Guess:
-            rates = rates_of(x)
-
-            def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
-                expected = rates * budget
-                chances = observer.chances(scanner.read(expected, generator), budget)
-                return chances.argmax(dim=-1), float(expected.sum())
-
-            return guess
-
+        guess_of = _guesses(observer, scanner, rates_of)
         return test_scenes(scenes, guess_of, budgets, draws, seed, "poisson", shares, bar)
 
 
@@ -177,3 +167,21 @@ def _front_end(
         )
     scanner = design.scanner()
     return scanner, lambda x: design.rates(scanner, x)
+
+
+def _guesses(
+    observer: IdealObserver, scanner: Scanner, rates_of: Callable[[Tensor], Tensor]
+) -> Callable[[Tensor], Guess]:
+    """Answers of an observer to exposures of scenes (n, N)."""
+
+    def guess_of(x: Tensor) -> Guess:
+        rates = rates_of(x)
+
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+            expected = rates * budget
+            chances = observer.chances(scanner.read(expected, generator), budget)
+            return chances.argmax(dim=-1), float(expected.sum())
+
+        return guess
+
+    return guess_of
