@@ -37,10 +37,7 @@ Done = tuple[Trial, dict[str, Any] | None, bytes | None]
 
 
 class SweepContext:
-    """Work on the trials of a sweep, and what it needs.
-
-    Shapes: matrix (m, N).
-    """
+    """Work on the trials of a sweep, and what it needs; matrix (m, N)."""
 
     def __init__(
         self, data: Dataset, held_out: int, device: str = "auto", matrix: np.ndarray | None = None
@@ -146,16 +143,13 @@ class SweepContext:
                 ) from None
             again = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
         else:
-            return self._done(batch, designs, testing)
+            found: list[Done] = []
+            for trial, design in zip(batch, designs, strict=True):
+                found.append((trial, self.record(trial, design), design.to_bytes()))
+                testing(len(found) / len(batch))
+            return found
         # after the error is gone, and with it what the failed batch held
         return [done for part in again for done in self.train(part)]
-
-    def _done(self, batch: Batch, designs: list[Design], report: Report) -> list[Done]:
-        found: list[Done] = []
-        for trial, design in zip(batch, designs, strict=True):
-            found.append((trial, self.record(trial, design), design.to_bytes()))
-            report(len(found) / len(batch))
-        return found
 
     def record(self, trial: Trial, design: Design) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""

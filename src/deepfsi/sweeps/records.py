@@ -23,6 +23,9 @@ from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 
+MEASURED = ("accuracy", "low", "high", "balanced", "counts", "throughput")
+"""Numbers of a test that are columns of the table."""
+
 
 class Records:
     """The records of a folder, which is made if need be."""
@@ -113,12 +116,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "test_photons": test["photons"],
                     "levels": test["levels"],
                     "validation": validation and validation["accuracy"],
-                    "accuracy": test["accuracy"],
-                    "low": test["low"],
-                    "high": test["high"],
-                    "balanced": test["balanced"],
-                    "counts": test["counts"],
-                    "throughput": test["throughput"],
+                    **{name: test[name] for name in MEASURED},
                     "seconds": record["info"]["seconds"],
                 }
             )
