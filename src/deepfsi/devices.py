@@ -99,19 +99,14 @@ class Device(BaseModel):
         return self.controller in ("dlpc900", "dlpc350", "dlpc347x")
 
     def packed_frames(self, total: int) -> int:
-        """Frames in each 24-bit picture of a sequence.
-
-        All pictures of a video have as many, so that no bit-plane without a frame is shown.
-        """
+        """Frames in each 24-bit picture of a sequence."""
         if self.video_us is None:
             return PLANES
+        # all pictures have as many, so that no bit-plane without a frame is shown
         return max(size for size in range(1, PLANES + 1) if total % size == 0)
 
     def timed(self, shortest_s: float | None = None, settle_s: float | None = None) -> "Device":
-        """Give the device with another shortest picture time or time to settle, in seconds.
-
-        Raises `InputError` if one of them is not allowed.
-        """
+        """The device with another shortest picture time or time to settle, seconds."""
         changes: dict[str, float] = {}
         if shortest_s is not None:
             shortest = round(shortest_s * 1e6, 6)
@@ -144,21 +139,7 @@ DEVICES, SOURCES = _read_devices()
 def find_device(
     name: str, shortest_s: float | None = None, settle_s: float | None = None
 ) -> Device:
-    """Device of a name, or one of COLUMNSxROWS mirrors.
-
-    Parameters
-    ----------
-    name : str
-        One of `DEVICES`, or such as "1920x1080".
-    shortest_s, settle_s : float, optional
-        Shortest picture time, whole microseconds, and time to settle, in seconds: the named
-        device's, or those of any other, unless given.
-
-    Raises
-    ------
-    InputError
-        If there is no such device, or the times are not allowed.
-    """
+    """Device of a name, or one of COLUMNSxROWS mirrors, perhaps with times of its own."""
     device = DEVICES.get(name.lower()) or _device_of_size(name)
     return device.timed(shortest_s, settle_s)
 

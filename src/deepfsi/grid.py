@@ -61,10 +61,7 @@ class Grid:
 
 
 def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
-    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device.
-
-    Raises `InputError` if the device has fewer mirrors than the mask has cells.
-    """
+    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
     if len(image_shape) not in (1, 2) or min(image_shape) < 1:
         raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
     down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)

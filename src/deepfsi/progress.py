@@ -129,10 +129,7 @@ def duration_text(seconds: float) -> str:
 
 @contextmanager
 def shown(report: Report | None, what: str) -> Iterator[Report]:
-    """The report of a task that was given one, else a bar where a terminal is attached.
-
-    Parameters as for `terminal_bar`.
-    """
+    """The report of a task that was given one, else a bar where a terminal is attached."""
     if report is not None:
         yield report
         return

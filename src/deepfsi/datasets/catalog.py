@@ -34,16 +34,13 @@ NAMES = ("digits", *FILES)
 
 
 class DatasetInfo(NamedTuple):
-    """Numbers of images, pixels (N) and classes of a named data set, and where it is.
-
-    `where` is "embedded", the folder, or "not here".
-    """
+    """Sizes of a named data set, and where it is."""
 
     name: str
     images: int
-    pixels: int
+    pixels: int  # N
     classes: int
-    where: str
+    where: str  # "embedded", its folder, or "not here"
 
 
 def list_datasets() -> list[DatasetInfo]:

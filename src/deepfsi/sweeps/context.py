@@ -14,8 +14,7 @@ from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
-from deepfsi.sweeps.queue import Done
-from deepfsi.sweeps.records import record_of
+from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 from deepfsi.training.batches import check_fits, footprint, memory_for
 from deepfsi.training.learning import Diverged, companions, train
@@ -33,12 +32,12 @@ TRAINING_SHARE = 0.9
 Batch = list[Trial]
 """Trials that are trained together."""
 
+Done = tuple[Trial, dict[str, Any] | None, bytes | None]
+"""A trial, its record and its design file; both None where it diverged."""
+
 
 class SweepContext:
-    """Work on the trials of a sweep, and what it needs.
-
-    Shapes: matrix (m, N).
-    """
+    """Work on the trials of a sweep, and what it needs; matrix (m, N)."""
 
     def __init__(
         self, data: Dataset, held_out: int, device: str = "auto", matrix: np.ndarray | None = None
@@ -119,7 +118,7 @@ class SweepContext:
         job = batch[0].job
         return f"{job.design}, {job.masks} masks" + f" × {len(batch)}" * (len(batch) > 1)
 
-    def train(self, batch: Batch, report: Report = SILENT) -> list[Done[Trial]]:
+    def train(self, batch: Batch, report: Report = SILENT) -> list[Done]:
         """Train and test one batch."""
         # In parts where this machine would batch otherwise than the one that planned or has less
         # memory free than was planned for, in halves where a GPU's memory does not hold it whole,
@@ -144,23 +143,27 @@ class SweepContext:
                 ) from None
             again = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
         else:
-            return self._done(batch, designs, testing)
+            found: list[Done] = []
+            for trial, design in zip(batch, designs, strict=True):
+                found.append((trial, self.record(trial, design), design.to_bytes()))
+                testing(len(found) / len(batch))
+            return found
         # after the error is gone, and with it what the failed batch held
         return [done for part in again for done in self.train(part)]
-
-    def _done(self, batch: Batch, designs: list[Design], report: Report) -> list[Done[Trial]]:
-        found: list[Done[Trial]] = []
-        for trial, design in zip(batch, designs, strict=True):
-            found.append((trial, self.record(trial, design), design.to_bytes()))
-            report(len(found) / len(batch))
-        return found
 
     def record(self, trial: Trial, design: Design) -> dict[str, Any]:
         """Record of a trial whose design is tested now."""
         if isinstance(design.classifier, OwnClassifier) and design.classifier.module is None:
             design = design.with_classifier(trial.job.training.classifier)
-        validation = _tested(trial, design, self.parts) if self.held_out else []
-        return record_of(trial, design, validation, _tested(trial, design, self.data))
+        return {
+            "schema": SCHEMA,
+            "key": trial.key,
+            "design": trial.design_key,
+            "trial": trial.model_dump(mode="json"),
+            "validation": _tested(trial, design, self.parts) if self.held_out else [],
+            "test": _tested(trial, design, self.data),
+            "info": design.info,
+        }
 
 
 def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:

@@ -135,10 +135,7 @@ def _half_widths(
 def next_budget(
     photons: Sequence[float], accuracies: Sequence[float], target: float
 ) -> float | None:
-    """Where one more training tells most: at the crossing, but `LEAST_DECADES` from tried budgets.
-
-    None where the crossing is beyond the tried budgets, or between two that are close already.
-    """
+    """Budget where one more training tells most: the crossing, but `LEAST_DECADES` from others."""
     found = crossing(photons, [[accuracy] for accuracy in accuracies], 1, target).photons
     if found is None:
         return None

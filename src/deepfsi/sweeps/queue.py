@@ -1,4 +1,4 @@
-"""Trials of any kind: locked, trained here, in processes or on a Ray cluster, and recorded.
+"""Trials: locked, trained here, in processes or on a Ray cluster, and recorded.
 
 A run that was stopped goes on where it was, and several processes may work on one folder.
 """
@@ -8,51 +8,19 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
-import torch
-
-from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
-from deepfsi.sweeps.records import RecordedTrial, Records
+from deepfsi.sweeps.context import Batch, Done, SweepContext
+from deepfsi.sweeps.records import Records
+from deepfsi.sweeps.trial import Trial
 from deepfsi.sweeps.workers import HERE, Workers, default_count, processes, report_of_task
-
-AnyTrial = TypeVar("AnyTrial", bound=RecordedTrial)
-
-Done = tuple[AnyTrial, dict[str, Any] | None, bytes | None]
-"""A trial, its record and its design file; both None where it diverged."""
-
-
-class Context(Protocol[AnyTrial]):
-    """Work on one kind of trial, and what it needs; sent once to each process that does it."""
-
-    @property
-    def processor(self) -> torch.device:
-        """Device that trials are trained on here."""
-
-    def batches(self, trials: Sequence[AnyTrial], workers: int) -> list[list[AnyTrial]]:
-        """Trials to be trained together, in the order of work, by so many processes at once."""
-
-    def prepare(self, trials: Sequence[AnyTrial]) -> None:
-        """Compute what all processes would, before the context is sent to them."""
-
-    def effort(self, batch: Sequence[AnyTrial]) -> float:
-        """Relative cost of a batch."""
-
-    def title(self, batch: Sequence[AnyTrial]) -> str:
-        """Batch in words."""
-
-    def train(self, batch: list[AnyTrial], report: Report = SILENT) -> list[Done[AnyTrial]]:
-        """Train and test a batch."""
-
-    def record(self, trial: AnyTrial, design: Design) -> dict[str, Any]:
-        """Record of a trial whose design is tested now."""
 
 
 def run_trials(
-    trials: Sequence[AnyTrial],
-    context: Context[AnyTrial],
+    trials: Sequence[Trial],
+    context: SweepContext,
     folder: Path,
     workers: Workers = HERE,
     report: Report = SILENT,
@@ -74,12 +42,12 @@ def run_trials(
 
 
 def _work_off(
-    trials: Sequence[AnyTrial],
-    context: Context[AnyTrial],
+    trials: Sequence[Trial],
+    context: SweepContext,
     records: Records,
     workers: Workers,
     report: Report,
-) -> list[AnyTrial]:
+) -> list[Trial]:
     """Train and test until all trials have records; return those that diverged."""
     failed: set[str] = set()
     before = 0
@@ -104,8 +72,8 @@ def _work_off(
 
 
 def _test_trained(
-    trials: Sequence[AnyTrial], context: Context[AnyTrial], records: Records, report: Report
-) -> list[AnyTrial]:
+    trials: Sequence[Trial], context: SweepContext, records: Records, report: Report
+) -> list[Trial]:
     """Test the designs that are there already, from other tests; return the other trials."""
     left = []
     for place, trial in enumerate(trials):
@@ -119,18 +87,18 @@ def _test_trained(
 
 
 def _train_all(
-    todo: list[list[AnyTrial]],
-    context: Context[AnyTrial],
+    todo: list[Batch],
+    context: SweepContext,
     records: Records,
     workers: Workers,
     report: Report,
-) -> list[AnyTrial]:
+) -> list[Trial]:
     """Train and record batches; return the trials that diverged."""
-    lost: list[AnyTrial] = []
-    given: list[list[AnyTrial]] = []
+    lost: list[Trial] = []
+    given: list[Batch] = []
     total, done = sum(map(context.effort, todo)), 0.0
 
-    def part(batch: list[AnyTrial]) -> Report:
+    def part(batch: Batch) -> Report:
         title = context.title(batch)
         titled = Report(lambda share, _: report(share, title))
         return titled.part(done / total, (done + context.effort(batch)) / total)
@@ -142,7 +110,7 @@ def _train_all(
         report(min((done + under_way) / total, 1.0), "; ".join(titles))
 
     while todo:
-        postponed: list[list[AnyTrial]] = []
+        postponed: list[Batch] = []
         report(done / total, f"{len(todo)} batches")
         given.clear()
         locked = _locked(todo, records, postponed, given)
@@ -160,11 +128,11 @@ def _train_all(
 
 
 def _locked(
-    todo: Sequence[list[AnyTrial]],
+    todo: Sequence[Batch],
     records: Records,
-    postponed: list[list[AnyTrial]],
-    given: list[list[AnyTrial]],
-) -> Iterator[list[AnyTrial]]:
+    postponed: list[Batch],
+    given: list[Batch],
+) -> Iterator[Batch]:
     """Yield what is left to train of batches that no other process works on; note it in `given`."""
     for batch in todo:
         left = [trial for trial in batch if records.design(trial) is None]
@@ -181,12 +149,12 @@ def _locked(
 
 
 def _trained(
-    locked: Iterator[list[AnyTrial]],
-    context: Context[AnyTrial],
+    locked: Iterator[Batch],
+    context: SweepContext,
     workers: Workers,
-    part: Callable[[list[AnyTrial]], Report],
+    part: Callable[[Batch], Report],
     watch: Callable[[dict[int, float]], None],
-) -> Generator[list[Done[AnyTrial]], None, None]:
+) -> Generator[list[Done], None, None]:
     """Yield what batches give, as they finish."""
     if workers.ray is not None:
         from deepfsi.sweeps.ray_cluster import run_on_ray
@@ -206,11 +174,11 @@ def _trained(
             yield context.train(batch, part(batch))
 
 
-def _train(context: Context[AnyTrial], batch: list[AnyTrial]) -> list[Done[AnyTrial]]:
+def _train(context: SweepContext, batch: Batch) -> list[Done]:
     return context.train(batch, report_of_task())
 
 
-def _recorded(finished: Sequence[Done[AnyTrial]], records: Records) -> list[AnyTrial]:
+def _recorded(finished: Sequence[Done], records: Records) -> list[Trial]:
     """Write the records of a batch; return the trials that have none."""
     lost = []
     for trial, record, design in finished:

@@ -100,14 +100,11 @@ def _camera(given: Any) -> dict[str, tuple[Any, ...]]:
 
 
 class NamedCamera(NamedTuple):
-    """One camera of a recipe, the name that it gives to its detectors, and which of several it is.
-
-    The variant is in words, of the fields that no point of a summary has as its own.
-    """
+    """One camera of a recipe."""
 
     camera: Camera
-    detectors: str
-    variant: str
+    detectors: str  # as the recipe names them
+    variant: str  # which of several, by the fields that no point of a summary has as its own
 
 
 def _cameras(axes: Mapping[str, tuple[Any, ...]]) -> list[NamedCamera]:
@@ -267,18 +264,8 @@ class Recipe(BaseModel):
         return (self.gaussian_photons if noise == "gaussian" else ()) or self.photons
 
     def mask_counts(self, design: str, data: Dataset, detection: Detection = ONE) -> list[int]:
-        """Mask counts of one design: those asked for that it can have, else the most it can have.
-
-        Without ratios and masks, the ratios 1, 4, 9, … 100 % of the paper. A ratio is that of
-        readouts, m · D / N, so that it means as much under several detectors.
-
-        Parameters
-        ----------
-        design : str
-            A key of `codes.DESIGNS`.
-        data : Dataset
-        detection : Detection
-        """
+        """Mask counts of one design: those asked for that it can have, else the most it can."""
+        # a ratio is that of readouts, m · D / N, so that it means as much under several detectors
         low, high = tiles.count_allowed(design, data, detection)
         asked = self.masks or [
             codes.mask_count(ratio, data.pixels / detection.count)

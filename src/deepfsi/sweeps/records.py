@@ -10,52 +10,21 @@ KEY is a hash of everything that the result depends on, the data included, so a 
 whoever finds it. Files are written whole or not at all, the record after its design.
 """
 
-import hashlib
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.files import remove_drafts, write_atomically
 from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
+from deepfsi.sweeps.trial import Trial
 
-
-class RecordedTrial(Protocol):
-    """A training and its tests, of any kind."""
-
-    @property
-    def key(self) -> str:
-        """Content hash that names the record."""
-
-    @property
-    def design_key(self) -> str:
-        """Content hash that names the design: of what the training depends on."""
-
-    def model_dump(self, *, mode: str) -> dict[str, Any]:
-        """Settings, as the record has them."""
-
-
-def content_hash(settings: Mapping[str, Any]) -> str:
-    """Hash of settings, JSON types only."""
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def record_of(
-    trial: RecordedTrial, design: Design, validation: list[Any], test: list[Any]
-) -> dict[str, Any]:
-    """Record of a trial: its settings and what its tests gave."""
-    return {
-        "schema": SCHEMA,
-        "key": trial.key,
-        "design": trial.design_key,
-        "trial": trial.model_dump(mode="json"),
-        "validation": validation,
-        "test": test,
-        "info": design.info,
-    }
+MEASURED = ("accuracy", "low", "high", "balanced", "counts", "throughput")
+"""Numbers of a test that are columns of the table."""
 
 
 class Records:
@@ -67,7 +36,7 @@ class Records:
         for part in ("trials", "designs"):
             remove_drafts(folder / part)
 
-    def read(self, trial: RecordedTrial) -> dict[str, Any] | None:
+    def read(self, trial: Trial) -> dict[str, Any] | None:
         """Record of a trial, or None if it or its design is missing, damaged or of other schema."""
         if not self._design_path(trial).is_file():
             return None
@@ -79,23 +48,23 @@ class Records:
         whole = isinstance(record, dict) and named.items() <= record.items()
         return record if whole else None
 
-    def design(self, trial: RecordedTrial) -> Design | None:
+    def design(self, trial: Trial) -> Design | None:
         """Design of a trial that was trained already, perhaps for other tests."""
         try:
             return Design.load(self._design_path(trial))
         except InputError:
             return None
 
-    def write(self, trial: RecordedTrial, record: Mapping[str, Any], design: bytes | None) -> None:
+    def write(self, trial: Trial, record: Mapping[str, Any], design: bytes | None) -> None:
         """Keep what a trial gave, and give up the lock on it."""
         if design is not None:
             write_atomically(self._design_path(trial), design)
         write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())
         self.release([trial])
 
-    def lock(self, trials: Iterable[RecordedTrial]) -> bool:
+    def lock(self, trials: Iterable[Trial]) -> bool:
         """Claim trials for this process, all or none; False where another one has any of them."""
-        taken: list[RecordedTrial] = []
+        taken: list[Trial] = []
         for trial in trials:
             if not self._locks.take(trial.design_key):
                 self.release(taken)
@@ -103,7 +72,7 @@ class Records:
             taken.append(trial)
         return True
 
-    def release(self, trials: Iterable[RecordedTrial]) -> None:
+    def release(self, trials: Iterable[Trial]) -> None:
         """Give up locks. A process that dies gives up its own."""
         for trial in trials:
             self._locks.give_up(trial.design_key)
@@ -112,10 +81,10 @@ class Records:
         """Give up every lock of this process."""
         self._locks.give_up_all()
 
-    def _record_path(self, trial: RecordedTrial) -> Path:
+    def _record_path(self, trial: Trial) -> Path:
         return self.folder / "trials" / f"{trial.key}.json"
 
-    def _design_path(self, trial: RecordedTrial) -> Path:
+    def _design_path(self, trial: Trial) -> Path:
         return self.folder / "designs" / f"{trial.design_key}.safetensors"
 
 
@@ -147,12 +116,7 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "test_photons": test["photons"],
                     "levels": test["levels"],
                     "validation": validation and validation["accuracy"],
-                    "accuracy": test["accuracy"],
-                    "low": test["low"],
-                    "high": test["high"],
-                    "balanced": test["balanced"],
-                    "counts": test["counts"],
-                    "throughput": test["throughput"],
+                    **{name: test[name] for name in MEASURED},
                     "seconds": record["info"]["seconds"],
                 }
             )
@@ -161,8 +125,6 @@ def rows(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write records as one table, to a path that ends in .csv or .parquet, else `InputError`."""
-    import io
-
     import polars
 
     if path.suffix.lower() not in (".csv", ".parquet"):

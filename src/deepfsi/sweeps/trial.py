@@ -2,9 +2,11 @@
 
 import functools
 import hashlib
+import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,7 +18,6 @@ from deepfsi.optics import codes
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import ONE
 from deepfsi.sweeps.recipe import NamedCamera, Recipe, TestNoise
-from deepfsi.sweeps.records import content_hash
 from deepfsi.training.job import REVISION, Job, classifier_name
 
 MOST_TRIALS = 100_000
@@ -64,7 +65,7 @@ class Trial(BaseModel):
 
     def _hash(self, exclude: set[str]) -> str:
         settings = self.model_dump(mode="json", exclude=exclude)
-        return content_hash({"schema": SCHEMA, "revision": REVISION, **settings})
+        return _content_hash({"schema": SCHEMA, "revision": REVISION, **settings})
 
 
 def plan(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
@@ -225,7 +226,12 @@ def _own_names(job: Job, test_noise: Sequence[str]) -> list[str]:
 
 def _source_hash(names: Sequence[str], hashed: Callable[[str], str]) -> str:
     """Hash of the files of a user's own parts, or "" where there is none."""
-    return content_hash({"sources": [hashed(name) for name in names]}) if names else ""
+    return _content_hash({"sources": [hashed(name) for name in names]}) if names else ""
+
+
+def _content_hash(settings: Mapping[str, Any]) -> str:
+    """Hash of settings, JSON types only."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def _matrix_hash(matrix: np.ndarray | None) -> str:
