@@ -26,6 +26,7 @@ from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
+from deepfsi.laws import Light, Readout
 from deepfsi.progress import SILENT, Report
 
 SENTINELS = 4
@@ -46,20 +47,20 @@ class DesignRails:
     """
 
     rails: np.ndarray
-    light: sequence.Light
+    light: Light
     image_shape: tuple[int, ...]
     summed_reflectance: float
     file: bytes | None = None
     brightness: sequence.Brightness | None = None
     detectors: Detectors | None = None
-    readout: sequence.Readout = "difference"
+    readout: Readout = "difference"
     looks: Looks | None = None
     loop: bytes | None = None
 
     def __post_init__(self) -> None:
         rails = self.rails
         pixels = math.prod(self.image_shape) or rails.shape[-1]  # `find_grid` refuses none
-        check_known("light law", self.light, get_args(sequence.Light))
+        check_known("light law", self.light, get_args(Light))
         if rails.shape != (self.rail_count, *rails.shape[1:2], pixels) or not rails.size:
             raise InputError(
                 f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import (
     MOST_READOUTS,
@@ -207,10 +208,8 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(found.digest(), np.uint8)
 
 
-class _Provenance(BaseModel):
+class _Provenance(Frozen):
     """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     acquisition: str
     photons_sha256: str

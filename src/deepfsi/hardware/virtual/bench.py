@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from deepfsi.errors import InputError
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.folder import check_patterns
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
@@ -26,10 +27,8 @@ START_S = 1e-3
 """Time on the counter's clock before the first list, seconds."""
 
 
-class Latencies(BaseModel):
+class Latencies(Frozen):
     """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Of each pattern into the device, once before the first scene
     load: float = Field(3.3e-3, ge=0, le=1e3)

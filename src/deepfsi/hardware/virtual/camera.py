@@ -59,28 +59,19 @@ Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class VirtualCamera(Detector):
-    """Optics and detector; the default is ideal. The attributes of `Detector` are its too.
+    """Optics and detector; the default is ideal. The attributes of `Detector` are its too."""
 
-    Attributes
-    ----------
-    view : 3 x 3 numbers
-        Homography display -> device in unit squares, (across, down, 1).
-    blur : float
-        Standard deviation of a Gaussian on the device, mirrors.
-    vignetting : float
-        Share of the light that the corners of the area lose; it grows with the squared distance
-        from the centre.
-    ambient : float
-        Stray light spread evenly over the whole device, photons/s.
-    detectors : rows of int, or None
-        Detector of each part of the area of the cells, which these rows divide evenly. None for the
-        parts that the patterns name.
-    """
-
+    # Homography display -> device in unit squares, (across, down, 1)
     view: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    # Standard deviation of a Gaussian on the device, mirrors
     blur: float = Field(0.0, ge=0, le=1000)
+    # Share of the light that the corners of the area lose; it grows with the squared distance from
+    # the centre
     vignetting: float = Field(0.0, ge=0, le=1)
+    # Stray light spread evenly over the whole device, photons/s
     ambient: float = Field(0.0, ge=0, le=1e12)
+    # Detector of each part of the area of the cells, which these rows divide evenly. None for the
+    # parts that the patterns name
     detectors: Parts | None = None
 
     @field_validator("view")
