@@ -43,6 +43,13 @@ Role = Literal["mask", "on", "off"]
 Rail = Literal["plus", "minus", "both"]
 """Rail of a mask that a frame shows; both on two arms."""
 
+_READ_BY: dict[Rail | None, tuple[tuple[int, int], ...]] = {
+    "plus": ((0, 0),),
+    "minus": ((1, 0),),
+    "both": ((0, 0), (1, 1)),
+}
+"""Rails for which a frame is read, and the arm that sees them."""
+
 Selection = Literal["ordered", "random"]
 """Choice of the mirrors of a grey cell."""
 
@@ -106,8 +113,7 @@ class FrameSettings:
         """Picture times of the masks' frames, µs, from their shares of the exposure (f,)."""
         # Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time
         # to settle is in proportion to its share of the exposure. Times are rounded up to whole
-        # microseconds and to the device's shortest. Raises `InputError` if the dwell leaves no time
-        # after settling, or a picture would last too long
+        # microseconds and to the device's shortest
         device, mean = self.device, max(self.dwell_s * 1e6, self.device.shortest_us)
         rest = mean - device.settle_us
         if rest <= 0:
@@ -233,6 +239,18 @@ class Manifest(Frozen):
         return np.flatnonzero([frame.role == "mask" for frame in self.frames])
 
     @cached_property
+    def read(self) -> np.ndarray:
+        """Rail, mask, place among the masks' frames, and arm of each readout, shape (4, r)."""
+        shown = enumerate(self.frames[place] for place in self.shown)
+        return np.array(
+            [
+                (rail, frame.mask, column, arm)
+                for column, frame in shown
+                for rail, arm in _READ_BY[frame.rail]
+            ]
+        ).T
+
+    @cached_property
     def shares(self) -> np.ndarray:
         """Share of the exposure of each mask's frame, shape (f,)."""
         return np.array([self.frames[place].share for place in self.shown])
@@ -294,14 +312,10 @@ class Patterns:
     @property
     def rails(self) -> np.ndarray:
         """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
-        manifest = self.manifest
+        manifest, lit = self.manifest, np.stack([self.fractions, 1 - self.fractions])
+        rail, mask, column, arm = manifest.read
         out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
-        for place, share, part in zip(manifest.shown, manifest.shares, self.fractions, strict=True):
-            frame = manifest.frames[place]
-            if frame.rail in ("plus", "both"):
-                out[0, frame.mask] = share * part
-            if frame.rail in ("minus", "both"):
-                out[1, frame.mask] = share * (1 - part if frame.rail == "both" else part)
+        out[rail, mask] = manifest.shares[column, None] * lit[arm, column]
         return out
 
     @property

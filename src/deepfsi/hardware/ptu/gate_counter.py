@@ -77,8 +77,6 @@ class GateCounter:
 
     def finish(self, header: Header) -> np.ndarray:
         """Counts of all gates since the last call, at the end of a file with this header."""
-        # Raises `InputError` if the file is cut, or holds more or less than its header says, and a
-        # gate ends after the last time that it holds
         if header.problems and len(self._edges) and self._edges[-1] > self.reached:
             raise InputError(
                 f"{self._name} may lack records ({header.problems[0]}) and holds times up to "

@@ -31,8 +31,7 @@ class StreamReader:
     def feed(self, data: bytes | bytearray | memoryview) -> Iterator[Part]:
         """Read the next bytes, and give what records they end, in parts."""
         # As of a file, none follows a part with a `fault`, and what follows the records that the
-        # header gives is not read. Bytes are read as parts are taken, and a part holds on to them.
-        # Raises `InputError` as `read_header`
+        # header gives is not read. Bytes are read as parts are taken, and a part holds on to them
         view = memoryview(data).cast("B")
         if self._decoder is None:
             view = self._feed_header(view)

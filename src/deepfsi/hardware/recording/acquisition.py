@@ -162,7 +162,6 @@ def prepare(
 
 def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
     """Settings and patterns of a recording, checked for consistency."""
-    # Raises `InputError` if a file is missing, damaged, or does not fit the others
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
     content = read_limited(path, LARGEST_JSON, hint)
@@ -236,8 +235,6 @@ def gates_of(
     repeats: int | None = None,
 ) -> Gates:
     """Gates to count an acquisition of a manifest's patterns with. Parameters as of `count`."""
-    # Raises `InputError` if the gates do not fit the frames, or are more than can be counted at
-    # once
     same = exposure_s is None and settle_s is None
     wanted = acquisition.repeats if repeats is None and same else repeats
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s

@@ -97,7 +97,6 @@ def save_calibration(calibration: Calibration, folder: Path) -> Path:
 
 def load_calibration(folder: Path) -> Calibration:
     """Read `calibration.json` of a folder."""
-    # Raises `InputError` if it is missing or damaged
     path = Path(folder) / "calibration.json"
     try:
         with as_input_error(f"'{path}'", "calibrate the camera again"):

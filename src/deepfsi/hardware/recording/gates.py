@@ -137,7 +137,6 @@ class Windows:
     @classmethod
     def of(cls, manifest: Manifest, gates: Gates, found: Frames) -> "Windows":
         """Windows of a pass over the frames of a manifest as they were found in a recording."""
-        # Parameters as of `check_gates`, but for the file
         repeats, frames = gates.repeats, len(manifest.frames)
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         each = np.ones(frames, np.int64)

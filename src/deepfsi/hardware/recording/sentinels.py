@@ -243,12 +243,13 @@ def _find_rhythm(curve: LightCurve, manifest: Manifest, chance: float) -> tuple[
     """Fault of the whole recording if its light has a rhythm, or varies fast in another way."""
     found = find_flicker(curve.photons, curve.seconds, curve.middles, chance)
     if found is not None:
+        hertz, amplitude = found
         frame_s = float(manifest.picture_s[manifest.shown].mean())
-        averaged = min(1.0, 1 / (np.pi * found.hertz * frame_s))
-        if found.amplitude * averaged >= HARMLESS:
+        averaged = min(1.0, 1 / (np.pi * hertz * frame_s))
+        if amplitude * averaged >= HARMLESS:
             detail = (
-                f"the light{curve.name} rises and falls by {found.amplitude:.0%} at "
-                f"{found.hertz:.4g} Hz: use a lamp that does not"
+                f"the light{curve.name} rises and falls by {amplitude:.0%} at {hertz:.4g} Hz: use "
+                "a lamp that does not"
             )
             return (Fault(kind="flicker", detail=detail),)
     photons, seconds = curve.of(curve.bright)

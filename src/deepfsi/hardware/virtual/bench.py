@@ -9,7 +9,6 @@ import math
 from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from pydantic import Field
@@ -160,9 +159,6 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
     ) -> None:
         self._setup, self._inputs, self._bit = setup, inputs, marker_bit
         self._file: FileIO | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         """End the recording; its file stays."""

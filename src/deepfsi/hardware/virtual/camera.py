@@ -20,7 +20,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator
+from pydantic import Field, field_validator
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
@@ -33,6 +33,7 @@ from deepfsi.hardware.patterns.timing import Gates
 from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
+from deepfsi.hardware.recording.calibration_file import Row
 from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
 from deepfsi.hardware.virtual.parts import (
     Parts,
@@ -53,9 +54,6 @@ SCENES_AT_ONCE = 64
 
 FRAMES_AT_ONCE = 16
 """Frames that are unpacked in memory."""
-
-Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-"""Row of a homography."""
 
 
 class VirtualCamera(Detector):
@@ -290,11 +288,9 @@ def record(
 ) -> Acquisition:
     """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
     # scenes (S, h, w), or (S, N)
-    target, camera = Path(out), settings.camera
+    camera = settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = _check_scenes(scenes, manifest)
-    if target.exists():
-        raise InputError(f"'{target}' exists: name a folder that does not")
     if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
         raise InputError(
             f"{len(scenes)} scenes, {len(names)} names and "
@@ -315,7 +311,7 @@ def record(
         camera=camera.model_dump(mode="json"),
         seed=settings.seed,
     )
-    with new_folder(target) as draft:
+    with new_folder(out) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
         rng = np.random.default_rng(settings.seed)
