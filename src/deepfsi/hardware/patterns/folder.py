@@ -40,12 +40,9 @@ ARMS_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class DesignRails:
-    """Rails of a design that are to be shown.
+    """Rails of a design that are to be shown."""
 
-    Shapes: rails (2 or 1, m, N).
-    """
-
-    rails: np.ndarray
+    rails: np.ndarray  # (2 or 1, m, N)
     light: Light
     image_shape: tuple[int, ...]
     summed_reflectance: float

@@ -37,13 +37,5 @@ class Looks(Frozen):
         return masks * (2 if self.each_rail else 1)
 
     def places(self, masks: np.ndarray, minus: np.ndarray) -> np.ndarray:
-        """Place of each frame's dwell among those of a look.
-
-        Parameters
-        ----------
-        masks : integer array, shape (f,)
-            Mask of each frame.
-        minus : bool array, shape (f,)
-            True where it shows the negative rail.
-        """
+        """Places (f,) among a look's dwells of frames' masks (f,), `minus` of negative rails."""
         return 2 * masks + minus if self.each_rail else masks

@@ -115,10 +115,7 @@ class Header:
 
     @property
     def records(self) -> int:
-        """Records to read: as many as are claimed, or as are there if those are fewer or unclaimed.
-
-        Of a file that still arrives, those claimed, or more than any file has.
-        """
+        """Records to read: those claimed, or those that are there if fewer or unclaimed."""
         held = MOST_RECORDS if self.size is None else (self.size - self.offset) // 4
         return min(self.claimed, held) if self.claimed > 0 else held
 

@@ -15,13 +15,10 @@ from deepfsi.hardware.ptu.records import Decoder, Part
 
 
 class StreamReader:
-    """Reader of a PTU file from bytes that arrive in any cuts.
-
-    `header`: None until it has arrived.
-    """
+    """Reader of a PTU file from bytes that arrive in any cuts."""
 
     def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
-        self.header: Header | None = None
+        self.header: Header | None = None  # until it has arrived
         self._parser = parse_header(name)
         self._needed = next(self._parser)
         self._rest = bytearray()  # bytes of the header, or of a record, that is not whole

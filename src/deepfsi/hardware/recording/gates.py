@@ -236,10 +236,7 @@ def count_overlapping(
     inputs: Sequence[int],
     report: Report = SILENT,
 ) -> np.ndarray:
-    """Photons (n, inputs) in windows that may overlap, in any order. Parameters as `count_gates`.
-
-    Shapes: starts, stops (n,).
-    """
+    """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
     edges = np.stack([starts, stops])
     unique, places = np.unique(edges, return_inverse=True)
     found = count_gates(path, unique[:-1], unique[1:], inputs, report)

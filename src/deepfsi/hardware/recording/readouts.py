@@ -27,10 +27,8 @@ def lengths_by_readout(manifest: Manifest, lengths: np.ndarray) -> np.ndarray:
 
 
 def by_rail(manifest: Manifest, found: np.ndarray) -> np.ndarray:
-    """Numbers (..., rails[, D]) of the inputs that read each rail, from those of inputs (..., i).
-
-    One arm reads both rails, of two each its own.
-    """
+    """Numbers (..., rails[, D]) of the inputs that read each rail, from those of all (..., i)."""
+    # One arm reads both rails, of two each its own
     split = found.reshape(*found.shape[:-1], -1, manifest.detector_count)
     wide: Any = (*found.shape[:-1], manifest.rails, manifest.detector_count)
     return np.broadcast_to(split, wide).reshape(*wide[:-1], *manifest.several)

@@ -57,10 +57,7 @@ _NAMED_FRAMES = 5
 
 @dataclass(frozen=True)
 class LightCurve:
-    """Light over time: photons in equal parts of each frame of the passes that were recorded.
-
-    Those of an arm's detectors together, or of one of them.
-    """
+    """Light over time, of an arm's detectors together or of one: photons in parts of each frame."""
 
     # (P, F, K): Photons, and how long each part was open: 0 where a frame's time is not known. K is
     # `PARTS`, or 1 where frames were counted whole

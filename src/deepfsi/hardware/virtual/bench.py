@@ -46,18 +46,12 @@ class Latencies(Frozen):
 
 
 class VirtualSetup:
-    """Optical setup that virtual devices share: a clock, the scene on the display, the detectors.
-
-    `now_s`: Time on the clock.
-    `written`: Of the counter that records.
-    `wiring`: Inputs of that counter, one for each detector, and the bits of its markers.
-
-    Shapes: rates (S, F, inputs).
-    """
+    """Optical setup that virtual devices share: clock, scene on the display, and detectors."""
 
     def __init__(
         self, rates: np.ndarray, camera: VirtualCamera, latencies: Latencies, seed: int = 0
     ) -> None:
+        # rates (S, F, inputs)
         self.latencies, self.now_s = latencies, START_S
         self._rates, self._scene, self._frame = rates, 0, 1
         rng = np.random.default_rng(seed)
@@ -65,7 +59,8 @@ class VirtualSetup:
         self._reach = self._streams[0].reach
         self._end = 0  # ticks up to which the detectors' light is known
         self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.written: Writer | None = None
+        self.written: Writer | None = None  # of the counter that records
+        # Its inputs, one for each detector, and the bits of its markers
         self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), MARKER
 
     def display(self, scene: int) -> None:

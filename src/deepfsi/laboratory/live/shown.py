@@ -71,10 +71,8 @@ class ShownScene(Frozen):
 
 
 def read_shown(folder: Path) -> tuple[ShownScene, ...]:
-    """Scenes of a run that are finished, or `InputError` if there are none or they do not follow.
-
-    A last line that is not whole is that of a run that was killed, and is left out.
-    """
+    """Finished scenes of a run, or `InputError` if there are none or they do not follow."""
+    # A last line that is not whole is that of a run that was killed, and is left out
     path = folder / NAME
     try:
         text = path.read_text(encoding="utf-8")
