@@ -5,8 +5,11 @@ its default, and its meaning from the field's description or the docstring. Its 
 model's name, unless the option `title` gives another.
 """
 
+import ast
 import inspect
+import itertools
 import json
+import re
 from importlib import import_module
 from typing import ClassVar
 
@@ -67,13 +70,30 @@ def usual(found, name, field):
 
 
 def meanings(found):
-    """Meaning of each field that the docstrings of a model and its bases describe."""
+    """Meaning of each field that the comments or docstrings of a model and its bases tell."""
     told = {}
     for base in reversed(found.__mro__):
         parts = NumpyDocString(inspect.cleandoc(base.__doc__ or ""))
         for each in (*parts["Parameters"], *parts["Attributes"]):
             names = each.name or each.type
             told |= {name.strip(): " ".join(each.desc) for name in names.split(",") if each.desc}
+        if base.__module__.startswith("deepfsi"):
+            told |= comments(base)
+    return told
+
+
+def comments(found):
+    """Comments on the fields of a class: behind a field, or in the lines above it."""
+    source = inspect.getsource(found)
+    lines, told = source.splitlines(), {}
+    for field in ast.parse(source).body[0].body:
+        if not isinstance(field, ast.AnnAssign):
+            continue
+        above = itertools.takewhile(re.compile(r" *# ").match, reversed(lines[: field.lineno - 1]))
+        said = [line.strip()[2:] for line in above][::-1]
+        said += lines[field.end_lineno - 1].encode()[field.end_col_offset :].decode().split("  # ")
+        if text := " ".join(said).strip():
+            told[field.target.id] = text if text.endswith(".") else f"{text}."
     return told
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from hashlib import file_digest
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,6 +28,12 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
     with open_atomically(path) as file:
         file.write(content)
     return Path(path)
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

@@ -40,10 +40,7 @@ def help_if_bare(context: typer.Context) -> None:
 def load(
     data: str, size: tuple[int, int] | None, view: Path | None = None, **options: Any
 ) -> "Dataset":
-    """Data set of a name or path, as the camera whose calibration is in the folder `view` sees it.
-
-    Parameters as of `load_dataset`.
-    """
+    """Data set of a name or path, as the camera calibrated in the folder `view` sees it."""
     from deepfsi.datasets import load_dataset
 
     scenes = load_dataset(data, size=size, **options)

@@ -12,16 +12,13 @@ from safetensors import SafetensorError, safe_open
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.hardware.patterns.folder import DesignRails
+from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.optics.camera import Camera
 
 SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
-
-DESIGN = "design.safetensors"
-"""Design of a folder of patterns."""
 
 
 def camera_of(source: str | os.PathLike[str], **settings: Any) -> Camera:

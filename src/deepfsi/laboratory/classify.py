@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepfsi.errors import InputError
+from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
-from deepfsi.hardware.recording.counts import Counts, hash_file, load_counts
+from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.replay import (

@@ -92,8 +92,6 @@ def test_a_data_set_in_the_cameras_view():
     assert view.preprocessing != view_dataset(data, calibration_of()).preprocessing
     assert view.hash != data.hash
     np.testing.assert_array_equal(view.y_train, data.y_train)
-    larger = view_dataset(data, calibration, (16, 12))
-    assert (larger.image_shape, larger.pixels) == ((16, 12), 192)
 
 
 def test_sixty_thousand_images_in_seconds():
@@ -107,7 +105,7 @@ def test_sixty_thousand_images_in_seconds():
 
 
 def test_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(InputError, match="one row of h"):
+    with pytest.raises(InputError, match=r"give \(n, h"):
         camera_view(np.ones((2, 7)), (2, 4), calibration_of())
     with pytest.raises(InputError, match="no images"):
         view_matrix((8,), calibration_of(), (4, 4))

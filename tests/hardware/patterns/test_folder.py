@@ -294,7 +294,7 @@ def test_another_design_beside_the_frames_is_found(tmp_path):
     with pytest.raises(InputError, match="not the one that was exported"):
         check_patterns(tmp_path / "p")
     path.unlink()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is missing"):
         check_patterns(tmp_path / "p")
 
 

@@ -16,13 +16,9 @@ def expected_background(
     # spread evenly over the cells. dark, ambient (rails,)
     manifest = patterns.manifest
     dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
-    out = np.zeros((manifest.rails, manifest.masks))
     opened = patterns.fractions.mean(axis=1)
-    for place, share, part in zip(manifest.shown, manifest.shares, opened, strict=True):
-        frame, gate = manifest.frames[place], share * exposure_s
-        if frame.rail in ("plus", "both"):
-            out[0, frame.mask] = gate * (dark[0] + ambient[0] * part)
-        if frame.rail in ("minus", "both"):
-            part = 1 - part if frame.rail == "both" else part
-            out[1, frame.mask] = gate * (dark[1] + ambient[1] * part)
+    lit, gates = np.stack([opened, 1 - opened]), manifest.shares * exposure_s
+    rail, mask, column, arm = manifest.read
+    out = np.zeros((manifest.rails, manifest.masks))
+    out[rail, mask] = gates[column] * (dark[rail] + ambient[rail] * lit[arm, column])
     return out

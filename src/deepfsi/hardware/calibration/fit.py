@@ -6,7 +6,6 @@ each (`recording.picture.reconstruct`) and give them to `calibrate`.
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,14 +41,6 @@ FLAT_DEGREE = 4
 
 CELLS_PER_TERM = 4
 """Cells that each term of the polynomial needs."""
-
-
-@dataclass(frozen=True)
-class Homography:
-    """Homography fitted to the centres of spots."""
-
-    matrix: np.ndarray  # (3, 3): Display → device in unit squares
-    agreed: np.ndarray  # (n,): Spots that it rests on
 
 
 def spot_scenes(
@@ -89,8 +80,8 @@ def calibrate(
     _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
-    first = find_homography(_centroids(scenes), find_spots(pictures), cells)
-    view = fit_view(scenes, pictures, grid, first.matrix, first.agreed)
+    first, agreed = find_homography(_centroids(scenes), find_spots(pictures), cells)
+    view = fit_view(scenes, pictures, grid, first, agreed)
     flat = (
         None
         if white is None
@@ -199,9 +190,9 @@ def find_spots(pictures: np.ndarray) -> np.ndarray:
 
 
 def find_homography(
-    display: np.ndarray, device: np.ndarray, cells: tuple[int, int], seed: int = 0
-) -> Homography:
-    """Homography that brings places on the display to places on the device."""
+    display: np.ndarray, device: np.ndarray, cells: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Homography (3, 3) from display to device in unit squares, and the spots (n,) it rests on."""
     # Spots that lie more than a cell from what the others say are left out (RANSAC). display,
     # device (n, 2)
     found = np.isfinite(device).all(axis=1)
@@ -222,7 +213,7 @@ def find_homography(
             residual_threshold=FIRST_OUTLIER_CELLS,
             max_trials=500,
             stop_probability=0.9999,
-            rng=seed,
+            rng=0,
         )
     if inliers is None or inliers.sum() < 4 or _on_a_line(source[inliers]):
         raise InputError(trouble)
@@ -232,7 +223,7 @@ def find_homography(
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
     agreed = np.zeros(len(found), dtype=bool)
     agreed[np.flatnonzero(found)[inliers]] = True
-    return Homography(matrix / matrix[2, 2], agreed)
+    return matrix / matrix[2, 2], agreed
 
 
 def find_flat(
@@ -246,8 +237,7 @@ def find_flat(
     # not become part of the view; it follows what a lens does, but no dust. Cells that the display
     # fills less than half have the value of the nearest cell that it fills. The picture's shape is
     # (down, across), as the flat field's, which is relative to its largest value. Other parameters
-    # as for `geometry_matrix`. Raises `InputError` if the display fills no cell or the picture is
-    # dark
+    # as for `geometry_matrix`
     white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)

@@ -149,11 +149,9 @@ def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
 
 
 def _shifts(spots: _Spots, pictures: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of each spot from where the view shows it, cells (spots, 2), and which are bright.
-
-    As far as a picture tells it: a distance that it does not tell, since the spot lies within one
-    cell or is faint, is taken to be small beside `OUTLIER_CELLS`.
-    """
+    """Distance of spots from where the view shows them, cells (spots, 2), and which are bright."""
+    # A distance that a picture does not tell, since the spot lies within one cell or is faint, is
+    # taken to be small beside `OUTLIER_CELLS`
     centre = spots.images(view)
     slopes = [
         (spots.images(view, step) - spots.images(view, (-step[0], -step[1]))) / (2 * STEP_CELLS)

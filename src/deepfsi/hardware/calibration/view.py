@@ -28,13 +28,9 @@ SCENES_AT_ONCE = 4096
 
 
 def view_matrix(
-    image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, int]
+    image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, ...]
 ) -> sparse.csr_array:
-    """Matrix from a displayed scene to what each cell sees of it. Parameters as for `camera_view`.
-
-    Its shape is (down * across, h * w), and its rows sum to at most 1. Raises `InputError` if the
-    scene is no image, or no cell looks at the display.
-    """
+    """Matrix (down * across, h * w) from a scene to what each cell sees: rows sum to 1 or less."""
     if len(image_shape) != 2:
         raise InputError(f"scenes of shape {image_shape} are no images: a camera's view needs two")
     view = geometry_matrix(image_shape, cells_shape, calibration.homography, calibration.blur)
@@ -48,45 +44,32 @@ def camera_view(
     x: np.ndarray,
     image_shape: tuple[int, ...],
     calibration: Calibration,
-    cells_shape: tuple[int, int] | None = None,
+    cells_shape: tuple[int, ...] | None = None,
 ) -> np.ndarray:
     """Scenes as the cells of a mask see them."""
     # x (n, h * w)
     x = np.asarray(x, dtype=np.float32)
-    if len(image_shape) != 2 or x.ndim != 2 or x.shape[1] != np.prod(image_shape):
-        raise InputError(
-            f"scenes of shape {x.shape} with images of {image_shape}: give one row of h * w "
-            "values for each image"
-        )
-    down, across = cells_shape or (image_shape[0], image_shape[1])
-    view = view_matrix(image_shape, calibration, (down, across)).astype(np.float32)
-    out = np.empty((len(x), down * across), dtype=np.float32)
+    view = view_matrix(image_shape, calibration, cells_shape or image_shape).astype(np.float32)
+    if x.ndim != 2 or x.shape[1] != view.shape[1]:
+        raise InputError(f"scenes of shape {x.shape} with images of {image_shape}: give (n, h * w)")
+    out = np.empty((len(x), view.shape[0]), dtype=np.float32)
     for first in range(0, len(x), SCENES_AT_ONCE):
         block = x[first : first + SCENES_AT_ONCE]
         out[first : first + SCENES_AT_ONCE] = (view @ np.ascontiguousarray(block.T)).T
     return np.clip(out, 0, 1, out=out)  # rounding
 
 
-def view_dataset(
-    data: Dataset, calibration: Calibration, cells_shape: tuple[int, int] | None = None
-) -> Dataset:
-    """Data set of images as the camera sees them, to train on. Parameters as for `camera_view`."""
-    # Its preprocessing names the calibration. Raises `InputError` if the scenes are no images
-    shape = cells_shape or data.image_shape
-    if len(shape) != 2:
-        raise InputError(
-            f"{data.name}: scenes of shape {shape} are no images: give a data set of some"
-        )
+def view_dataset(data: Dataset, calibration: Calibration) -> Dataset:
+    """Data set of images as the camera sees them, to train on; its preprocessing says so."""
     digest = hashlib.sha256(calibration.model_dump_json().encode()).hexdigest()
     return replace(
         data,
         origin=None,
-        x_train=camera_view(data.x_train, data.image_shape, calibration, shape),
-        x_test=camera_view(data.x_test, data.image_shape, calibration, shape),
-        image_shape=shape,
+        x_train=camera_view(data.x_train, data.image_shape, calibration),
+        x_test=camera_view(data.x_test, data.image_shape, calibration),
         preprocessing=(
-            f"{data.preprocessing} Then as {shape[0]}x{shape[1]} cells of a camera see it "
-            f"(calibration {digest[:12]})."
+            f"{data.preprocessing} Then as {'x'.join(map(str, data.image_shape))} cells of a "
+            f"camera see it (calibration {digest[:12]})."
         ),
     )
 
@@ -151,7 +134,7 @@ def _axis_average(cells: int, blur: float, each: int) -> tuple[sparse.csr_array,
     return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
 
 
-def _at_cells(values: np.ndarray, cells_shape: tuple[int, int]) -> np.ndarray:
+def _at_cells(values: np.ndarray, cells_shape: tuple[int, ...]) -> np.ndarray:
     """Values of a grid over the unit square at the centres of another's cells, linear between."""
     if values.shape == cells_shape:
         return values

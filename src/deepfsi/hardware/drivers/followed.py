@@ -7,9 +7,9 @@ them back: look at how often the file grows before the time that a decision take
 import os
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
-from typing import Self
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
@@ -21,7 +21,7 @@ POLL_S = 0.0001
 """Time between two looks at the file, seconds."""
 
 
-class FollowedCounter:
+class FollowedCounter(AbstractContextManager["FollowedCounter"]):
     """Streaming counter over a file, or a named pipe, that other software writes."""
 
     def __init__(
@@ -37,15 +37,11 @@ class FollowedCounter:
         self._file: FileIO | None = None
         self._frames: StreamCounter | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *error: object) -> None:
         self.stop()
 
     def start(self, path: Path) -> None:
         """Follow a file from its beginning; waits until it is there."""
-        # Raises `InputError` if it does not appear, or cannot be read
         self.stop()
         if self._waits is not None:
             self._waits(path, self._appears_s)

@@ -89,7 +89,6 @@ class SnapiCounter:
 
     def start(self, path: Path) -> None:
         """Begin to record into a new file, which snAPI writes."""
-        # Raises `InputError` if this is not open, there is such a file, or the device refuses
         if self._api is None:
             raise InputError("the PicoQuant device is not open: use `with` to open it")
         self.stop()
@@ -113,7 +112,6 @@ class SnapiCounter:
 
     def counts_since_marker(self, timeout_s: float) -> FrameCounts:
         """Frames whose gates have ended since the last call, as `StreamingCounter` says."""
-        # Raises `InputError` also if the device stopped by itself, or records were lost
         if self._frames is None:
             raise InputError("nothing is recorded: start the counter first")
         try:

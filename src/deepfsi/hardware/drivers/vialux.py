@@ -110,9 +110,6 @@ class _Board(ABC):
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Send the frames of a folder of any format to the device, in place of earlier ones."""
-        # Raises `InputError` if the folder is damaged, made for another device, too large for the
-        # controller's memory, or has a picture time that the device cannot keep; or if this is not
-        # open
         manifest = read_patterns(folder).manifest
         self.halt()
         self._unload()
@@ -231,7 +228,6 @@ class VialuxProjector(_Board):
 
     def run(self) -> None:
         """Start one pass; returns when its last sequence is in the controller's queue."""
-        # Raises `InputError` if nothing is loaded, a pass is still running or the device refuses
         if not self._sequences:
             raise InputError("no patterns on the Vialux device: load a pattern folder first")
         with _refusals("show patterns"):
@@ -245,7 +241,6 @@ class VialuxProjector(_Board):
 
     def wait(self) -> None:
         """Return when the pass has ended; Ctrl-C is heard meanwhile."""
-        # Raises `InputError` if it has not ended 5 s after it should have
         self._wait(POLL_S)
 
     def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Report) -> None:
@@ -278,7 +273,6 @@ class VialuxLooks(_Board):
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Number of pictures as which each frame is shown, and each one's time, seconds."""
-        # Raises `InputError` if nothing is loaded, or these times cannot be kept
         picture_us, repeats = self._plan(dwells_s)
         return repeats, np.full(len(repeats), self.trigger_s or picture_us * 1e-6)
 

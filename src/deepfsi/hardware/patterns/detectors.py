@@ -2,23 +2,16 @@
 
 from typing import Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from deepfsi.frozen import Frozen
 
 
-class Detectors(BaseModel):
-    """Detectors of a device, or of each of its two arms.
+class Detectors(Frozen):
+    """Detectors of a device, or of each of its two arms."""
 
-    Attributes
-    ----------
-    count : int
-        D, 2 or more.
-    cells : tuple of int, or None
-        Detector of each cell, 0 .. D-1; None where that is not known, as before a calibration.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    count: int = Field(ge=2)
+    count: int = Field(ge=2)  # D, 2 or more
+    # Detector of each cell, 0 .. D-1; None where that is not known, as before a calibration
     cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
 
     @model_validator(mode="after")

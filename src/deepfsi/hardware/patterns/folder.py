@@ -5,7 +5,6 @@ design if it was given, `loop.safetensors` of a design of several looks, and the
 and sentinels (`frame_files`).
 """
 
-import hashlib
 import json
 import math
 import os
@@ -20,12 +19,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import new_folder
+from deepfsi.files import hash_file, new_folder
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.limits import check_limits, check_stored
 from deepfsi.hardware.patterns.looks import Looks
+from deepfsi.laws import Light, Readout
 from deepfsi.progress import SILENT, Report
 
 SENTINELS = 4
@@ -40,26 +40,23 @@ ARMS_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class DesignRails:
-    """Rails of a design that are to be shown.
+    """Rails of a design that are to be shown."""
 
-    Shapes: rails (2 or 1, m, N).
-    """
-
-    rails: np.ndarray
-    light: sequence.Light
+    rails: np.ndarray  # (2 or 1, m, N)
+    light: Light
     image_shape: tuple[int, ...]
     summed_reflectance: float
     file: bytes | None = None
     brightness: sequence.Brightness | None = None
     detectors: Detectors | None = None
-    readout: sequence.Readout = "difference"
+    readout: Readout = "difference"
     looks: Looks | None = None
     loop: bytes | None = None
 
     def __post_init__(self) -> None:
         rails = self.rails
         pixels = math.prod(self.image_shape) or rails.shape[-1]  # `find_grid` refuses none
-        check_known("light law", self.light, get_args(sequence.Light))
+        check_known("light law", self.light, get_args(Light))
         if rails.shape != (self.rail_count, *rails.shape[1:2], pixels) or not rails.size:
             raise InputError(
                 f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
@@ -187,8 +184,6 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
 
 def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     """Patterns of a folder, without reading its frames."""
-    # Raises `InputError` if the manifest or the mirror counts are missing, damaged or do not fit
-    # each other
     path = Path(folder) / "manifest.json"
     try:
         content = path.read_bytes()
@@ -227,7 +222,6 @@ def hash_mirrors(on: np.ndarray) -> str:
 
 def read_frames(folder: str | os.PathLike[str]) -> Iterator[np.ndarray]:
     """Packed frames of a folder in their order, one at a time: uint8 (rows, bytes of a row)."""
-    # Raises `InputError` naming the first frame that is missing or not what was exported
     folder = Path(folder)
     yield from _load_frames(folder, read_patterns(folder).manifest)
 
@@ -246,8 +240,6 @@ def _load_frames(folder: Path, manifest: sequence.Manifest) -> Iterator[np.ndarr
 
 def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> sequence.Patterns:
     """Read every frame of a folder and compare it with the manifest and the mirror counts."""
-    # Raises `InputError` naming the first frame that is missing or not what was exported, or what
-    # the device cannot show
     folder = Path(folder)
     patterns = read_patterns(folder)
     manifest, grid = patterns.manifest, patterns.manifest.grid
@@ -268,7 +260,12 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
     if manifest.format == "planes":
         planes.check_tables(folder, manifest)
     for name, digest in companions(manifest).items():
-        _check_hash(folder / name, digest)
+        with planes.reading(str(folder / name)):
+            found = hash_file(folder / name)
+        if found != digest:
+            raise InputError(
+                f"{folder / name} is not the one that was exported: export the patterns again"
+            )
     return patterns
 
 
@@ -277,19 +274,6 @@ def companions(manifest: sequence.Manifest) -> dict[str, str]:
     looks = manifest.looks
     known = {DESIGN: manifest.design_sha256, LOOP: None if looks is None else looks.loop_sha256}
     return {name: digest for name, digest in known.items() if digest is not None}
-
-
-def _check_hash(path: Path, digest: str) -> None:
-    """Raise `InputError` unless a file is the one with this hash."""
-    try:
-        with path.open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be read ({error.strerror}): export the patterns again"
-        ) from None
-    if found != digest:
-        raise InputError(f"{path} is not the one that was exported: export the patterns again")
 
 
 def _digest(manifest: str | bytes) -> str:

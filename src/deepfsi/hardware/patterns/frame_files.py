@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from PIL import Image
@@ -55,7 +55,7 @@ def write_frames(
     else:
         with (folder / STREAMS[format]).open("wb") as stream:
             if format == "npy":
-                _write_header(stream, np.dtype("u1"), (total, *device.frame_shape))
+                stream.write(npy_header("|u1", (total, *device.frame_shape)))
             for frame in hashed():
                 stream.write(frame.data)
     return hashes
@@ -84,10 +84,12 @@ def _png(place: int, total: int) -> str:
     return f"frames/{place:0{max(4, len(str(total - 1)))}d}.png"
 
 
-def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+def npy_header(kind: str, shape: tuple[int, ...]) -> bytes:
     """Header of an array's .npy file, as `numpy.save` writes it."""
-    content = {"descr": dtype.str, "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(file, content)
+    header = io.BytesIO()
+    content = {"descr": kind, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, content)
+    return header.getvalue()
 
 
 @contextmanager
@@ -99,9 +101,8 @@ def open_array(
     with reading(str(path)), path.open("rb") as file:
         dtype = np.dtype(kind or "u1")
         if kind is not None:
-            header = io.BytesIO()
-            _write_header(header, dtype, shape)
-            if file.read(len(header.getvalue())) != header.getvalue():
+            header = npy_header(kind, shape)
+            if file.read(len(header)) != header:
                 raise InputError(
                     f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
                     f"manifest.json says: {again}"

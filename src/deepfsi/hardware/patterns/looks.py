@@ -4,37 +4,26 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from deepfsi.frozen import Frozen
 
 SUM_SLACK = 1e-3
 """Share of a look by which the dwells of the first one may differ from it together."""
 
 
-class Looks(BaseModel):
-    """Looks at the same masks; their frames are loaded once.
+class Looks(Frozen):
+    """Looks at the same masks; their frames are loaded once."""
 
-    Attributes
-    ----------
-    count : int
-        K, each 1 / K of the exposure.
-    each_rail : bool
-        Whether the two rails of a mask are frames with dwells of their own.
-    first : tuple of float
-        Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those
-        of later ones are chosen from the counts so far: mask by mask, and those of a mask's two
-        rails follow one another.
-    shortest : float
-        Shortest dwell that the design was learned for, a share of the exposure.
-    loop_sha256 : str
-        Of `loop.safetensors`, the networks that choose them.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    count: int = Field(ge=2, le=64)
-    each_rail: bool
+    count: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure
+    each_rail: bool  # Whether the two rails of a mask are frames with dwells of their own
+    # Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those of
+    # later ones are chosen from the counts so far: mask by mask, and those of a mask's two rails
+    # follow one another
     first: tuple[Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)], ...]
+    # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
+    # Of `loop.safetensors`, the networks that choose them
     loop_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")
@@ -48,13 +37,5 @@ class Looks(BaseModel):
         return masks * (2 if self.each_rail else 1)
 
     def places(self, masks: np.ndarray, minus: np.ndarray) -> np.ndarray:
-        """Place of each frame's dwell among those of a look.
-
-        Parameters
-        ----------
-        masks : integer array, shape (f,)
-            Mask of each frame.
-        minus : bool array, shape (f,)
-            True where it shows the negative rail.
-        """
+        """Places (f,) among a look's dwells of frames' masks (f,), `minus` of negative rails."""
         return 2 * masks + minus if self.each_rail else masks

@@ -17,7 +17,8 @@ import numpy as np
 
 from deepfsi.devices import Device
 from deepfsi.grid import Grid
-from deepfsi.hardware.patterns.sequence import Light, Rail, Selection
+from deepfsi.hardware.patterns.sequence import Rail, Selection
+from deepfsi.laws import Light
 
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)
 """Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""

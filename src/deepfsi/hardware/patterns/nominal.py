@@ -21,8 +21,7 @@ LEAST_DIMMED = 0.999
 
 def nominal_manifest(design: DesignRails) -> Manifest:
     """Manifest of a design's frames in their usual order, on a device of one mirror a cell."""
-    # A mask's frame lasts for its share of the exposure, a sentinel for the mean of them. Raises
-    # `InputError` if one device cannot show the design with all its light
+    # A mask's frame lasts for its share of the exposure, a sentinel for the mean of them
     counted = count_mirrors(design.rails, design.light, LEVELS)
     if not counted.shown or counted.dimmed < LEAST_DIMMED:
         raise InputError(

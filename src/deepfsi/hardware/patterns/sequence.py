@@ -21,13 +21,15 @@ from functools import cached_property
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from deepfsi.devices import LONGEST_PICTURE_S, Device
 from deepfsi.errors import InputError, check_known
+from deepfsi.frozen import Frozen
 from deepfsi.grid import Grid, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
+from deepfsi.laws import Light, Readout
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -35,17 +37,18 @@ MOST_FRAMES = 2**20
 SHARES_SLACK = 1e-4
 """Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
 
-Light = Literal["column", "equal-dwell", "free-dwell", "two-arm"]
-"""Light law of a design; `optics.constraints` has their laws."""
-
 Role = Literal["mask", "on", "off"]
 """Content of a frame: a mask, or a sentinel of all mirrors ON or OFF."""
 
 Rail = Literal["plus", "minus", "both"]
 """Rail of a mask that a frame shows; both on two arms."""
 
-Readout = Literal["difference", "both"]
-"""What the network of a design reads of two rails; `optics.detection` says more."""
+_READ_BY: dict[Rail | None, tuple[tuple[int, int], ...]] = {
+    "plus": ((0, 0),),
+    "minus": ((1, 0),),
+    "both": ((0, 0), (1, 1)),
+}
+"""Rails for which a frame is read, and the arm that sees them."""
 
 Selection = Literal["ordered", "random"]
 """Choice of the mirrors of a grey cell."""
@@ -110,8 +113,7 @@ class FrameSettings:
         """Picture times of the masks' frames, µs, from their shares of the exposure (f,)."""
         # Under `equal-dwell` all are the mean one. Otherwise what a picture lasts beyond the time
         # to settle is in proportion to its share of the exposure. Times are rounded up to whole
-        # microseconds and to the device's shortest. Raises `InputError` if the dwell leaves no time
-        # after settling, or a picture would last too long
+        # microseconds and to the device's shortest
         device, mean = self.device, max(self.dwell_s * 1e6, self.device.shortest_us)
         rest = mean - device.settle_us
         if rest <= 0:
@@ -136,34 +138,17 @@ def _whole(us: float) -> int:
     return math.ceil(round(us, 6))
 
 
-class Frame(BaseModel):
-    """One pattern.
+class Frame(Frozen):
+    """One pattern."""
 
-    Attributes
-    ----------
-    role : {"mask", "on", "off"}
-        A mask, or a sentinel with all mirrors ON or OFF.
-    mask : int or None
-        Row of the sensing matrix.
-    rail : {"plus", "minus", "both"} or None
-        "both" on two arms: the other arm sees the mirrors that are OFF.
-    share : float
-        Share of the exposure for which it is counted: its peak in the realised matrix. 0 for
-        sentinels.
-    picture_us : int
-        Time for which the device holds it, µs.
-    sha256 : str
-        Of its packed bits.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    role: Role
-    mask: int | None = Field(None, ge=0)
-    rail: Rail | None = None
+    role: Role  # A mask, or a sentinel with all mirrors ON or OFF
+    mask: int | None = Field(None, ge=0)  # Row of the sensing matrix
+    rail: Rail | None = None  # "both" on two arms: the other arm sees the mirrors that are OFF
+    # Share of the exposure for which it is counted: its peak in the realised matrix. 0 for
+    # sentinels
     share: float = Field(0.0, ge=0, le=1, allow_inf_nan=False)
-    picture_us: int = Field(ge=1, le=10**10)
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    picture_us: int = Field(ge=1, le=10**10)  # Time for which the device holds it, µs
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")  # Of its packed bits
 
     @model_validator(mode="after")
     def _whole(self) -> "Frame":
@@ -179,93 +164,46 @@ class Frame(BaseModel):
         return f"mask {self.mask}" + ("" if self.rail == "both" else f", {self.rail}")
 
 
-class Brightness(BaseModel):
-    """Summed reflectance of the training scenes, as a share of its mean.
+class Brightness(Frozen):
+    """Summed reflectance of the training scenes, as a share of its mean."""
 
-    Attributes
-    ----------
-    low, high : float
-        Of the dimmest and the brightest scene.
-    between : float
-        Mean of the brightest class over that of the dimmest.
-    within : float
-        Largest standard deviation within a class, as a share of the class's mean.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    low: float = Field(ge=0, le=1, allow_inf_nan=False)
-    high: float = Field(ge=1, allow_inf_nan=False)
-    between: float = Field(ge=1)
+    low: float = Field(ge=0, le=1, allow_inf_nan=False)  # Of the dimmest scene
+    high: float = Field(ge=1, allow_inf_nan=False)  # Of the brightest scene
+    between: float = Field(ge=1)  # Mean of the brightest class over that of the dimmest
+    # Largest standard deviation within a class, as a share of the class's mean
     within: float = Field(ge=0, allow_inf_nan=False)
 
 
-class Manifest(BaseModel):
-    """A folder of patterns: device, frames in the order in which they are shown, provenance.
-
-    Attributes
-    ----------
-    deepfsi : str
-        Version of the package that wrote it.
-    device : Device
-        That shows the frames.
-    image_shape : tuple of int
-        Rows and columns of the masks, or values of a spectrum.
-    light : str
-        Light law of the design.
-    readout : {"difference", "both"}
-        What the network reads of two rails.
-    selection : {"ordered", "random"}
-        Choice of the mirrors of a grey cell.
-    format : {"npy", "raw", "png", "planes"}
-        Files of the frames.
-    design_sha256 : str or None
-        Of the design file beside it.
-    frames : tuple of Frame
-        In the order in which they are shown.
-    masks, rails : int
-        m, and 2 for signed masks or 1: the shape of what is counted.
-    dimmed : float
-        Realised matrix over designed one. Below 1 where one device cannot realise the design
-        (`column`): each exposure then gives this share of its counts.
-    summed_reflectance : float
-        s, the training scenes' mean summed reflectance.
-    brightness : Brightness or None
-        By how much scenes differ from it, where that is known.
-    detectors : Detectors or None
-        Which see which cells; None where one sees all that an arm sends.
-    looks : Looks or None
-        Where dwells are chosen while the exposure runs; the frames' shares are then equal ones.
-    seed : int
-        Of the random selection.
-    mirrors_sha256 : str
-        Of the numbers in mirrors.npy.
-    sha256 : str or None
-        Of all else in the manifest's file, so that a change of it is found; taken as it is
-        without.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Manifest(Frozen):
+    """A folder of patterns: device, frames in the order in which they are shown, provenance."""
 
     schema_version: Literal[1] = 1
-    deepfsi: str
-    device: Device
+    deepfsi: str  # Version of the package that wrote it
+    device: Device  # That shows the frames
+    # Rows and columns of the masks, or values of a spectrum
     image_shape: tuple[Annotated[int, Field(ge=1)], ...] = Field(min_length=1, max_length=2)
-    masks: int = Field(ge=1, le=MOST_FRAMES)
-    rails: Literal[1, 2]
-    light: str
+    masks: int = Field(ge=1, le=MOST_FRAMES)  # m
+    rails: Literal[1, 2]  # 2 for signed masks, or 1
+    light: str  # Light law of the design
+    # Realised matrix over designed one. Below 1 where one device cannot realise the design
+    # (`column`): each exposure then gives this share of its counts
     dimmed: float = Field(gt=0, le=1)
+    # s, the training scenes' mean summed reflectance
     summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
-    brightness: Brightness | None = None
+    brightness: Brightness | None = None  # By how much scenes differ from it, where that is known
+    # Which see which cells; None where one sees all that an arm sends
     detectors: Detectors | None = None
-    readout: Readout = "difference"
+    readout: Readout = "difference"  # What the network reads of two rails
+    # Where dwells are chosen while the exposure runs; the frames' shares are then equal ones
     looks: Looks | None = None
-    selection: Selection
-    seed: int = 0
-    format: Format
-    design_sha256: str | None = None
-    mirrors_sha256: str
+    selection: Selection  # Choice of the mirrors of a grey cell
+    seed: int = 0  # Of the random selection
+    format: Format  # Files of the frames
+    design_sha256: str | None = None  # Of the design file beside it
+    mirrors_sha256: str  # Of the numbers in mirrors.npy
+    # In the order in which they are shown
     frames: tuple[Frame, ...] = Field(min_length=1, max_length=MOST_FRAMES)
+    # Of all else in the manifest's file, so that a change of it is found; taken as it is without
     sha256: str | None = None
 
     @model_validator(mode="after")
@@ -299,6 +237,18 @@ class Manifest(BaseModel):
     def shown(self) -> np.ndarray:
         """Places of the masks' frames among all, shape (f,)."""
         return np.flatnonzero([frame.role == "mask" for frame in self.frames])
+
+    @cached_property
+    def read(self) -> np.ndarray:
+        """Rail, mask, place among the masks' frames, and arm of each readout, shape (4, r)."""
+        shown = enumerate(self.frames[place] for place in self.shown)
+        return np.array(
+            [
+                (rail, frame.mask, column, arm)
+                for column, frame in shown
+                for rail, arm in _READ_BY[frame.rail]
+            ]
+        ).T
 
     @cached_property
     def shares(self) -> np.ndarray:
@@ -362,14 +312,10 @@ class Patterns:
     @property
     def rails(self) -> np.ndarray:
         """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
-        manifest = self.manifest
+        manifest, lit = self.manifest, np.stack([self.fractions, 1 - self.fractions])
+        rail, mask, column, arm = manifest.read
         out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
-        for place, share, part in zip(manifest.shown, manifest.shares, self.fractions, strict=True):
-            frame = manifest.frames[place]
-            if frame.rail in ("plus", "both"):
-                out[0, frame.mask] = share * part
-            if frame.rail in ("minus", "both"):
-                out[1, frame.mask] = share * (1 - part if frame.rail == "both" else part)
+        out[rail, mask] = manifest.shares[column, None] * lit[arm, column]
         return out
 
     @property

@@ -1,16 +1,14 @@
 """Contents of a PTU file, added up part by part."""
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.ptu.header import Header, Kind
 from deepfsi.hardware.ptu.records import LATEST_TICK, Part
 
 
-class Contents(BaseModel):
+class Contents(Frozen):
     """Contents of a PTU file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: str
     tick_s: float  # seconds of a tick

@@ -10,10 +10,7 @@ from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part
 
 
 class GateCounter:
-    """Counter of the photons in gates.
-
-    `reached`: No photon of parts to come is earlier.
-    """
+    """Counter of the photons in gates."""
 
     def __init__(self, kind: Kind, inputs: Sequence[int], name: object) -> None:
         for each in inputs:
@@ -28,7 +25,7 @@ class GateCounter:
         self._done = 0
         self._so_far = np.zeros(len(inputs), np.int64)
         self._latest = EARLIEST_TICK
-        self.reached = -1
+        self.reached = -1  # no photon of parts to come is earlier
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
         """Count gates that follow those before."""
@@ -77,8 +74,6 @@ class GateCounter:
 
     def finish(self, header: Header) -> np.ndarray:
         """Counts of all gates since the last call, at the end of a file with this header."""
-        # Raises `InputError` if the file is cut, or holds more or less than its header says, and a
-        # gate ends after the last time that it holds
         if header.problems and len(self._edges) and self._edges[-1] > self.reached:
             raise InputError(
                 f"{self._name} may lack records ({header.problems[0]}) and holds times up to "

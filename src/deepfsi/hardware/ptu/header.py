@@ -66,11 +66,13 @@ class Kind:
         return (1 << self.time_bits) - 1
 
 
-def _hydra(name: str, code: int, mode: Literal["T2", "T3"], *, old: bool = False) -> Kind:
-    """Type of record of a HydraHarp, or of a later device; old ones count no overflows."""
-    bits = 25 if mode == "T2" else 10
-    wrap = 33_552_000 if old and mode == "T2" else 1 << bits
-    return Kind(f"{name} {mode}", code, mode, 25, bits, wrap, not old, 0, 64)
+def _hydra(name: str, code: int, *, old: bool = False) -> tuple[Kind, Kind]:
+    """Types of records, T2 and T3, of a HydraHarp or later; old ones count no overflows."""
+    wrap = 33_552_000 if old else 1 << 25
+    return (
+        Kind(f"{name} T2", code, "T2", 25, 25, wrap, not old, 0, 64),
+        Kind(f"{name} T3", code + 0x100, "T3", 25, 10, 1 << 10, not old, 0, 64),
+    )
 
 
 PICOHARP_T2 = Kind("PicoHarp 300 T2", 0x00010203, "T2", 28, 28, 210_698_240, False, 0, 5)
@@ -79,24 +81,20 @@ PICOHARP_T2 = Kind("PicoHarp 300 T2", 0x00010203, "T2", 28, 28, 210_698_240, Fal
 PICOHARP_T3 = Kind("PicoHarp 300 T3", 0x00010303, "T3", 28, 16, 65_536, False, 1, 4)
 """Record of a PicoHarp 300 in T3 mode."""
 
-GENERIC_T2 = _hydra("Generic", 0x00010207, "T2")
-"""Record of a recent device in T2 mode."""
+GENERIC_T2, GENERIC_T3 = _hydra("Generic", 0x00010207)
+"""Records of a recent device."""
 
 KINDS = {
     kind.code: kind
     for kind in (
         PICOHARP_T2,
         PICOHARP_T3,
-        _hydra("HydraHarp V1", 0x00010204, "T2", old=True),
-        _hydra("HydraHarp V1", 0x00010304, "T3", old=True),
-        _hydra("HydraHarp V2", 0x01010204, "T2"),
-        _hydra("HydraHarp V2", 0x01010304, "T3"),
-        _hydra("TimeHarp 260 N", 0x00010205, "T2"),
-        _hydra("TimeHarp 260 N", 0x00010305, "T3"),
-        _hydra("TimeHarp 260 P", 0x00010206, "T2"),
-        _hydra("TimeHarp 260 P", 0x00010306, "T3"),
+        *_hydra("HydraHarp V1", 0x00010204, old=True),
+        *_hydra("HydraHarp V2", 0x01010204),
+        *_hydra("TimeHarp 260 N", 0x00010205),
+        *_hydra("TimeHarp 260 P", 0x00010206),
         GENERIC_T2,
-        _hydra("Generic", 0x00010307, "T3"),
+        GENERIC_T3,
     )
 }
 """Types of records by code."""
@@ -117,10 +115,7 @@ class Header:
 
     @property
     def records(self) -> int:
-        """Records to read: as many as are claimed, or as are there if those are fewer or unclaimed.
-
-        Of a file that still arrives, those claimed, or more than any file has.
-        """
+        """Records to read: those claimed, or those that are there if fewer or unclaimed."""
         held = MOST_RECORDS if self.size is None else (self.size - self.offset) // 4
         return min(self.claimed, held) if self.claimed > 0 else held
 
@@ -150,8 +145,6 @@ Fewer than it needs are the end of the file.
 
 def read_header(path: str | os.PathLike[str]) -> Header:
     """Header of a PTU file."""
-    # Raises `InputError` if it is not a PTU file, or its header is damaged or names no type of
-    # record known here
     parser = parse_header(path)
     with open_file(path) as file:
         needed = next(parser)

@@ -50,8 +50,7 @@ def read_markers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Markers of a file, in its order: times in ticks, int64 (n,), and bits, uint8 (n,)."""
     # Bits are 1 to 15: which of the four marker inputs. Those of a file that is cut are given as
-    # far as it goes; see `Header.problems`. Whether times run back is not looked at here. Raises
-    # `InputError` as `read_header`, and if a record is damaged or more than 2^24 are markers
+    # far as it goes; see `Header.problems`. Whether times run back is not looked at here
     header = read_header(path)
     times, bits, found = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], 0
     for part in read_parts(header, report, ordered=False):

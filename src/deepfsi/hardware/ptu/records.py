@@ -41,23 +41,18 @@ class Runs:
 
 @dataclass
 class Part:
-    """Some records that follow each other, decoded as far as is needed to count.
-
-    The specials stand at `places`, shape (s,). Of each there are `times`, `bits` (0 if it is no
-    marker), `sync`, and `wraps` (0 if it is no overflow). No photon or sync event after this part
-    is earlier than `reached`. `fault` says what is wrong with the record that follows.
-    """
+    """Some records that follow each other, decoded as far as is needed to count."""
 
     kind: Kind
     words: np.ndarray
-    places: np.ndarray
+    places: np.ndarray  # (s,): Of the specials; their times follow
     times: np.ndarray
-    bits: np.ndarray
+    bits: np.ndarray  # (s,): 0 of a special that is no marker
     sync: np.ndarray
-    wraps: np.ndarray
+    wraps: np.ndarray  # (s,): 0 of a special that is no overflow
     runs: Runs
-    reached: int
-    fault: str = ""
+    reached: int  # no photon or sync event after this part is earlier
+    fault: str = ""  # of the record that follows
 
     @property
     def markers(self) -> tuple[np.ndarray, np.ndarray]:

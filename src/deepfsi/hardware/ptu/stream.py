@@ -15,13 +15,10 @@ from deepfsi.hardware.ptu.records import Decoder, Part
 
 
 class StreamReader:
-    """Reader of a PTU file from bytes that arrive in any cuts.
-
-    `header`: None until it has arrived.
-    """
+    """Reader of a PTU file from bytes that arrive in any cuts."""
 
     def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
-        self.header: Header | None = None
+        self.header: Header | None = None  # until it has arrived
         self._parser = parse_header(name)
         self._needed = next(self._parser)
         self._rest = bytearray()  # bytes of the header, or of a record, that is not whole
@@ -31,8 +28,7 @@ class StreamReader:
     def feed(self, data: bytes | bytearray | memoryview) -> Iterator[Part]:
         """Read the next bytes, and give what records they end, in parts."""
         # As of a file, none follows a part with a `fault`, and what follows the records that the
-        # header gives is not read. Bytes are read as parts are taken, and a part holds on to them.
-        # Raises `InputError` as `read_header`
+        # header gives is not read. Bytes are read as parts are taken, and a part holds on to them
         view = memoryview(data).cast("B")
         if self._decoder is None:
             view = self._feed_header(view)

@@ -63,9 +63,7 @@ class Writer:
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events: times in ticks, integers (n,), and a code for each, integers (n,)."""
         # Times rise over all calls; equal ones are allowed. Codes 0 to 63 are a photon on that
-        # input, 0 for input 1; -1 to -15 are a marker with the bits of the negative. Raises
-        # `InputError` if times run back, are negative or above 2^55 (ten hours of ps), or a code is
-        # none of these
+        # input, 0 for input 1; -1 to -15 are a marker with the bits of the negative
         times, codes = np.asarray(times), np.asarray(codes)
         if times.ndim != 1 or times.shape != codes.shape:
             raise InputError(f"{times.shape} times and {codes.shape} codes: give one for each")

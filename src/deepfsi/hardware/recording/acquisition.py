@@ -15,10 +15,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import new_folder
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.patterns.timing import (
@@ -45,68 +46,37 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Finite number above 0."""
 
 
-class Scene(BaseModel):
-    """One scene of a recording.
+class Scene(Frozen):
+    """One scene of a recording."""
 
-    Attributes
-    ----------
-    name : str
-        By which results name it.
-    label : str or None
-        Its class, where that is known.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str = Field(max_length=1000)
-    label: str | None = Field(None, max_length=1000)
+    name: str = Field(max_length=1000)  # By which results name it
+    label: str | None = Field(None, max_length=1000)  # Its class, where that is known
 
 
-class Acquisition(BaseModel):
-    """Settings of a recording: one pass over the patterns for each scene, one after another.
-
-    Attributes
-    ----------
-    scenes : tuple of Scene
-        In the order of their passes.
-    exposure_s : float
-        Total exposure over the masks' frames, seconds.
-    settle_s : float
-        Time before the first gate of each frame, seconds.
-    repeats : int
-        Gates in each frame.
-    marker_bit : {1, 2, 4, 8}
-        Which of the counter's marker inputs the device's trigger is wired to.
-    inputs : tuple of int
-        Of the counter, 0 for input 1: one for each detector; on two arms first those that see
-        mirrors ON, then those that see mirrors OFF.
-    flux : float or None
-        Photons/s on the device for the training scenes' mean, where known.
-    camera : dict or None
-        Settings of a virtual camera.
-    seed : int or None
-        Of a virtual recording.
-    live : Live or None
-        Of a run whose dwells were chosen from counts; `shown.jsonl` then says what was shown.
-    manifest_sha256 : str or None
-        Of the bytes of patterns/manifest.json; `prepare` fills it in.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Acquisition(Frozen):
+    """Settings of a recording: one pass over the patterns for each scene, one after another."""
 
     schema_version: Literal[1] = 1
+    # In the order of their passes
     scenes: tuple[Scene, ...] = Field(min_length=1, max_length=2**16)
-    exposure_s: Positive
+    exposure_s: Positive  # Total exposure over the masks' frames, seconds
+    # Time before the first gate of each frame, seconds
     settle_s: float = Field(ge=0, allow_inf_nan=False)
-    repeats: int = Field(ge=1, le=MOST_READOUTS)
+    repeats: int = Field(ge=1, le=MOST_READOUTS)  # Gates in each frame
+    # Which of the counter's marker inputs the device's trigger is wired to
     marker_bit: Literal[1, 2, 4, 8] = 1
+    # Of the counter, 0 for input 1: one for each detector; on two arms first those that see mirrors
+    # ON, then those that see mirrors OFF
     inputs: tuple[Annotated[int, Field(ge=0, lt=MOST_INPUTS)], ...] = Field(
         (0,), min_length=1, max_length=MOST_INPUTS
     )
+    # Photons/s on the device for the training scenes' mean, where known
     flux: Positive | None = None
-    camera: dict[str, Any] | None = None
-    seed: int | None = None
+    camera: dict[str, Any] | None = None  # Settings of a virtual camera
+    seed: int | None = None  # Of a virtual recording
+    # Of a run whose dwells were chosen from counts; `shown.jsonl` then says what was shown
     live: Live | None = None
+    # Of the bytes of patterns/manifest.json; `prepare` fills it in
     manifest_sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
 
     @model_validator(mode="after")
@@ -192,7 +162,6 @@ def prepare(
 
 def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:
     """Settings and patterns of a recording, checked for consistency."""
-    # Raises `InputError` if a file is missing, damaged, or does not fit the others
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
     content = read_limited(path, LARGEST_JSON, hint)
@@ -266,8 +235,6 @@ def gates_of(
     repeats: int | None = None,
 ) -> Gates:
     """Gates to count an acquisition of a manifest's patterns with. Parameters as of `count`."""
-    # Raises `InputError` if the gates do not fit the frames, or are more than can be counted at
-    # once
     same = exposure_s is None and settle_s is None
     wanted = acquisition.repeats if repeats is None and same else repeats
     exposure = acquisition.exposure_s if exposure_s is None else exposure_s

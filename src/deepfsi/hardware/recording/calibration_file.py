@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import write_atomically
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.dead_time import DeadTime
 
 LEAST_SPOTS = 16
@@ -35,47 +36,24 @@ Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
 
-class Calibration(BaseModel):
-    """View of one display through one camera, and the counts that come from neither.
-
-    Attributes
-    ----------
-    deepfsi : str
-        Version of the package that wrote it.
-    homography : 3 x 3 numbers
-        Display → device, unit squares, (across, down, 1).
-    residual : float
-        Root mean square distance of the spots from it, cells.
-    error : float
-        Standard error of the place of the display's worst corner, cells.
-    spots, shown : int
-        Spots that it rests on, and spots that were shown.
-    blur : tuple of float
-        Standard deviation of a Gaussian, down and across, in the device's unit square.
-    flat : rows of numbers, shape (down, across)
-        Light of each cell relative to the brightest, for a uniform scene that fills the view.
-    dark : float
-        Counts/s with all mirrors OFF and the display black.
-    ambient : float
-        Counts/s that all mirrors ON add to it, the display black.
-    dead_time : DeadTime or None
-        Of the counter, for which the run of spots was corrected.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Calibration(Frozen):
+    """View of one display through one camera, and the counts that come from neither."""
 
     schema_version: Literal[1] = 1
-    deepfsi: str = version("deepfsi")
-    homography: tuple[Row, Row, Row]
-    residual: Rate
-    error: Rate
-    spots: int = Field(ge=4)
-    shown: int = Field(ge=4)
+    deepfsi: str = version("deepfsi")  # Version of the package that wrote it
+    homography: tuple[Row, Row, Row]  # Display → device, unit squares, (across, down, 1)
+    residual: Rate  # Root mean square distance of the spots from it, cells
+    error: Rate  # Standard error of the place of the display's worst corner, cells
+    spots: int = Field(ge=4)  # Spots that it rests on
+    shown: int = Field(ge=4)  # Spots that were shown
+    # Standard deviation of a Gaussian, down and across, in the device's unit square
     blur: tuple[Share, Share] = (0.0, 0.0)
+    # (down, across): Light of each cell relative to the brightest, for a uniform scene that fills
+    # the view
     flat: tuple[tuple[Share, ...], ...] = Field(((1.0,),), min_length=1)
-    dark: Rate = 0.0
-    ambient: Rate = 0.0
-    dead_time: DeadTime | None = None
+    dark: Rate = 0.0  # Counts/s with all mirrors OFF and the display black
+    ambient: Rate = 0.0  # Counts/s that all mirrors ON add to it, the display black
+    dead_time: DeadTime | None = None  # Of the counter, for which the run of spots was corrected
 
     @model_validator(mode="after")
     def _whole(self) -> "Calibration":
@@ -119,7 +97,6 @@ def save_calibration(calibration: Calibration, folder: Path) -> Path:
 
 def load_calibration(folder: Path) -> Calibration:
     """Read `calibration.json` of a folder."""
-    # Raises `InputError` if it is missing or damaged
     path = Path(folder) / "calibration.json"
     try:
         with as_input_error(f"'{path}'", "calibrate the camera again"):

@@ -11,15 +11,17 @@ import os
 import struct
 import zipfile
 from dataclasses import dataclass
-from hashlib import file_digest, sha256
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
+from deepfsi.files import hash_file, write_atomically
+from deepfsi.frozen import Frozen
+from deepfsi.hardware.patterns.frame_files import npy_header
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import (
     MOST_READOUTS,
@@ -141,15 +143,12 @@ class Counts:
 
 def read_counts(folder: str | os.PathLike[str]) -> Counts:
     """Counts of a folder as `count` wrote them."""
-    # Raises `InputError` if there are none, they were changed, or they are of another acquisition
-    # or photon file
     acquisition, patterns = read_acquisition(folder)
     return load_counts(Path(folder), acquisition, patterns.manifest)
 
 
 def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> Counts:
     """Counts in the folder of an acquisition of a manifest's patterns."""
-    # Parameters as of `read_acquisition`, which gives the others. Raises as `read_counts`
     check_fixed(acquisition, folder)
     path, photons = folder / "counts.npz", folder / "photons.ptu"
     content = read_limited(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
@@ -192,12 +191,6 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
     return Counts(**arrays, **{name: held for name, held in provenance if name in fields})
 
 
-def hash_file(path: Path) -> str:
-    """Hash of a file's content."""
-    with path.open("rb") as file:
-        return file_digest(file, "sha256").hexdigest()
-
-
 def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Hash of named arrays, their types and shapes, uint8 (32,)."""
     found = sha256()
@@ -207,10 +200,8 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(found.digest(), np.uint8)
 
 
-class _Provenance(BaseModel):
+class _Provenance(Frozen):
     """Settings with which a file was counted, and hashes of the acquisition and its photons.ptu."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     acquisition: str
     photons_sha256: str
@@ -234,10 +225,7 @@ def _member(
     kind = np.dtype(dtype)
     if shape is None:
         shape = ((len(content) - NPY_HEADER) // kind.itemsize,)
-    header = io.BytesIO()
-    described = {"descr": dtype, "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(header, described)
-    held = header.getvalue()
+    held = npy_header(dtype, shape)
     if len(content) != len(held) + kind.itemsize * math.prod(shape) or not content.startswith(held):
         raise ValueError(name)
     return np.frombuffer(content, kind, offset=len(held)).reshape(shape).copy()

@@ -18,10 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.special import lambertw
 
 from deepfsi.errors import InputError
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.sequence import Frame
 
 LONGEST_S = 1e-5
@@ -34,21 +35,12 @@ With more, a dead time that is wrong by a tenth makes the light wrong by more th
 """
 
 
-class DeadTime(BaseModel):
-    """Dead time of a counter with its detector.
+class DeadTime(Frozen):
+    """Dead time of a counter with its detector."""
 
-    Attributes
-    ----------
-    seconds : float
-        For which it is blind after a photon.
-    paralysable : bool
-        True if an arrival that is lost makes it blind again, as overlapping pulses of a
-        photomultiplier do.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    seconds: float = Field(ge=0, le=LONGEST_S)
+    seconds: float = Field(ge=0, le=LONGEST_S)  # For which it is blind after a photon
+    # True if an arrival that is lost makes it blind again, as overlapping pulses of a
+    # photomultiplier do
     paralysable: bool = False
 
     def __str__(self) -> str:

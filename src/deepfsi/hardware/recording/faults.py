@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from deepfsi.errors import InputError
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.passes import (
     Markers,
     Pass,
@@ -29,34 +29,23 @@ SPOILING = ("dark", "unsteady", "brighter", "flicker")
 """Faults of the light that leave a scene's counts without a meaning."""
 
 
-class Fault(BaseModel):
-    """Fault of a recording's markers or of its light.
+class Fault(Frozen):
+    """Fault of a recording's markers or of its light."""
 
-    Attributes
-    ----------
-    kind : str
-        Of markers. `missing`: the marker is restored from its neighbours and the schedule. `extra`:
-        it is dropped. `late`, or early: replaced by the schedule's time. `lost`: the time of the
-        frame, or of the whole pass, is not known.
-        Of the light. `dark`: there is none. `unsteady`: it changed within the pass. `brighter`: a
-        mask sends more than all mirrors ON. `flicker`: it has a rhythm, in all passes. `level`: it
-        is of another brightness from this scene on. `background`: so are the dark frames.
-        `blind`: one of several detectors saw almost none in all scenes together.
-    scene, frame : int or None
-        Which, from 0; None where no pass or no one frame is meant.
-    detail : str
-        What was seen and when.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+    # Of markers. `missing`: the marker is restored from its neighbours and the schedule. `extra`:
+    # it is dropped. `late`, or early: replaced by the schedule's time. `lost`: the time of the
+    # frame, or of the whole pass, is not known. Of the light. `dark`: there is none. `unsteady`: it
+    # changed within the pass. `brighter`: a mask sends more than all mirrors ON. `flicker`: it has
+    # a rhythm, in all passes. `level`: it is of another brightness from this scene on.
+    # `background`: so are the dark frames. `blind`: one of several detectors saw almost none in all
+    # scenes together
     kind: Literal[
         "missing", "extra", "late", "lost",
         "dark", "unsteady", "brighter", "flicker", "level", "background", "blind",
     ]  # fmt: skip
-    scene: int | None = None
-    frame: int | None = None
-    detail: str
+    scene: int | None = None  # Which, from 0; None where no pass is meant
+    frame: int | None = None  # Which, from 0; None where no one frame is meant
+    detail: str  # What was seen and when
 
     def __str__(self) -> str:
         return self.words()

@@ -31,14 +31,6 @@ AT_ONCE = 2**22
 
 
 @dataclass(frozen=True)
-class Flicker:
-    """Rhythm of the light: frequency in Hz, and amplitude as a share of the mean."""
-
-    hertz: float
-    amplitude: float
-
-
-@dataclass(frozen=True)
 class _Block:
     """Frames of a pass that follow each other."""
 
@@ -49,8 +41,8 @@ class _Block:
 
 def find_flicker(
     photons: np.ndarray, seconds: np.ndarray, middles: np.ndarray, chance: float
-) -> Flicker | None:
-    """Strongest rhythm of the light that is beyond chance, if there is one."""
+) -> tuple[float, float] | None:
+    """Strongest rhythm beyond chance, if any: Hz, and its amplitude as a share of the mean."""
     # The pass that shows most of it is left out where there are three or more: what one pass alone
     # shows is no rhythm. photons, seconds (P, F, K); middles (F, K)
     whole = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
@@ -75,7 +67,7 @@ def find_flicker(
         return None
     best = int(np.argmax(np.where(chances <= chance, left, 0)))
     amplitude = np.sqrt(EXCESS * max(total[best] - 2 * count[best], 0) / size[best])
-    return Flicker(float(tried[best]), float(amplitude))
+    return float(tried[best]), float(amplitude)
 
 
 def _frequencies(blocks: list[_Block]) -> np.ndarray:

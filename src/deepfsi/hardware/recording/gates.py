@@ -137,7 +137,6 @@ class Windows:
     @classmethod
     def of(cls, manifest: Manifest, gates: Gates, found: Frames) -> "Windows":
         """Windows of a pass over the frames of a manifest as they were found in a recording."""
-        # Parameters as of `check_gates`, but for the file
         repeats, frames = gates.repeats, len(manifest.frames)
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         each = np.ones(frames, np.int64)
@@ -237,10 +236,7 @@ def count_overlapping(
     inputs: Sequence[int],
     report: Report = SILENT,
 ) -> np.ndarray:
-    """Photons (n, inputs) in windows that may overlap, in any order. Parameters as `count_gates`.
-
-    Shapes: starts, stops (n,).
-    """
+    """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
     edges = np.stack([starts, stops])
     unique, places = np.unique(edges, return_inverse=True)
     found = count_gates(path, unique[:-1], unique[1:], inputs, report)

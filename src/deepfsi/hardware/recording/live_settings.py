@@ -3,8 +3,9 @@
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 
 MARGIN_NS = 2000
@@ -19,44 +20,21 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
     return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
 
 
-class StopRule(BaseModel):
-    """When an exposure stops, as `design.stopping.StoppingRule` has it.
+class StopRule(Frozen):
+    """When an exposure stops, as `design.stopping.StoppingRule` has it."""
 
-    Attributes
-    ----------
-    temperatures : tuple of float
-        What the logits are divided by after each look; none where all are 1.
-    threshold : float
-        Confidence above which the exposure stops; 1 for never before the last look.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+    # What the logits are divided by after each look; none where all are 1
     temperatures: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] = ()
+    # Confidence above which the exposure stops; 1 for never before the last look
     threshold: float = Field(1.0, ge=0, le=1)
 
 
-class Live(BaseModel):
-    """Settings of a live run.
+class Live(Frozen):
+    """Settings of a live run."""
 
-    Attributes
-    ----------
-    shortest_ns : int
-        Shortest gate; frames whose dwells are shorter are not shown.
-    photons : float or None
-        Budget of an exposure where it is known; that of the all-ON frames so far if None.
-    rule : StopRule or None
-        When an exposure stops; never before its last look if None.
-    dead_time : DeadTime
-        Of the counter, to be corrected for.
-    latencies : dict or None
-        Of virtual devices, seconds.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    shortest_ns: int = Field(ge=1)
+    shortest_ns: int = Field(ge=1)  # Shortest gate; frames whose dwells are shorter are not shown
+    # Budget of an exposure where it is known; that of the all-ON frames so far if None
     photons: float | None = Field(None, gt=0, allow_inf_nan=False)
-    rule: StopRule | None = None
-    dead_time: DeadTime = NO_DEAD_TIME
-    latencies: dict[str, float] | None = None
+    rule: StopRule | None = None  # When an exposure stops; never before its last look if None
+    dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
+    latencies: dict[str, float] | None = None  # Of virtual devices, seconds

@@ -133,7 +133,6 @@ def take_whole(markers: Markers) -> np.ndarray | None:
 
 def follow_passes(markers: Markers) -> list[Pass]:
     """Passes one after another, each from the first marker that those before leave."""
-    # Raises `InputError` if markers do not follow the schedule, or many follow the last pass
     times, scenes = markers.times, markers.scenes
     passes: list[Pass] = []
     first = extra = 0

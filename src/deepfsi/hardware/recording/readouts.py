@@ -6,13 +6,6 @@ import numpy as np
 
 from deepfsi.hardware.patterns.sequence import Manifest
 
-_READ_BY: dict[str | None, tuple[tuple[int, int], ...]] = {
-    "plus": ((0, 0),),
-    "minus": ((1, 0),),
-    "both": ((0, 0), (1, 1)),
-}
-"""Rails for which a frame is read, and the arm that sees them."""
-
 
 def by_readout(manifest: Manifest, found: np.ndarray) -> np.ndarray:
     """Numbers of readouts (..., rails, m[, D]) from those of masks' frames (..., f, inputs)."""
@@ -20,28 +13,22 @@ def by_readout(manifest: Manifest, found: np.ndarray) -> np.ndarray:
     lead, detectors = found.shape[:-2], manifest.detector_count
     split = found.reshape(*found.shape[:-1], -1, detectors)
     out = np.zeros((*lead, manifest.rails, manifest.masks, detectors), found.dtype)
-    for column, place in enumerate(manifest.shown):
-        frame = manifest.frames[place]
-        for rail, arm in _READ_BY[frame.rail]:
-            out[..., rail, frame.mask, :] = split[..., column, arm, :]
+    rail, mask, column, arm = manifest.read
+    out[..., rail, mask, :] = split[..., column, arm, :]
     return out.reshape(*out.shape[:-1], *manifest.several)
 
 
 def lengths_by_readout(manifest: Manifest, lengths: np.ndarray) -> np.ndarray:
     """For how long each readout is counted (rails, m), from the gates of masks' frames (f,)."""
     out = np.zeros((manifest.rails, manifest.masks))
-    for length, place in zip(lengths, manifest.shown, strict=True):
-        frame = manifest.frames[place]
-        for rail, _ in _READ_BY[frame.rail]:
-            out[rail, frame.mask] = length
+    rail, mask, column, _ = manifest.read
+    out[rail, mask] = lengths[column]
     return out
 
 
 def by_rail(manifest: Manifest, found: np.ndarray) -> np.ndarray:
-    """Numbers (..., rails[, D]) of the inputs that read each rail, from those of inputs (..., i).
-
-    One arm reads both rails, of two each its own.
-    """
+    """Numbers (..., rails[, D]) of the inputs that read each rail, from those of all (..., i)."""
+    # One arm reads both rails, of two each its own
     split = found.reshape(*found.shape[:-1], -1, manifest.detector_count)
     wide: Any = (*found.shape[:-1], manifest.rails, manifest.detector_count)
     return np.broadcast_to(split, wide).reshape(*wide[:-1], *manifest.several)

@@ -57,10 +57,7 @@ _NAMED_FRAMES = 5
 
 @dataclass(frozen=True)
 class LightCurve:
-    """Light over time: photons in equal parts of each frame of the passes that were recorded.
-
-    Those of an arm's detectors together, or of one of them.
-    """
+    """Light over time, of an arm's detectors together or of one: photons in parts of each frame."""
 
     # (P, F, K): Photons, and how long each part was open: 0 where a frame's time is not known. K is
     # `PARTS`, or 1 where frames were counted whole
@@ -243,12 +240,13 @@ def _find_rhythm(curve: LightCurve, manifest: Manifest, chance: float) -> tuple[
     """Fault of the whole recording if its light has a rhythm, or varies fast in another way."""
     found = find_flicker(curve.photons, curve.seconds, curve.middles, chance)
     if found is not None:
+        hertz, amplitude = found
         frame_s = float(manifest.picture_s[manifest.shown].mean())
-        averaged = min(1.0, 1 / (np.pi * found.hertz * frame_s))
-        if found.amplitude * averaged >= HARMLESS:
+        averaged = min(1.0, 1 / (np.pi * hertz * frame_s))
+        if amplitude * averaged >= HARMLESS:
             detail = (
-                f"the light{curve.name} rises and falls by {found.amplitude:.0%} at "
-                f"{found.hertz:.4g} Hz: use a lamp that does not"
+                f"the light{curve.name} rises and falls by {amplitude:.0%} at {hertz:.4g} Hz: use "
+                "a lamp that does not"
             )
             return (Fault(kind="flicker", detail=detail),)
     photons, seconds = curve.of(curve.bright)

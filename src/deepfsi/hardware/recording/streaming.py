@@ -107,8 +107,6 @@ class FrameCounter:
 
     def expect(self, gates: FrameGates) -> None:
         """Count frames that are shown after those before. To be told before they are shown."""
-        # Raises `InputError` if a gate begins less than a microsecond, or a tick, after its marker:
-        # that is how far a marker may be off
         offsets = np.rint(gates.offsets_s / self._tick_s)
         if len(gates) and not offsets.min() > self._slack:
             raise InputError(
@@ -131,9 +129,7 @@ class FrameCounter:
     def add(self, part: Part) -> FrameCounts:
         """Count the next records; give the frames that have ended, in order."""
         # Those are the ones whose gates have ended, and after which the next of their list has
-        # begun. Raises `InputError` if a record is damaged, or a marker comes that starts no frame
-        # told, before the gate of the frame before has ended, or not when the picture before it
-        # ends
+        # begun
         part.check(self._name)
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
@@ -216,7 +212,6 @@ class StreamCounter:
 
     def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
         """Read the next bytes; give the frames whose gates ended, in order."""
-        # Raises `InputError` as `FrameCounter.add`, and if the file is not one of photons
         found = []
         for part in self._reader.feed(data):
             found.append(self._counter().add(part))

@@ -10,7 +10,7 @@ and the budget is the flux times E: all the light of these frames.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -99,8 +99,8 @@ def count_table(
     times, shown = _find_times(manifest, settings.settle_s), manifest.shown
     exposure = float(times[shown].sum() / manifest.shares.sum())
     lengths = manifest.shares * exposure
-    every = _correct(read, times, manifest, settings, name)
-    light = _find_light(every, sentinels, place, times, exposure, manifest, settings)
+    mean, variance = _correct(read, times, manifest, settings, name)
+    light = _find_light(mean, variance, sentinels, place, times, exposure, manifest, settings)
     _check_budget(light["flux"], settings, name)
     repeats = np.bincount(place)
     valid = np.arange(repeats.max()) < repeats[:, None]
@@ -116,8 +116,8 @@ def count_table(
     counts = Counts(
         **light,
         counts=by_scene(read[:, shown]),
-        arrivals=by_scene(every.mean[:, shown] * scale),
-        variance=by_scene(every.variance[:, shown] * scale**2),
+        arrivals=by_scene(mean[:, shown] * scale),
+        variance=by_scene(variance[:, shown] * scale**2),
         valid=valid,
         gate_s=lengths,
         exposure_s=exposure,
@@ -130,24 +130,17 @@ def count_table(
     return counts, scenes
 
 
-class _Arrivals(NamedTuple):
-    """Counts of frames (E, f, inputs) as they arrived, and the variance of their noise."""
-
-    mean: np.ndarray
-    variance: np.ndarray
-
-
 def _correct(
     read: np.ndarray, times: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
-) -> _Arrivals:
-    """Arrivals in all frames, of what was read of them (E, F, inputs) in their times (F,)."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Arrivals and their variance in all frames, of what was read (E, F, inputs) in times (F,)."""
     if settings.analogue:
         found = read * (settings.gain or 1.0)
-        return _Arrivals(found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2)
+        return found, found.clip(min=0) + (settings.read_noise or 0.0) ** 2
     rates, dead = read / times[:, None], settings.dead_time
     check_rates(dead, rates, manifest.frames, range(manifest.inputs), name)
     factors = dead.correction(rates)
-    return _Arrivals(read * factors.arrivals, read * factors.variance)
+    return read * factors.arrivals, read * factors.variance
 
 
 def _find_times(manifest: Manifest, settle_s: float) -> np.ndarray:
@@ -265,7 +258,8 @@ def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
 
 
 def _find_light(
-    every: _Arrivals,
+    mean: np.ndarray,
+    variance: np.ndarray,
     sentinels: bool,
     place: np.ndarray,
     times: np.ndarray,
@@ -286,9 +280,9 @@ def _find_light(
             "dark_rate": by_rail(manifest, dark),
             "faults": (),
         }
-    found, noise = np.zeros((2, scenes, *every.mean.shape[1:]))
-    np.add.at(found, place, every.mean)
-    np.add.at(noise, place, every.variance)
+    found, noise = np.zeros((2, scenes, *mean.shape[1:]))
+    np.add.at(found, place, mean)
+    np.add.at(noise, place, variance)
     seconds = np.bincount(place)[:, None] * times
     on, off = (
         found[:, frames].sum(axis=1) / seconds[:, frames].sum(axis=1, keepdims=True)

@@ -9,12 +9,12 @@ import math
 from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
-from typing import Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from deepfsi.errors import InputError
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.folder import check_patterns
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
@@ -26,10 +26,8 @@ START_S = 1e-3
 """Time on the counter's clock before the first list, seconds."""
 
 
-class Latencies(BaseModel):
+class Latencies(Frozen):
     """Times of the steps of a loop, seconds; docs/understand/live-timing.md says their sources."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     # Of each pattern into the device, once before the first scene
     load: float = Field(3.3e-3, ge=0, le=1e3)
@@ -48,18 +46,12 @@ class Latencies(BaseModel):
 
 
 class VirtualSetup:
-    """Optical setup that virtual devices share: a clock, the scene on the display, the detectors.
-
-    `now_s`: Time on the clock.
-    `written`: Of the counter that records.
-    `wiring`: Inputs of that counter, one for each detector, and the bits of its markers.
-
-    Shapes: rates (S, F, inputs).
-    """
+    """Optical setup that virtual devices share: clock, scene on the display, and detectors."""
 
     def __init__(
         self, rates: np.ndarray, camera: VirtualCamera, latencies: Latencies, seed: int = 0
     ) -> None:
+        # rates (S, F, inputs)
         self.latencies, self.now_s = latencies, START_S
         self._rates, self._scene, self._frame = rates, 0, 1
         rng = np.random.default_rng(seed)
@@ -67,7 +59,8 @@ class VirtualSetup:
         self._reach = self._streams[0].reach
         self._end = 0  # ticks up to which the detectors' light is known
         self._times, self._codes = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.written: Writer | None = None
+        self.written: Writer | None = None  # of the counter that records
+        # Its inputs, one for each detector, and the bits of its markers
         self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), MARKER
 
     def display(self, scene: int) -> None:
@@ -161,9 +154,6 @@ class BenchCounter(AbstractContextManager["BenchCounter"]):
     ) -> None:
         self._setup, self._inputs, self._bit = setup, inputs, marker_bit
         self._file: FileIO | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         """End the recording; its file stays."""

@@ -20,7 +20,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator
+from pydantic import Field, field_validator
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
@@ -32,7 +32,8 @@ from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
+from deepfsi.hardware.recording.calibration_file import Row
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
 from deepfsi.hardware.virtual.parts import (
     Parts,
     check_parts,
@@ -53,33 +54,21 @@ SCENES_AT_ONCE = 64
 FRAMES_AT_ONCE = 16
 """Frames that are unpacked in memory."""
 
-Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-"""Row of a homography."""
-
 
 class VirtualCamera(Detector):
-    """Optics and detector; the default is ideal. The attributes of `Detector` are its too.
+    """Optics and detector; the default is ideal. The attributes of `Detector` are its too."""
 
-    Attributes
-    ----------
-    view : 3 x 3 numbers
-        Homography display -> device in unit squares, (across, down, 1).
-    blur : float
-        Standard deviation of a Gaussian on the device, mirrors.
-    vignetting : float
-        Share of the light that the corners of the area lose; it grows with the squared distance
-        from the centre.
-    ambient : float
-        Stray light spread evenly over the whole device, photons/s.
-    detectors : rows of int, or None
-        Detector of each part of the area of the cells, which these rows divide evenly. None for the
-        parts that the patterns name.
-    """
-
+    # Homography display -> device in unit squares, (across, down, 1)
     view: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    # Standard deviation of a Gaussian on the device, mirrors
     blur: float = Field(0.0, ge=0, le=1000)
+    # Share of the light that the corners of the area lose; it grows with the squared distance from
+    # the centre
     vignetting: float = Field(0.0, ge=0, le=1)
+    # Stray light spread evenly over the whole device, photons/s
     ambient: float = Field(0.0, ge=0, le=1e12)
+    # Detector of each part of the area of the cells, which these rows divide evenly. None for the
+    # parts that the patterns name
     detectors: Parts | None = None
 
     @field_validator("view")
@@ -273,11 +262,9 @@ def record(
 ) -> Acquisition:
     """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
     # scenes (S, h, w), or (S, N)
-    target, camera = Path(out), settings.camera
+    camera = settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = _check_scenes(scenes, manifest)
-    if target.exists():
-        raise InputError(f"'{target}' exists: name a folder that does not")
     if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
         raise InputError(
             f"{len(scenes)} scenes, {len(names)} names and "
@@ -298,7 +285,7 @@ def record(
         camera=camera.model_dump(mode="json"),
         seed=settings.seed,
     )
-    with new_folder(target) as draft:
+    with new_folder(out) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
         rng = np.random.default_rng(settings.seed)

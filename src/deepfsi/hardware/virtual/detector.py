@@ -16,7 +16,9 @@ delay after its dead time. Afterpulses blind nothing and are not followed by oth
 from collections.abc import Iterator
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from deepfsi.frozen import Frozen
 
 TICK_S = 1e-12
 """Unit of event times, seconds."""
@@ -28,36 +30,18 @@ LARGEST_JITTER = 8.0
 """Most standard deviations of jitter, so that events can be sorted; more are brought to it."""
 
 
-class Detector(BaseModel):
-    """A photon counter; the default is ideal.
+class Detector(Frozen):
+    """A photon counter; the default is ideal."""
 
-    Attributes
-    ----------
-    efficiency : float
-        Share of photons that give an arrival.
-    dark : float
-        Arrivals without light, counts/s.
-    dead_time_s : float
-        Time for which it is blind, seconds.
-    paralysable : bool
-        Whether a lost arrival makes it blind again.
-    afterpulse_probability : float
-        Of an afterpulse after each registered count.
-    afterpulse_s : float
-        Mean delay of an afterpulse after the end of the dead time, seconds.
-    jitter_s : float
-        Standard deviation of a time stamp, seconds.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    efficiency: float = Field(1.0, gt=0, le=1)
-    dark: float = Field(0.0, ge=0, le=1e12)
-    dead_time_s: float = Field(0.0, ge=0, le=1e-3)
-    paralysable: bool = False
+    efficiency: float = Field(1.0, gt=0, le=1)  # Share of photons that give an arrival
+    dark: float = Field(0.0, ge=0, le=1e12)  # Arrivals without light, counts/s
+    dead_time_s: float = Field(0.0, ge=0, le=1e-3)  # Time for which it is blind, seconds
+    paralysable: bool = False  # Whether a lost arrival makes it blind again
+    # Of an afterpulse after each registered count
     afterpulse_probability: float = Field(0.0, ge=0, lt=1)
+    # Mean delay of an afterpulse after the end of the dead time, seconds
     afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
-    jitter_s: float = Field(0.0, ge=0, le=1e-6)
+    jitter_s: float = Field(0.0, ge=0, le=1e-6)  # Standard deviation of a time stamp, seconds
 
     def registered(self, rate: np.ndarray) -> np.ndarray:
         """Counts/s without afterpulses at steady arrival rates, shape of `rate`."""

@@ -26,8 +26,7 @@ def check_parts(parts: Parts | None) -> Parts | None:
 
 def mirrors_of_detectors(manifest: Manifest, parts: Parts | None) -> list[np.ndarray | slice]:
     """Mirrors of a device (rows x columns in a row) that each detector of an arm sees."""
-    # Those of the parts, or of the cells that the manifest names where they are None. Raises
-    # `InputError` if neither says it, or the parts are of another number of detectors
+    # Those of the parts, or of the cells that the manifest names where they are None
     if manifest.detectors is None and parts is None:
         return [slice(None)]
     grid, count = manifest.grid, manifest.detector_count

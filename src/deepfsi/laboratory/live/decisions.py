@@ -23,6 +23,7 @@ from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
+from deepfsi.hardware.recording.readouts import by_readout
 from deepfsi.hardware.recording.tails import excess_chance
 from deepfsi.laboratory.live.loop import Loop, judge
 
@@ -70,9 +71,9 @@ class Observer:
         self.loop, self._manifest = loop, manifest
         self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
         self._meter = _LightMeter(manifest)
-        self._masks = np.array([manifest.frames[at].mask for at in manifest.shown])
-        self._rails = np.array([manifest.frames[at].rail for at in manifest.shown])
-        self._places = manifest.looks.places(self._masks, self._rails == "minus")
+        masks = np.array([manifest.frames[at].mask for at in manifest.shown])
+        rails = np.array([manifest.frames[at].rail for at in manifest.shown])
+        self._places = manifest.looks.places(masks, rails == "minus")
         first = (manifest.frames[place].picture_us * 1000 for place in (ON, OFF))
         settle = acquisition.settle_s + usual_tolerance(manifest)
         gates = np.array([us - round(settle * 1e9) - MARGIN_NS for us in first])
@@ -128,15 +129,11 @@ class Observer:
 
     def _by_rail(self, counts: np.ndarray, shown: FrameList) -> np.ndarray:
         """Counts (rails, m, D) of a look less their dark counts, of counts (F, inputs)."""
-        header = self.loop.header
-        signal = counts - self._meter.dark * (shown.gate_ns * 1e-9)[:, None]
-        rows = np.searchsorted(self._manifest.shown, shown.frames)
-        out = np.zeros((header.rails, header.masks, header.detectors))
-        first = signal[:, : header.detectors]
-        out[(self._rails[rows] == "minus").astype(int), self._masks[rows]] = first
-        if self._manifest.two_arm:
-            out[1, self._masks[rows]] = signal[:, header.detectors :]
-        return out
+        manifest, header = self._manifest, self.loop.header
+        every = np.zeros((len(manifest.shown), manifest.inputs))
+        rows = np.searchsorted(manifest.shown, shown.frames)
+        every[rows] = counts - self._meter.dark * (shown.gate_ns * 1e-9)[:, None]
+        return by_readout(manifest, every).reshape(header.rails, header.masks, header.detectors)
 
 
 class _LightMeter:

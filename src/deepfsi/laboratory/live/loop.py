@@ -12,14 +12,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.hardware.patterns.sequence import Readout
 from deepfsi.hardware.recording.live_settings import StopRule
+from deepfsi.laws import Readout
 from deepfsi.optics.dwells import share_out
 
 SMALLEST = float(np.finfo(np.float32).tiny)
@@ -29,10 +30,8 @@ Layer = tuple[np.ndarray, np.ndarray]
 """Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
 
 
-class LoopHeader(BaseModel):
+class LoopHeader(Frozen):
     """Header of a loop's file: all but the numbers of its networks."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = 1
     looks: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure

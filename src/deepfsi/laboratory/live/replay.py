@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.files import write_atomically
+from deepfsi.files import hash_file, write_atomically
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.recording.acquisition import Acquisition, check_inputs, read_acquisition
-from deepfsi.hardware.recording.counts import hash_file
 from deepfsi.laboratory.live import shown
 from deepfsi.laboratory.live.decisions import Decision, FrameList, Observer
 from deepfsi.laboratory.live.loop import Loop
@@ -61,7 +60,6 @@ class LiveCounts:
 
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     """Count the photons of a live run and write counts.npz."""
-    # Raises `InputError` if files are missing, damaged or do not fit each other
     acquisition, patterns = read_acquisition(folder)
     manifest, scenes, header = patterns.manifest, read_shown(folder), read_header(folder / PHOTONS)
     check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
@@ -94,7 +92,6 @@ def _find_gates(
 
 def read_live_counts(folder: Path) -> LiveCounts:
     """Counts of a live run as `count_live` wrote them."""
-    # Raises `InputError` if there are none, or they are of other files
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
     acquisition, patterns = read_acquisition(folder)

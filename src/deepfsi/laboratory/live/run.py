@@ -99,7 +99,6 @@ def _find_rule(own: StopRule | None, until: float | None) -> StopRule | None:
 
 def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:
     """Shortest gate of a run, ns, for looks of some length."""
-    # Raises `InputError` if a look is shorter, or the device cannot show what one may ask for
     device = manifest.device
     if device.video_us is not None:
         raise InputError(
@@ -131,8 +130,7 @@ def run_live(
     """Show, count and decide; gives each decision as it falls."""
     # The folder, new or empty, is as that of any acquisition, with `shown.jsonl` in it. Scenes that
     # are finished are kept whenever the run is stopped. The settings are those of `plan_live`; the
-    # devices are taken hold of, and let go at the end. Raises `InputError` if folders or settings
-    # do not fit, a device refuses, or frames give no counts in time
+    # devices are taken hold of, and let go at the end
     assert acquisition.live is not None
     live = acquisition.live.model_copy(update={"latencies": bench.latencies})
     acquisition = acquisition.model_copy(update={"live": live})

@@ -7,36 +7,24 @@ scenes before.
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from deepfsi.errors import InputError
+from deepfsi.frozen import Frozen
 from deepfsi.laboratory.live.decisions import FrameList
 
 NAME = "shown.jsonl"
 """File of the record in the folder of a run."""
 
 
-class ShownList(BaseModel):
-    """A list of frames as it was shown.
+class ShownList(Frozen):
+    """A list of frames as it was shown."""
 
-    Attributes
-    ----------
-    look : int
-        From 0; -1 for the frames that begin a scene.
-    frames : tuple of int
-        Places among the frames of the manifest.
-    gate_ns : tuple of int
-        For how long each was counted.
-    markers : tuple of int
-        Markers that each gave, and at the end those of the all-OFF frame that was shown while the
-        next list was chosen.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    look: int = Field(ge=-1, le=63)
-    frames: tuple[int, ...]
-    gate_ns: tuple[int, ...]
+    look: int = Field(ge=-1, le=63)  # From 0; -1 for the frames that begin a scene
+    frames: tuple[int, ...]  # Places among the frames of the manifest
+    gate_ns: tuple[int, ...]  # For how long each was counted
+    # Markers that each gave, and at the end those of the all-OFF frame that was shown while the
+    # next list was chosen
     markers: tuple[int, ...]
 
     @model_validator(mode="after")
@@ -56,31 +44,15 @@ class ShownList(BaseModel):
         )
 
 
-class ShownScene(BaseModel):
-    """A scene as it was shown, and what was decided.
+class ShownScene(Frozen):
+    """A scene as it was shown, and what was decided."""
 
-    Attributes
-    ----------
-    scene : int
-        From 0.
-    first_marker : int
-        Markers before those of this scene.
-    lists : tuple of ShownList
-        In their order.
-    chances : tuple of float
-        Probabilities of the classes; none if there was no light.
-    light_s, clock_s : float
-        Exposure used, and time from the scene's first command to its decision, seconds.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    scene: int = Field(ge=0)
-    first_marker: int = Field(ge=0)
-    lists: tuple[ShownList, ...]
-    chances: tuple[float, ...]
-    light_s: float = Field(ge=0)
-    clock_s: float = Field(ge=0)
+    scene: int = Field(ge=0)  # From 0
+    first_marker: int = Field(ge=0)  # Markers before those of this scene
+    lists: tuple[ShownList, ...]  # In their order
+    chances: tuple[float, ...]  # Probabilities of the classes; none if there was no light
+    light_s: float = Field(ge=0)  # Exposure used, seconds
+    clock_s: float = Field(ge=0)  # From the scene's first command to its decision, seconds
 
     @property
     def looks(self) -> int:
@@ -99,10 +71,8 @@ class ShownScene(BaseModel):
 
 
 def read_shown(folder: Path) -> tuple[ShownScene, ...]:
-    """Scenes of a run that are finished, or `InputError` if there are none or they do not follow.
-
-    A last line that is not whole is that of a run that was killed, and is left out.
-    """
+    """Finished scenes of a run, or `InputError` if there are none or they do not follow."""
+    # A last line that is not whole is that of a run that was killed, and is left out
     path = folder / NAME
     try:
         text = path.read_text(encoding="utf-8")
