@@ -97,7 +97,7 @@ def records(count: int) -> None:
         for trial in trials[1:]:
             own = {"key": trial.key, "design": trial.design_key}
             own["trial"] = trial.model_dump(mode="json")
-            written.claim([trial])
+            written.lock([trial])
             written.write(trial, {**record, **own}, content)
         times.append(time.process_time())
         found = run_trials(trials, context, folder)
