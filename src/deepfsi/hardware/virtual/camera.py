@@ -262,9 +262,11 @@ def record(
 ) -> Acquisition:
     """Write the folder of an acquisition in which the virtual camera looks at scenes in turn."""
     # scenes (S, h, w), or (S, N)
-    camera = settings.camera
+    target, camera = Path(out), settings.camera
     manifest = read_patterns(patterns_folder).manifest
     scenes = _check_scenes(scenes, manifest)
+    if target.exists():
+        raise InputError(f"'{target}' exists: name a folder that does not")
     if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
         raise InputError(
             f"{len(scenes)} scenes, {len(names)} names and "
@@ -285,7 +287,7 @@ def record(
         camera=camera.model_dump(mode="json"),
         seed=settings.seed,
     )
-    with new_folder(out) as draft:
+    with new_folder(target) as draft:
         acquisition = prepare(draft, patterns_folder, wanted)
         flow = arrival_rates(patterns_folder, scenes, camera, settings.flux, report.part(0, 0.5))
         rng = np.random.default_rng(settings.seed)
