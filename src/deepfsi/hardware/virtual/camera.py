@@ -33,7 +33,7 @@ from deepfsi.hardware.ptu.header import GENERIC_T2
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, plan_acquisition, prepare
 from deepfsi.hardware.recording.calibration_file import Row
-from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide, draw
+from deepfsi.hardware.virtual.detector import TICK_S, Detector, Stream, divide
 from deepfsi.hardware.virtual.parts import (
     Parts,
     check_parts,
