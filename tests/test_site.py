@@ -25,7 +25,9 @@ import messages  # noqa: E402
 import modules  # noqa: E402
 
 LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
-OF_THE_HOUSE = {f"deepfsi.{name}" for name in ("imports", "interrupts", "memory", "owners")}
+OF_THE_HOUSE = {
+    f"deepfsi.{name}" for name in ("frozen", "imports", "interrupts", "memory", "owners")
+}
 """Modules that only the package itself needs."""
 
 MODELS = re.findall(r"^```\{fields\} (\S+)$", (DOCS / "lookup/formats.md").read_text(), re.M)

@@ -256,7 +256,7 @@ def test_bad_input_is_one_line(refuse, lab, tmp_path, monkeypatch, words, said):
     [
         (["--exposure", "10s"], "--dwell"),
         (["--exposure", "1ms", "--flux", "-1"], "flux"),
-        (["--exposure", "1ms", "--camera", "eye"], "pmt"),
+        (["--exposure", "1ms", "--virtual", "eye"], "pmt"),
         (["--exposure", "1ms", "--scene", "nothing.png"], "nothing.png"),
     ],
 )
@@ -329,7 +329,7 @@ def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, tmp_p
         3e5,
         "--exposure",
         "0.5s",
-        "--camera",
+        "--virtual",
         "ideal",
     ]
     done("camera", "simulate", tmp_path / "p", *words, "-o", tmp_path / "run")
@@ -348,7 +348,7 @@ def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, tmp_p
 def test_patterns_of_devices_by_size_have_times_of_their_own(done, refuse, lab, tmp_path):
     times = ["--shortest", "100us", "--settle", "5us"]
     out = done(*export(lab, *times, "--dwell", "50us", "-o", tmp_path / "p"))
-    assert "--dwell 50us was raised to 100 µs" in out
+    assert "the mean picture time was raised to 100 µs" in out
     device = read_patterns(tmp_path / "p").manifest.device
     assert (device.shortest_us, device.settle_us) == (100, 5.0)
     assert "raised" not in done(*export(lab, *times, "--dwell", "100us", "-o", tmp_path / "q"))

@@ -119,7 +119,7 @@ def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp
     assert manifest.detectors.cells == tuple(tiles.ravel().tolist())
     three = tmp_path / "three.toml"
     three.write_text("detectors = [[0, 1, 2]]")
-    given = ["--scene", spots, "--flux", 1e6, "--exposure", "1ms", "--camera", three]
+    given = ["--scene", spots, "--flux", 1e6, "--exposure", "1ms", "--virtual", three]
     said = refuse("camera", "simulate", tmp_path / "frames", *given, "-o", tmp_path / "other")
     assert "the camera has 3 detectors, and the patterns are for 4" in said
 

@@ -117,7 +117,7 @@ def test_a_design_of_arrays_asks_for_data(refuse, done, tmp_path):
     x = np.random.default_rng(0).random((60, 9))
     file, npz = tmp_path / "arrays.safetensors", tmp_path / "scenes.npz"
     data = from_arrays(x, np.arange(60) % 2)
-    learn(data, photons=1e4, masks=3, epochs=1, device="cpu").save(file)
+    learn(data, photons=1e4, masks=3, training={"epochs": 1}, device="cpu").save(file)
     words = ("evaluate", file, "--photons", "1e4")
     assert "arrays in memory: give the data" in refuse(*words)
     np.savez(npz, x=x, y=np.arange(60) % 2)

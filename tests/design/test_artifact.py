@@ -20,7 +20,7 @@ from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, lig
 from deepfsi import Camera
 from deepfsi.design.artifact import Design
 from deepfsi.design.artifact_file import SCHEMA
-from deepfsi.design.evaluation import evaluate
+from deepfsi.design.evaluation import camera_for, evaluate
 from deepfsi.errors import InputError
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
@@ -76,9 +76,9 @@ def test_the_file_keeps_the_camera_that_it_was_trained_for(digits, tmp_path, lig
     made = quick(digits, camera=given, masks=5)
     loaded = Design.load(made.save(tmp_path / "design.safetensors"))
     assert loaded.camera == made.camera == given
-    assert loaded.camera_with(noise="gaussian").sigma == 2
-    assert loaded.camera_with(noise="poisson").dark == 0
-    assert loaded.camera_with(dark=700).dark_counts == 7
+    assert camera_for(loaded, noise="gaussian").sigma == 2
+    assert camera_for(loaded, noise="poisson").dark == 0
+    assert camera_for(loaded, dark=700).dark_counts == 7
 
 
 @every_optics
@@ -111,9 +111,9 @@ def test_a_camera_that_cannot_be_is_one_line(saved):
 def test_noise_follows_again_from_what_a_file_keeps(digits, saved):
     """Of a camera that gave neither noise nor sigma."""
     loaded = Design.load(saved)
-    assert (loaded.camera_with(dark=5.0).noise, loaded.camera_with(dark=5.0).sigma) == ("camera", 0)
+    assert (camera_for(loaded, dark=5.0).noise, camera_for(loaded, dark=5.0).sigma) == ("camera", 0)
     noisy = quick(digits, dark=5.0)
-    assert noisy.camera_with(noise="gaussian").sigma == 1
+    assert camera_for(noisy, noise="gaussian").sigma == 1
 
 
 def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypatch):

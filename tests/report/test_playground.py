@@ -158,7 +158,7 @@ def test_answers_to_the_first_of_nested_masks_are_those_of_the_design(opened, de
     _, photons, _, counts = read_counts(design, digits, "nested")
     for shown in (3, 5, 9):
         part = design.first(shown)
-        share = part.used / design.used
+        share = part.exposure.used / design.exposure.used
         wanted = part.classify(counts[:, :shown], photons * share)
         found = ask(
             browser,
