@@ -59,7 +59,7 @@ class Result:
     --------
     >>> from deepfsi import evaluate, learn, load_dataset
     >>> digits = load_dataset("digits")
-    >>> design = learn(digits, photons=1e4, masks=6, design="pca", epochs=1, device="cpu")
+    >>> design = learn(digits, photons=1e4, masks=6, design="pca", training={"epochs": 1})
     >>> [result] = evaluate(design, digits, 1e4, draws=2)
     >>> result.images * result.draws == sum(map(sum, result.confusion))
     True
