@@ -47,6 +47,8 @@ def open_regular(
     """Open a regular file of so many bytes at most to read; `InputError` for anything else."""
     try:
         file = open(path, "rb", buffering, opener=_open_at_once)  # noqa: SIM115 - errors of what follows are not ours
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: {advice}") from None
     except (OSError, ValueError) as error:  # a name with a null character is a ValueError
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path} cannot be read ({reason}): {advice}") from None
@@ -67,10 +69,7 @@ def _open_at_once(path: str, flags: int) -> int:
 def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> bytes:
     """Content of a file, by the rules of `open_regular`."""
     with open_regular(path, largest, advice) as file:
-        content = file.read(largest + 1)
-    if len(content) > largest:  # it grew, or said nothing of its size
-        raise InputError(f"{path} has more than {largest} bytes: {advice}")
-    return content
+        return file.read()
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -79,7 +78,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         return tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not TOML: {error}") from None
+        raise InputError(f"{path} is no TOML file: {error}") from None
 
 
 def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:

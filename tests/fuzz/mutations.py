@@ -156,7 +156,8 @@ def changed_tensors(rng: random.Random, content: bytes) -> bytes:
     elif kind == 6:
         del tensors[name]
     elif kind == 7:
-        tensors[name] = tensors[name][..., None] if rng.random() < 0.5 else tensors[name].T[:1]
+        deeper = not tensors[name].ndim or rng.random() < 0.5
+        tensors[name] = tensors[name][..., None] if deeper else tensors[name].T[:1]
     elif tensors[name].size:
         value = rng.choice((np.nan, np.inf, -1.0, 0.0, 1e38, 1e-38, 1e30))
         with np.errstate(all="ignore"):
@@ -169,7 +170,7 @@ METHODS = (
     *(zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_DEFLATED),
     *(zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2),
 )
-NAMES = ("x.npy", "../x.npy", "/x", "a/b/c.png", "x", "\0", "train/a/1.png", "__MACOSX/x")
+NAMES = ("x.npy", "../x.npy", "/x", "a/b/c.png", "x", "\x01", "train/a/1.png", "__MACOSX/x")
 
 
 def changed_zip(rng: random.Random, content: bytes) -> bytes:

@@ -46,7 +46,7 @@ def read_design(path: Path) -> None:
     _ = design.camera, memory_of(design)
     if design.exposure.chooses:
         rule_of(design)
-    else:
+    elif design.exposure.kind != "patches":  # whose counts are of each patch
         counts = np.ones(design.counts_shape)
         chances = design.classify(counts, 1e4)
         assert chances.shape == (len(design.classes),)
@@ -133,15 +133,14 @@ def read_virtual(path: Path) -> None:
 
 
 def read_recipe(path: Path) -> None:
+    from deepfsi import from_arrays
     from deepfsi.cli.recipes import read_recipe
-    from deepfsi.errors import InputError
     from deepfsi.sweeps.recipe import only
     from deepfsi.sweeps.recipe_check import check_recipe
 
-    def load(recipe: Any) -> Any:
-        raise InputError("not loaded here")
-
-    check_recipe(only(read_recipe(str(path))), load)
+    x = np.random.default_rng(0).random((40, 4, 4))
+    data = from_arrays(x, np.arange(40) % 2)
+    check_recipe(only(read_recipe(str(path))), lambda recipe: data)
 
 
 def read_results(path: Path) -> None:
@@ -191,7 +190,7 @@ READERS = {
     "patches": Reader("patches.safetensors", read_design, (changed_tensors,)),
     "looks": Reader("looks.safetensors", read_shown_design, (changed_tensors,)),
     "loop": Reader("looks/loop.safetensors", read_loop, (changed_tensors, mangled)),
-    "manifest": Reader("npy/manifest.json", read_patterns, (changed_json, changed_json, mangled), 8),
+    "manifest": Reader("npy/manifest.json", read_patterns, (changed_json, mangled), 8),
     "manifest of looks": Reader("looks/manifest.json", read_patterns, (changed_json,)),
     "mirrors": Reader("npy/mirrors.npy", read_patterns, (mangled,), 2),
     "frames": Reader("npy/frames.npy", check_patterns, (mangled,), 1),
@@ -203,7 +202,8 @@ READERS = {
     "photons": Reader("run/photons.ptu", read_ptu, (mangled,), 8),
     "shown frames": Reader("live/shown.jsonl", read_live, (changed_lines, mangled)),
     "live counts": Reader("live/counts.npz", read_live, (changed_zip, mangled), 2),
-    "calibration": Reader("calibration/calibration.json", read_calibration, (changed_json, mangled)),
+    "calibration": Reader("calibration/calibration.json", read_calibration,
+                          (changed_json, mangled)),
     "scenes": Reader("scenes.csv", read_scenes, (changed_table, mangled), 3),
     "camera": Reader("camera.toml", read_camera, (changed_toml, mangled)),
     "device": Reader("device/device.toml", lambda path: read_camera(path.parent / "camera.toml"),
@@ -213,10 +213,10 @@ READERS = {
     "virtual camera": Reader("virtual.toml", read_virtual, (changed_toml, mangled)),
     "recipe": Reader("recipe.toml", read_recipe, (changed_toml, mangled)),
     "results": Reader("out/results.json", read_results, (changed_json, mangled)),
-    "report": Reader("out/results.json", build_report, (changed_json,), 0),
+    "report": Reader("out/results.json", build_report, (changed_json,), 1),
     "report's design": Reader("out/designs/key.safetensors",
                               lambda path: build_report(path.parents[1] / "results.json"),
-                              (changed_tensors,), 0),
+                              (changed_tensors,), 1),
     "npz": Reader("data.npz", load_data, (changed_zip, changed_zip, mangled), 8),
     "zip": Reader("pictures.zip", load_small, (changed_zip, mangled), 5),
     "zip of images": Reader("pictures.zip", load_data, (changed_zip,), 2),
@@ -277,7 +277,7 @@ def _designs(folder: Path) -> None:
 
     rng = np.random.default_rng(1)
     labels = np.arange(200) % 2
-    scenes = (0.5 * rng.random((2, 4, 4))[labels] + 0.5 * rng.random((200, 4, 4)))
+    scenes = 0.5 * rng.random((2, 4, 4))[labels] + 0.5 * rng.random((200, 4, 4))
     digits = from_arrays(scenes, labels, name="noise")
     quick(digits, "pca", masks=4, light="equal-dwell").save(folder / "fixed.safetensors")
     quick(digits, "pca", masks=4, nested=2).save(folder / "nested.safetensors")

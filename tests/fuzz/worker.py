@@ -6,14 +6,14 @@ prints a JSON object for each failure, and keeps the input that is read in WORK/
 """
 
 import json
-import os
 import re
 import resource
-import shutil
 import signal
 import sys
 import traceback
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -33,6 +33,16 @@ class Hang(BaseException):
 
 def _hang(signum: int, frame: FrameType | None) -> None:
     raise Hang
+
+
+@contextmanager
+def watching() -> Iterator[None]:
+    """Let the signal of the processor time mean a hang."""
+    before = signal.signal(signal.SIGPROF, _hang)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGPROF, before)
 
 
 def _status(field: str) -> int:
@@ -65,7 +75,6 @@ def fault_of(name: str, path: Path) -> str:
 def main(samples: Path, work: Path, first: int, count: int, names: list[str]) -> None:
     """Read inputs of so many seeds of each reader."""
     warnings.simplefilter("ignore")
-    signal.signal(signal.SIGPROF, _hang)
     places = {name: copied(samples, READERS[name], work / str(k)) for k, name in enumerate(names)}
     for name, path in places.items():
         READERS[name].read(path)  # the sample itself is sound, and what it imports is loaded
@@ -81,9 +90,8 @@ def main(samples: Path, work: Path, first: int, count: int, names: list[str]) ->
             if fault := fault_of(name, path):
                 print(json.dumps({"reader": name, "seed": seed, "fault": fault}), flush=True)
         path.write_bytes(sound)
-        if names[0] == name and not os.environ.get("DEEPFSI_FUZZ_KEEP"):
-            shutil.rmtree(work / "rest", ignore_errors=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), sys.argv[5:])
+    with watching():
+        main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), sys.argv[5:])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
@@ -23,6 +23,7 @@ from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
+from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
@@ -135,7 +136,7 @@ class Header(BaseModel):
 
     schema_number: Literal[1] = Field(SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")
-    name: str
+    name: Annotated[str, AfterValidator(check_design)]
     light: Light
     readout: Readout
     summed_reflectance: SummedReflectance

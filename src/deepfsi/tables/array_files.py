@@ -106,10 +106,14 @@ def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
     try:
         readers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
         shape, fortran, dtype = readers[form.read_magic(stream)](stream)
+        if dtype.hasobject:
+            raise ValueError("Object arrays may hold code")
         flat = np.frombuffer(content, dtype, offset=stream.tell())  # no more than there is
+        if dtype.kind == "U":
+            flat.tobytes().decode("utf-32-le" if dtype.newbyteorder("<") == dtype else "utf-32-be")
         return flat.reshape(shape, order="F" if fortran else "C").copy()
     except Exception as error:  # numpy's parser raises almost anything on a damaged header
-        raise InputError(f"cannot read {where} ({_first_line(error)}); {advice}") from None
+        raise InputError(f"cannot read {where} ({error}); {advice}") from None
 
 
 def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
@@ -122,7 +126,7 @@ def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
                 raise ValueError(f"it holds {values.dtype}")
         except Exception as error:  # numpy's parser raises almost anything on a damaged header
             raise InputError(
-                f"cannot read an array of real numbers from {path} ({_first_line(error)}); write "
+                f"cannot read an array of real numbers from {path} ({error}); write "
                 "it with numpy.save"
             ) from error
     _check_values(path, values.shape, largest)
@@ -133,10 +137,6 @@ def _check_values(what: object, shape: tuple[int, ...], largest: int) -> None:
     """Raise `InputError` for an array of more values than its reader allows."""
     if np.prod(shape, dtype=float) > largest:
         raise InputError(f"{what} has the shape {shape}: give {largest} values or fewer")
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
@@ -228,7 +228,7 @@ def _open_mat(path: Path) -> Iterator[IO[bytes]]:
             yield file
         except Exception as error:  # scipy raises almost anything on a damaged file
             raise InputError(
-                f"cannot read {path} as a .mat file ({_first_line(error)}); save it again"
+                f"cannot read {path} as a .mat file ({error}); save it again"
             ) from error
 
 
