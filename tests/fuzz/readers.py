@@ -14,6 +14,7 @@ from PIL import Image
 
 from fuzz.mutations import (
     Mutation,
+    changed_envi,
     changed_json,
     changed_lines,
     changed_table,
@@ -222,6 +223,7 @@ READERS = {
     "zip of images": Reader("pictures.zip", load_data, (changed_zip,), 2),
     "png": Reader("folder/a/0.png", load_small, (mangled,), 3),
     "cube": Reader("cube.mat", load_data, (mangled,), 3),
+    "envi cube": Reader("envi/cube.hdr", load_data, (changed_envi, mangled), 2),
     "npy cube": Reader("plain.npy", load_data, (mangled,), 1),
     "npy masks": Reader("masks.npy", read_masks, (mangled,)),
     "mat masks": Reader("masks.mat", read_masks, (mangled,), 5),
@@ -364,6 +366,7 @@ def _arrays(folder: Path, rng: np.random.Generator) -> None:
     import h5py
     import polars
     from scipy.io import savemat
+    from spectral.io import envi
 
     masks, table = rng.random((3, 4, 4)), rng.integers(0, 50, (5, 6)).astype(float)
     np.save(folder / "masks.npy", masks)
@@ -372,6 +375,9 @@ def _arrays(folder: Path, rng: np.random.Generator) -> None:
     cube, labels = rng.random((12, 12, 3)), rng.integers(0, 3, (12, 12))
     savemat(folder / "cube.mat", {"cube": cube})
     savemat(folder / "cube_gt.mat", {"labels": labels})
+    (folder / "envi").mkdir()
+    for name, held in (("cube", cube.astype("<f4")), ("cube_gt", labels[..., None].astype("<f4"))):
+        envi.save_image(str(folder / "envi" / f"{name}.hdr"), held, interleave="bip")
     np.save(folder / "plain.npy", cube)
     np.save(folder / "plain_gt.npy", labels)
     for name, held in (("masks", masks), ("table", table)):

@@ -84,7 +84,7 @@ def test_one_limit_of_bytes(tmp_path):
     assert read_regular(path, 5, "give less") == b"12345"
     with pytest.raises(InputError, match="more than 4 bytes: give less"):
         read_regular(path, 4, "give less")
-    with pytest.raises(InputError, match="No such file"), open_regular(tmp_path / "none"):
+    with pytest.raises(InputError, match="is missing: give"), open_regular(tmp_path / "none"):
         pass
     with pytest.raises(InputError, match="null"), open_regular("\0"):
         pass
@@ -284,7 +284,7 @@ def test_a_table_of_more_columns_is_refused(tmp_path, refused):
 def test_settings_nested_or_long_without_an_end(content, tmp_path, refused):
     for name in ("camera", "virtual camera", "recipe"):
         (tmp_path / "x.toml").write_text(content)
-        refused(name, tmp_path / "x.toml", "TOML|unknown|not permitted|no setting|table")
+        refused(name, tmp_path / "x.toml", "TOML|dots")
 
 
 def test_settings_that_are_longer_than_any(tmp_path):
@@ -304,7 +304,7 @@ def rewritten(path: Path, *keys, value) -> Path:
     return path
 
 
-@pytest.mark.parametrize("count", [10**9, 2**16, 10**30])
+@pytest.mark.parametrize("count", [10**9, 2**16 + 1, 10**30])
 def test_a_manifest_of_a_billion_detectors(count, sample, refused):
     path = rewritten(sample("manifest"), "detectors", value={"count": count})
     refused("manifest", path, "detectors|mirrors|frames")
@@ -322,11 +322,11 @@ def test_a_manifest_of_a_device_larger_than_any(sample, refused):
 @pytest.mark.parametrize(
     ("keys", "value"),
     [(("points", 0, "accuracy"), float("nan")), (("points", 0, "photons"), float("inf")),
-     (("points", 0, "low"), -1e308), (("points", 0, "masks"), 10**30), (("points", 0, "keys"), []),
-     (("points", 0, "accuracies"), []), (("points", 0, "photons"), 0),
+     (("points", 0, "low"), -float("inf")), (("points", 0, "masks"), 10**30),
+     (("points", 0, "keys"), []), (("points", 0, "photons"), 0), (("points", 0, "accuracies"), [2]),
      (("points", 0, "worst_class"), 99), (("points", 0, "keys"), ["../../../x"]),
      (("data", "classes"), []), (("data", "image_shape"), []), (("points",), []),
-     (("points", 0, "noise"), "x"), (("points", 0, "design"), "x"), (("points", 0, "light"), "x"),
+     (("points", 0, "design"), 1), (("points", 0, "accuracy"), None),
      (("provenance", "seconds"), float("nan"))],
 )  # fmt: skip
 def test_results_that_no_comparison_gives(keys, value, sample, refused):

@@ -106,6 +106,8 @@ def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
     try:
         readers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
         shape, fortran, dtype = readers[form.read_magic(stream)](stream)
+        if min(shape, default=0) < 0:
+            raise ValueError(f"its shape is {shape}")
         if dtype.hasobject:
             raise ValueError("Object arrays may hold code")
         flat = np.frombuffer(content, dtype, offset=stream.tell())  # no more than there is

@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import hash_file, new_folder, read_regular
+from deepfsi.files import check_unpacked, hash_file, new_folder, read_regular
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -200,6 +200,8 @@ def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     counts = Path(folder) / "mirrors.npy"
     with frame_files.open_array(counts, "<u4", shape, first=int(manifest.shown[0])) as file:
         on = np.frombuffer(file.read(4 * math.prod(shape)), "<u4").reshape(shape)
+    every, again = manifest.rails * manifest.masks * on.shape[1], "export the patterns again"
+    check_unpacked(every, on.nbytes, f"the masks of {path}", again)
     if on.max(initial=0) > manifest.grid.mirrors:
         raise InputError(
             f"{counts} has cells with more than their {manifest.grid.mirrors} mirrors: export the "
