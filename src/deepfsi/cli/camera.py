@@ -169,6 +169,7 @@ def camera_count(
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.recording.counting import count
+    from deepfsi.laboratory.camera import camera_of, dead_time_of
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if is_live(folder):
@@ -184,7 +185,7 @@ def camera_count(
             repeats=repeats,
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
-            dead_time=options.dead_time(folder, settings),
+            dead_time=dead_time_of(camera_of(folder, **settings), settings),
             report=report,
         )
     _print_counts(counts, folder, as_json)
