@@ -69,6 +69,11 @@ class Code:
         """True if its masks are learned, at once or before its classifier."""
         return self.learned or self.learned_under is not None
 
+    def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
+        """Smallest and largest number of masks for one detector."""
+        most = self.most(image_shape, classes)
+        return most if self.fixed_count else 1, most
+
 
 def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, data.pixels))
@@ -156,13 +161,6 @@ def mask_count(ratio: float, pixels: float) -> int:
     if not 0 < ratio <= 1:
         raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")
     return max(1, round(ratio * pixels))
-
-
-def count_allowed(name: str, image_shape: Shape, classes: int) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have for one detector."""
-    code = DESIGNS[name]
-    most = code.most(image_shape, classes)
-    return most if code.fixed_count else 1, most
 
 
 def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
