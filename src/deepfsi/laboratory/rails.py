@@ -19,7 +19,7 @@ from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import Layer, Loop, LoopHeader
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.optics.codes import EVERY_PIXEL
 from deepfsi.progress import SILENT, Report
 
 
@@ -27,7 +27,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
     made = Design.load(path)
-    if DESIGNS[made.name].every_pixel:
+    if made.name in EVERY_PIXEL:
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     made.exposure.check_frames()
     known = made.info.get("brightness")

@@ -145,6 +145,9 @@ DESIGNS: dict[str, Code] = {
 }
 """The named designs."""
 
+EVERY_PIXEL = {name for name, code in DESIGNS.items() if code.every_pixel}
+"""Those that have a detector for each pixel: no camera of one device, whatever is compared."""
+
 
 def check_design(name: str) -> str:
     """Return the name of a design, or raise `InputError` that names the closest."""
@@ -173,14 +176,6 @@ def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
         raise InputError("the matrix holds something else than finite real numbers")
     if not matrix.any():
         raise InputError("the matrix is zero everywhere: give at least one lit entry")
-
-
-def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
-    """Sensing matrix (m, N) of a fixed design for one detector, float64, signed."""
-    make = DESIGNS[name].make
-    if make is None:
-        raise ValueError(f"{name} has no fixed sensing matrix")
-    return make(data, masks, seed)
 
 
 def padded_shape(image_shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -230,7 +230,7 @@ def _designs(
     ]
     if exposures[0].chooses:
         for each, design in zip(jobs, designs, strict=True):
-            design.shares = _shares(design, training_set, each)
+            design.shares = _shares(design, training_set.full, each.photons, each.seed)
     if not exposures[0].comparable:
         return designs
     known = [
@@ -240,18 +240,18 @@ def _designs(
     return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
 
 
-def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
-    """Share of the budget (k,) that each feature counts, in the mean over training scenes."""
+def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:
+    """Share of the budget (k,) that each feature counts, in the mean over scenes (n, N)."""
     scanner = design.scanner()
-    generator = torch.Generator(training_set.device).manual_seed(job.seed)
+    generator = torch.Generator(scenes.device).manual_seed(seed)
     shares = torch.zeros_like(design.mean)
     with torch.no_grad():
-        for x in training_set.full.split(CHUNK):
+        for x in scenes.split(CHUNK):
             rates = design.rates(scanner, x)
-            *_, seen = design.expose(scanner, rates, generator, job.photons)
+            *_, seen = design.expose(scanner, rates, generator, photons)
             shown = design.exposure.shown(rates, seen)
             shares += design.detection.totals(shown).sum(dim=0)
-    return shares / len(training_set.full)
+    return shares / len(scenes)
 
 
 def provenance(
