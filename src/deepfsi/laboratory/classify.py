@@ -249,6 +249,8 @@ def _classified(
             )
         )
     remarks = (UNTESTED,) if found is None else tuple(found.remarks)
+    if design.temperatures and (dim := design.temperatures.remark(budgets[some])):
+        remarks = (dim, *remarks)
     return ClassifiedRun(
         design.name, design.masks, design.classes, tuple(classified), counts.faults, found, remarks
     )

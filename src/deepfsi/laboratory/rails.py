@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
@@ -58,7 +59,8 @@ def loop_of(design: Design) -> Loop:
             f"a loop with a {type(classifier).__name__} classifier is not possible: learn the "
             "design with the package's own, an Mlp"
         )
-    rule = design.info.get("stopping")
+    with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+        rule = TypeAdapter(StopRule | None).validate_python(design.info.get("stopping"))
     header = LoopHeader(
         looks=exposure.looks,
         masks=design.masks,
@@ -69,10 +71,12 @@ def loop_of(design: Design) -> Loop:
         classes=design.classes,
         largest_score=LARGEST_SCORE,
         shortest=exposure.shortest,
-        rule=None if rule is None else StopRule.model_validate(rule),
+        rule=rule,
     )
     mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
-    return Loop(header, mean, std, _layers(classifier), _layers(exposure.network))
+    known = design.temperatures
+    calibration = None if known is None else (known.logs, known.budgets)
+    return Loop(header, mean, std, _layers(classifier), _layers(exposure.network), calibration)
 
 
 def _layers(network: Mlp) -> tuple[Layer, ...]:

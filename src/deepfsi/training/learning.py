@@ -13,6 +13,8 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.design.calibration import distribution_of
+from deepfsi.design.evaluation import scanner_of
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.memory import Memory
 from deepfsi.errors import InputError
@@ -23,6 +25,7 @@ from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.batches import check_fits
+from deepfsi.training.confidence import find_temperatures
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
@@ -105,6 +108,12 @@ def train(
     began = time.perf_counter()
     _check(training_set, jobs, matrix)
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
+    for job, design in zip(jobs, designs, strict=True):
+        budgets = job.photons, job.exposure.highest(job.photons)
+        scanner = scanner_of(design, job.camera)
+        design.temperatures = find_temperatures(
+            design, scanner, budgets, training_set.data, job.seed
+        )
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, seconds)
@@ -234,7 +243,7 @@ def _designs(
     if not exposures[0].comparable:
         return designs
     known = [
-        each.calibrated(training_set.full, training_set.labels).distribution
+        distribution_of(each, training_set.full, training_set.labels)
         for each in designs[: len(rails)]
     ]
     return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
