@@ -368,7 +368,7 @@ class Design:
             shares=self.shares[:kept] / share,
             exposure=self.exposure.using(self.exposure.used * share),
             distribution=None,
-            temperatures=self.temperatures and self.temperatures.scaled(share),
+            temperatures=self.temperatures and self.temperatures.scaled(share, masks - fewest + 1),
         )
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":

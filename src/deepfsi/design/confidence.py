@@ -9,7 +9,7 @@ exposure is classified. Between them log τ is interpolated; below the lowest bu
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,11 +53,11 @@ class Temperatures:
     def restored(cls, tensors: dict[str, Tensor], stops: int) -> "Temperatures":
         """Temperatures from a design file, or `ValueError` if it holds none of so many stops."""
         logs, budgets = (tensors[name].double().numpy() for name in ("logs", "budgets"))
-        ratios = np.diff(np.log(budgets))
-        if logs.shape != (stops, len(budgets)) or not (
-            len(ratios) and ratios.min() > 0 and np.allclose(ratios, ratios[0], rtol=1e-3)
-        ):
+        if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or budgets.min() <= 0:
             raise ValueError("temperatures are not of this design")
+        ratios = np.diff(np.log(budgets))
+        if ratios.min() <= 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
+            raise ValueError("budgets of temperatures do not rise in equal ratios")
         return cls(logs, budgets)
 
     @property
@@ -81,9 +81,9 @@ class Temperatures:
             "to them are hardly more than guesses"
         )
 
-    def scaled(self, factor: float) -> "Temperatures":
-        """Temperatures of exposures that need so many times the budget for the same counts."""
-        return replace(self, budgets=self.budgets * factor)
+    def scaled(self, factor: float, stops: int | None = None) -> "Temperatures":
+        """Temperatures where the same counts take so many times the budget, at the first stops."""
+        return Temperatures(self.logs[:stops], self.budgets * factor)
 
     def of_stops(self, photons: float) -> np.ndarray:
         """Temperatures (K,) after each number of masks or looks at a budget."""
