@@ -11,7 +11,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.files import write_atomically
+from deepfsi.files import read_toml, write_atomically
 
 if TYPE_CHECKING:
     import numpy as np
@@ -364,7 +364,7 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     if not name.endswith(".toml"):
         raise InputError(f"unknown camera {name!r}: {closest(name, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return VirtualCamera.model_validate(common.read_toml(name, Path(name)))
+        return VirtualCamera.model_validate(read_toml(name))
 
 
 def _span(values: "np.ndarray") -> str:

@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from deepfsi.cli import paths
-from deepfsi.errors import InputError
 from deepfsi.progress import Report, terminal_bar
 
 if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
     import numpy as np
     from matplotlib.figure import Figure
 
@@ -100,18 +97,6 @@ def read_matrix(source: str | None) -> "np.ndarray | None":
     from deepfsi.optics import mask_files
 
     return None if source is None else mask_files.read_matrix(source)
-
-
-def read_toml(name: str, file: "Traversable") -> dict[str, Any]:
-    """Settings in a TOML file that the user calls by a name."""
-    import tomllib
-
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no file at {name}: give a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{name} is not TOML: {error}") from None
 
 
 def command_line() -> str:

@@ -9,14 +9,13 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-
 from deepfsi.devices import Device
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.optics.camera import Camera
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
@@ -41,10 +40,9 @@ def _known(path: Path) -> Camera | None:
     if file.is_dir() or not file.is_file():
         return None
     try:
-        with safe_open(file, framework="numpy") as tensors:
-            header = json.loads((tensors.metadata() or {})["deepfsi"])
+        header = json.loads(read_tensors(file, "deepfsi", "give a design file", ())[0])
         known = header["info"].get("job", {}).get("camera")
-    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError):
+    except (DamagedError, KeyError, TypeError, ValueError, AttributeError, RecursionError):
         return None  # whoever opens the design says what is wrong with it
     with as_input_error(str(file), "train it again"):
         return None if known is None else Camera.restored(known)

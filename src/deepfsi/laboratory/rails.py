@@ -15,6 +15,7 @@ from deepfsi.design.exposure.looks import LARGEST_SCORE
 from deepfsi.design.stopping import looks_of
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
@@ -22,6 +23,7 @@ from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import Layer, Loop, LoopHeader
 from deepfsi.optics.codes import EVERY_PIXEL
 from deepfsi.progress import SILENT, Report
+from deepfsi.tables.tensor_files import LARGEST
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
@@ -42,7 +44,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         made.light,
         made.image_shape,
         made.summed_reflectance,
-        path.read_bytes(),
+        read_regular(path, LARGEST, "give a design file"),
         brightness,
         None if cells is None else Detectors(count=made.detection.count, cells=cells),
         made.detection.readout,

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
@@ -20,6 +19,7 @@ from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
 from deepfsi.sweeps.results import Point, Results, read_results
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
@@ -50,13 +50,15 @@ def build(folder: str | os.PathLike[str]) -> Path:
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
     """Rails (2 or 1, m, N) and the shape of a mask, which may be of a patch, in a design file."""
     try:
-        with safe_open(path, framework="numpy") as file:
-            header = json.loads(file.metadata()["deepfsi"])
-            patch = header.get("exposure", {}).get("side")
-            shape = (patch, patch) if patch else tuple(header["image_shape"])
-            return file.get_tensor("rails"), shape
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
+        text, tensors = read_tensors(path, "deepfsi", "remove it", ("rails",))
+        header, rails = json.loads(text), tensors["rails"]
+        patch = header.get("exposure", {}).get("side")
+        shape = (patch, patch) if patch else tuple(header["image_shape"])
+        if rails.ndim != 3 or rails.shape[2] != math.prod(shape) or not np.isfinite(rails).all():
+            raise ValueError(shape)
+    except (DamagedError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
+    return rails, shape
 
 
 def page_text(results: Results, designs: Path) -> str:

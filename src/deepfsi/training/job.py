@@ -31,7 +31,7 @@ from deepfsi.design.exposure import (
 )
 from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.laws import Scale
+from deepfsi.laws import Scale, Widths
 from deepfsi.optics.budget import BUDGETS, check_one_budget
 from deepfsi.optics.camera import Camera, Noise, noise_name
 
@@ -122,7 +122,7 @@ class Training(BaseModel):
         1e-2, description="peak of the one-cycle schedule; what was tuned for the design, or this"
     )
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
-    hidden: Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_widths)] = Field(
+    hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
         (40, 128), description="widths of the hidden layers of mlp"
     )
     dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")

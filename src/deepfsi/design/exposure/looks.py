@@ -24,7 +24,7 @@ from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
-from deepfsi.laws import Light
+from deepfsi.laws import Light, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.dwells import Shares, share_out
@@ -237,7 +237,7 @@ class LooksShape:
     """
 
     looks: Annotated[int, Field(ge=2, le=64)]
-    hidden: tuple[Annotated[int, Field(ge=1)], ...]
+    hidden: Widths
     shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 

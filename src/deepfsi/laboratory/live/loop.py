@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from deepfsi.errors import InputError, as_input_error
@@ -22,6 +21,7 @@ from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laws import Readout
 from deepfsi.optics.dwells import share_out
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 TEMPERATURES = ("temperatures.logs", "temperatures.budgets")
 """Tensors of the calibration, float64."""
@@ -144,12 +144,8 @@ def read_loop(path: Path) -> Loop:
     """Loop of a file, or `InputError` if it is missing, damaged or none."""
     again = "export the patterns again"
     try:
-        with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {})["deepfsi-loop"]
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: {again}") from None
-    except (SafetensorError, KeyError, OSError, ValueError):
+        text, tensors = read_tensors(path, "deepfsi-loop", again)
+    except DamagedError:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again):
         header = LoopHeader.model_validate_json(text)
