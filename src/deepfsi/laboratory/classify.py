@@ -7,6 +7,7 @@ is decided again, from its own counts, as it was.
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from deepfsi.laboratory.live.replay import (
     read_live_counts,
     replay_run,
 )
+from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, ReplayedRun
 from deepfsi.optics.budget import check_budget
 from deepfsi.tables.table_files import read_table
@@ -214,14 +216,17 @@ def _classified(
     source: str,
 ) -> ClassifiedRun:
     """Classes of counted scenes (S, R) of a design as it was shown."""
+    known = np.isfinite(counts.photons)
+    budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
+    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+    counts = replace(counts, faults=(*dim, *counts.faults))
     usable = counts.valid & ~counts.spoilt[:, None]
     if not usable.any():
+        forced = "; `force` classifies them all the same" if dim else ""
         raise InputError(
             f"{source} has no exposure that can be classified ({counts.faults[0]}): record again"
+            f"{forced}"
         )
-    budgets = np.where(
-        np.isfinite(counts.photons), counts.photons if photons is None else photons, 1.0
-    )
     found = _consistency(design, counts, usable, budgets)
     if found is not None and found.refused and not force:
         raise InputError(f"{found.refusal}; `force` classifies them all the same")
