@@ -54,13 +54,6 @@ class Layout(Frozen):
         side = -1 if self.flip else 1
         return (cos * side, -sin), (sin * side, cos)
 
-    def after(self, turned: "Layout") -> "Layout":
-        """The layout whose orientation is this one's, of masks that are turned before."""
-        (a, b), (c, d) = self.orientation
-        (e, f), (g, h) = turned.orientation
-        wanted = (a * e + b * g, a * f + b * h), (c * e + d * g, c * f + d * h)
-        return next(each for each in self.orientations() if each.orientation == wanted)
-
     def orientations(self) -> "tuple[Layout, ...]":
         """The layout in each of the eight orientations, that as exported first."""
         return tuple(
@@ -132,9 +125,7 @@ class Grid:
         return np.rot90(places, -self.layout.rotate // 90)
 
 
-def find_grid(
-    device: Device, image_shape: tuple[int, ...], layout: Layout | None = None
-) -> Grid:
+def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout | None = None) -> Grid:
     """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
@@ -146,7 +137,9 @@ def find_grid(
     if layout.rotate in (90, 270):
         down, across = across, down
     diamond = device.lattice == "diamond"
-    together = 2 if diamond else 1  # rows that differ in where they lie, as high as a column is wide
+    together = (
+        2 if diamond else 1
+    )  # rows that differ in where they lie, as high as a column is wide
     height, width = rows // (down * together) * together, columns // across
     if not (height and width):
         where = device.name if layout.region is None else f"the region {layout.region}"

@@ -97,6 +97,7 @@ def dmd_export(
     """
     paths.check_new_folder(out)
     from deepfsi.devices import find_device
+    from deepfsi.hardware.calibration.reference import write_reference
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
     from deepfsi.laboratory.camera import camera_of, picture_time
@@ -117,6 +118,7 @@ def dmd_export(
     )
     with common.progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(rails, frames, out, report)
+    write_reference(patterns, out)
     if frames.raised and not as_json:
         print(
             f"the mean picture time was raised to {frames.device.shortest_us} µs: "

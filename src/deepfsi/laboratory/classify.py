@@ -21,6 +21,7 @@ from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
+from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.replay import (
     check_as_it_was,
@@ -28,7 +29,6 @@ from deepfsi.laboratory.live.replay import (
     read_live_counts,
     replay_run,
 )
-from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.results import ClassifiedRun, ClassifiedScene, ReplayedRun
 from deepfsi.optics.budget import check_budget
 from deepfsi.tables.table_files import read_table

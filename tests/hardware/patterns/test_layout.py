@@ -103,17 +103,6 @@ def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, 
     assert check_patterns(tmp_path / "p").manifest.layout == layout
 
 
-def test_law_orientations_compose():
-    """To turn and flip in turn, in any of the 64 ways, is one of the eight."""
-    picture = np.arange(12).reshape(3, 4)
-    for first in Layout().orientations():
-        for then in Layout().orientations():
-            together = then.after(first)
-            assert np.array_equal(
-                oriented(oriented(picture, first), then), oriented(picture, together)
-            )
-
-
 def test_inverted_files_have_a_one_for_every_mirror_that_is_off(tmp_path):
     usual = export(tmp_path / "a")
     inverted = export(tmp_path / "b", layout=Layout(stretch=True, invert=True))

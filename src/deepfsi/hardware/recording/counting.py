@@ -200,6 +200,14 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
         ]
     )
     if not fits.any():
+        with np.errstate(invalid="ignore"):
+            rates = np.nanmean(np.where(seconds > 0, photons / seconds, np.nan), axis=0)
+        if min(rates[[1, -1]]) > 2 * max(rates[[0, -2]]):
+            raise InputError(
+                f"{header.path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
+                "inverted; export the patterns again with --invert, or give the inputs of the arms "
+                "in the other order"
+            )
         raise InputError(
             f"{header.path} has no pass that begins and ends with a bright and a dark frame: give "
             "the patterns that were shown, and the input that the detector is wired to"
