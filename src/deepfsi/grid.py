@@ -63,6 +63,10 @@ class Layout(Frozen):
         )
 
 
+USUAL = Layout()
+"""Square cells in the middle, as they are."""
+
+
 @dataclass(frozen=True)
 class Grid:
     """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF."""
@@ -74,7 +78,7 @@ class Grid:
     top: int  # rows and columns of mirrors before the first cell
     left: int
     diamond: bool = False  # true where odd rows lie half a column to the right
-    layout: Layout = Layout()
+    layout: Layout = USUAL
 
     @property
     def mirrors(self) -> int:
@@ -125,21 +129,18 @@ class Grid:
         return np.rot90(places, -self.layout.rotate // 90)
 
 
-def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout | None = None) -> Grid:
+def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout = USUAL) -> Grid:
     """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
     if len(image_shape) not in (1, 2) or min(image_shape) < 1:
         raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
-    layout = layout or Layout()
     columns, rows, left, top = _find_region(device, layout.region)
     down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)
     if layout.rotate in (90, 270):
         down, across = across, down
     diamond = device.lattice == "diamond"
-    together = (
-        2 if diamond else 1
-    )  # rows that differ in where they lie, as high as a column is wide
+    together = 2 if diamond else 1  # rows that are as high as a column is wide
     height, width = rows // (down * together) * together, columns // across
     if not (height and width):
         where = device.name if layout.region is None else f"the region {layout.region}"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
+from deepfsi.hardware.calibration.detectors import find_detectors, find_gains, save_detectors
 from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
 from deepfsi.hardware.calibration.reference import ReferenceFit, find_reference
 from deepfsi.hardware.recording.acquisition import read_acquisition
@@ -42,3 +42,8 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
     """How the scenes of a camera lie on the device, from a counted run of the reference target."""
     return find_reference(read_counts(folder), read_acquisition(folder)[1], report)
+
+
+def gains_of(flat: Path) -> tuple[float, ...]:
+    """Relative efficiency of each detector, from a counted run of a uniform white scene."""
+    return find_gains(read_counts(flat), read_acquisition(flat)[1])

@@ -49,7 +49,7 @@ def export(folder, layout=PLAIN, rails=None, **settings):
 
 
 def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
-    """Homography of a display that lies so on the device; shift down and across, turn in degrees."""
+    """Homography of a display that lies so on the device; shifts down and across, degrees."""
     angle = np.deg2rad(turn)
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     linear = scale * rotation @ np.array(layout.orientation)
@@ -132,7 +132,7 @@ def test_a_reference_has_no_symmetry():
 
 def test_few_masks_and_spectra_are_refused(tmp_path):
     shown = export(tmp_path / "p", rails=masks(5))
-    with pytest.raises(InputError, match="5 readouts do not tell .*hadamard --size 8x8"):
+    with pytest.raises(InputError, match=r"5 readouts do not tell .*hadamard --size 8x8"):
         found(tmp_path, shown, CAMERAS["ideal"], exposure=1e-3)
     spectra = DesignRails(masks(), "equal-dwell", (64,), 20.0)
     shown = export_patterns(spectra, FrameSettings(DEVICE, 1e-3), tmp_path / "s")
@@ -149,5 +149,5 @@ def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverte
     if inverted:
         assert found(tmp_path, shown, camera).fits
     else:
-        with pytest.raises(InputError, match="mirrors are inverted.* with --invert"):
+        with pytest.raises(InputError, match=r"mirrors are inverted.* with --invert"):
             found(tmp_path, shown, camera)

@@ -78,8 +78,9 @@ def errors(scenes: np.ndarray, selection: str, seed: int = 0) -> np.ndarray:
     height, width = scenes.shape[1:]
     device = Device(name="cell", columns=width, rows=height)
     on = np.arange(height * width + 1)[:, None]
+    grid = find_grid(device, (1, 1), Layout(stretch=True))
     frames = make_frames(
-        on, device, find_grid(device, (1, 1), Layout(stretch=True)), selection, seed
+        on, device, grid, selection, seed
     )
     shown = np.stack([unpack(frame, device).ravel() for frame in frames])
     flat = scenes.reshape(len(scenes), -1)

@@ -47,10 +47,10 @@ BLOCK_PIXELS = 64
 """Pixels of a block's side in the picture."""
 
 LEAST_READOUTS = 8
-"""Readouts that a fit needs: it has five unknowns, and the brightness of target and surroundings."""
+"""Readouts that a fit needs: of five unknowns, and the light of target and surroundings."""
 
 MODEL_ERROR = 0.003
-"""Error of each readout beside its noise, of the largest: mirrors, edges and print are not exact."""
+"""Error of a readout beside its noise, of the largest: mirrors, edges and print are not exact."""
 
 LEAST_CHANCE = 1e-6
 """Chance of the counts' misfit below which no place of the target explains them."""
@@ -178,7 +178,7 @@ class _Model:
         self.wide = self.grid.across * self.grid.aspect / self.grid.down
 
     def image(self, layout: Layout, place: np.ndarray) -> np.ndarray:
-        """Light of each pixel of a mask (N,) from scale, rotation, shifts and blur of the target."""
+        """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of the target."""
         scale, turn, down, across, blur = place
         sides = [self.wide, 1.0]
         if self.exported.rotate in (90, 270):

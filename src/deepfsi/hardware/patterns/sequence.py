@@ -26,7 +26,7 @@ from pydantic import Field, model_validator
 from deepfsi.devices import LONGEST_PICTURE_S, Device
 from deepfsi.errors import InputError, check_known
 from deepfsi.frozen import Frozen
-from deepfsi.grid import Grid, Layout, find_grid
+from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.laws import Light, Readout
@@ -66,7 +66,7 @@ class FrameSettings:
     selection: Selection = "ordered"
     seed: int = 0
     format: Format = "npy"
-    layout: Layout = Layout()
+    layout: Layout = USUAL
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):

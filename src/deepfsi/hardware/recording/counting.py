@@ -63,9 +63,11 @@ def count(
     inputs: tuple[int, ...] | None = None,
     marker_bit: int | None = None,
     dead_time: DeadTime | None = None,
+    gains: tuple[float, ...] = (),
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz."""
+    # gains: relative efficiency of each detector, as `find_gains` gives them
     recorded, patterns = read_acquisition(folder)
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
@@ -89,7 +91,7 @@ def count(
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     dead = _find_dead_time(Path(folder), dead_time)
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
-    factors = dead.correction(rates)
+    factors = dead.correction(rates).divided(_check_gains(gains, manifest))
     shape = len(rates), *parts.middles.shape
     parted = parted[fits].reshape(*shape, -1)
     arrivals = parted * factors.arrivals[:, :, None]
@@ -111,6 +113,7 @@ def count(
         inputs=acquisition.inputs,
         faults=(*frames.faults, *shifted, *late, *light.faults),
         dead_time=dead,
+        gains=gains,
     )
     counts.save(Path(folder), recorded)
     return counts
@@ -172,6 +175,16 @@ def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
     if given is None and (folder / "calibration" / "calibration.json").is_file():
         given = load_calibration(folder / "calibration").dead_time
     return given or NO_DEAD_TIME
+
+
+def _check_gains(gains: tuple[float, ...], manifest: Manifest) -> np.ndarray:
+    """Gains (inputs,) of all detectors, 1 where none are given."""
+    if gains and len(gains) != manifest.inputs:
+        raise InputError(
+            f"the flat field is of {len(gains)} detectors, and these patterns are for "
+            f"{manifest.inputs}: record it with the same detectors"
+        )
+    return np.array(gains or (1.0,) * manifest.inputs)
 
 
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -67,6 +68,8 @@ class VirtualCamera(Detector):
     vignetting: float = Field(0.0, ge=0, le=1)
     # Stray light spread evenly over the whole device, photons/s
     ambient: float = Field(0.0, ge=0, le=1e12)
+    # Efficiency of each detector, of those that see mirrors ON first, over `efficiency`
+    gains: tuple[Annotated[float, Field(gt=0, le=1)], ...] | None = None
     # True of a device that turns mirrors ON where the files have a 0
     inverted: bool = False
     # Detector of each part of the area of the cells, which these rows divide evenly. None for the
@@ -192,7 +195,12 @@ def arrival_rates(
                 out[first : first + len(part), place : place + len(on), column] = photons.T
             done = first * frames + (place + len(on)) * len(part)
             report(done / (len(images) * frames))
-    return out * camera.efficiency + camera.dark
+    if camera.gains is not None and len(camera.gains) != manifest.inputs:
+        raise InputError(
+            f"the camera has {len(camera.gains)} gains, and the patterns are for {manifest.inputs} "
+            "detectors: give one for each"
+        )
+    return out * camera.efficiency * np.array(camera.gains or 1.0) + camera.dark
 
 
 def expected_events(
