@@ -123,9 +123,7 @@ def test_a_run_with_far_less_light_than_the_training_is_refused_unless_forced(la
     settings = RecordingSettings(CAMERAS["ideal"], flux=share * 1e7, exposure_s=10e-3)
     record(lab / "frames", shown.x, shown.names, shown.labels, tmp_path / "run", settings)
     count(tmp_path / "run")
-    with pytest.raises(
-        deepfsi.InputError, match=r"too little light for this design.*`force`"
-    ):
+    with pytest.raises(deepfsi.InputError, match=r"too little light for this design.*`force`"):
         deepfsi.classify_run(lab / DESIGN, tmp_path / "run")
     found = deepfsi.classify_run(lab / DESIGN, tmp_path / "run", force=True)
     assert all(scene.predicted for scene in found.scenes)

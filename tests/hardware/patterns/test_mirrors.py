@@ -79,9 +79,7 @@ def errors(scenes: np.ndarray, selection: str, seed: int = 0) -> np.ndarray:
     device = Device(name="cell", columns=width, rows=height)
     on = np.arange(height * width + 1)[:, None]
     grid = find_grid(device, (1, 1), Layout(stretch=True))
-    frames = make_frames(
-        on, device, grid, selection, seed
-    )
+    frames = make_frames(on, device, grid, selection, seed)
     shown = np.stack([unpack(frame, device).ravel() for frame in frames])
     flat = scenes.reshape(len(scenes), -1)
     return flat @ shown.T - flat.sum(axis=1, keepdims=True) * on.T / (height * width)

@@ -25,7 +25,7 @@ def scenes(count_of_each: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     weight = np.ones((2, 4, 4))
     weight[0, :2] = weight[1, :, :2] = 1.5
     labels = np.repeat([0, 1], count_of_each)
-    return rng.uniform(0.1, 0.6, (len(labels), 4, 4)) * weight[labels], labels
+    return rng.uniform(0.35, 0.6, (len(labels), 4, 4)) * weight[labels], labels
 
 
 def export(folder, light="equal-dwell", known=True):
@@ -39,8 +39,8 @@ def export(folder, light="equal-dwell", known=True):
     return export_patterns(design, FrameSettings(DEVICE, 2e-3), folder / "p")
 
 
-def run(folder, x, gains=None, name="run", **settings):
-    camera, names = VirtualCamera(gains=gains, dark=500.0), [str(k) for k in range(len(x))]
+def run(folder, x, camera_gains=None, name="run", **settings):
+    camera, names = VirtualCamera(gains=camera_gains, dark=500.0), [str(k) for k in range(len(x))]
     record(folder / "p", x, names, None, folder / name, RecordingSettings(camera, 1e7, 0.01))
     return count(folder / name, **settings)
 
