@@ -23,6 +23,7 @@ from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
 from deepfsi.laboratory.camera import camera_of, dead_time_of
+from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.replay import (
     check_as_it_was,
@@ -214,14 +215,17 @@ def _classified(
     source: str,
 ) -> ClassifiedRun:
     """Classes of counted scenes (S, R) of a design as it was shown."""
+    known = np.isfinite(counts.photons)
+    budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
+    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+    counts = replace(counts, faults=(*dim, *counts.faults))
     usable = counts.valid & ~counts.spoilt[:, None]
     if not usable.any():
+        forced = "; `force` classifies them all the same" if dim else ""
         raise InputError(
             f"{source} has no exposure that can be classified ({counts.faults[0]}): record again"
+            f"{forced}"
         )
-    budgets = np.where(
-        np.isfinite(counts.photons), counts.photons if photons is None else photons, 1.0
-    )
     found = _consistency(design, counts, usable, budgets)
     if found is not None and found.refused and not force:
         raise InputError(f"{found.refusal}; `force` classifies them all the same")

@@ -38,6 +38,12 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         brightness = None if known is None else Brightness.model_validate(known)
     labels = made.detection.labels
     cells = None if labels is None else tuple(labels.tolist())
+    detectors = None
+    if cells is not None:
+        light = made.info.get("detector_light") or {}
+        with as_input_error(str(file)):
+            known = {"count": made.detection.count, "cells": cells, **light}
+            detectors = Detectors.model_validate(known)
     loop = loop_of(made) if made.exposure.chooses else None
     return DesignRails(
         made.rails.stacked.numpy(),
@@ -46,7 +52,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         made.summed_reflectance,
         read_regular(path, LARGEST, "give a design file"),
         brightness,
-        None if cells is None else Detectors(count=made.detection.count, cells=cells),
+        detectors,
         made.detection.readout,
         looks=None if loop is None else loop.looks,
         loop=None if loop is None else loop.to_bytes(),

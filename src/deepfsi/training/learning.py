@@ -19,7 +19,7 @@ from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.memory import Memory
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import brightness, check_budget
+from deepfsi.optics.budget import brightness, check_budget, detector_shares
 from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.rails import Rails
@@ -117,6 +117,11 @@ def train(
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, seconds)
+        labels = design.detection.labels
+        if labels is not None:
+            design.info["detector_light"] = detector_shares(
+                training_set.data.x_train, training_set.data.y_train, labels.cpu().numpy()
+            )
     return designs
 
 
