@@ -179,7 +179,9 @@ def size(made: "Design") -> str:
 
 def detectors_text(design: str, detectors: str) -> str:
     """Detectors in a table, also of a design that has one for each pixel."""
-    return "each pixel" if design == "impulse" else detectors
+    from deepfsi.optics.codes import EVERY_PIXEL
+
+    return "each pixel" if design in EVERY_PIXEL else detectors
 
 
 def print_designs(names: Iterable[str]) -> None:

@@ -14,6 +14,7 @@ from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
 from deepfsi.design.classifiers import Mlp, Vit, restored
+from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
@@ -234,12 +235,14 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     distribution = (
         ReadoutDistribution.restored(known, rails.count, masks * detection.count) if known else None
     )
+    held = _weights(tensors, "temperatures.")
     parts = {
         "rails": rails,
         "exposure": exposure,
         "detection": detection,
         "classifier": classifier,
         "distribution": distribution,
+        "temperatures": Temperatures.restored(held, exposure.count_stops(masks)) if held else None,
     }
     return {**words, **statistics, **parts}
 

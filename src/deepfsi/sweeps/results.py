@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, 
 
 from deepfsi.errors import as_input_error
 from deepfsi.files import read_regular, write_atomically
+from deepfsi.optics.codes import EVERY_PIXEL
 
 SCHEMA = 2
 """Schema of results and of records, the only one; tests of records of another are run anew."""
@@ -114,6 +115,11 @@ class Point(Frozen):
     one_class: bool = Field(
         False, description="whether each trial gives one class as the answer to every test scene"
     )
+
+    @property
+    def every_pixel(self) -> bool:
+        """True of a design that has a detector for each pixel."""
+        return self.design in EVERY_PIXEL
 
 
 class Data(Frozen):

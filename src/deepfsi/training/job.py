@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.optics.codes import Code
     from deepfsi.optics.detection import Detection
+    from deepfsi.optics.noise import OwnNoise
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
@@ -272,6 +273,14 @@ class Job(BaseModel):
         return self.exposure.training_noise(self.camera.noise_name)
 
     @property
+    def own_noise(self) -> "OwnNoise | None":
+        """The noise that is trained under, where it is a user's own."""
+        from deepfsi.optics.noise import resolve
+
+        told = self.training.noise
+        return resolve(self.camera.noise if told is None else told)[1]
+
+    @property
     def optics(self) -> Camera:
         """The camera as the design has it: one with a detector for each pixel needs no other.
 
@@ -316,6 +325,10 @@ class Job(BaseModel):
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
             raise InputError("; ".join(faults))
+        if (own := self.own_noise) is not None:
+            from deepfsi.optics.noise import try_own
+
+            try_own(own, self.code.learned)
 
     def faults(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data.

@@ -199,6 +199,15 @@ class LooksExposure(TrainedExposure):
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
 
+    def count_stops(self, masks: int) -> int:
+        """K, an answer after each look."""
+        return self.looks
+
+    def stop_place(self, seen: Observation) -> Tensor:
+        """Place (..., 1) of an exposure among its looks, from 0, by the time it took."""
+        assert seen.dwell is not None
+        return seen.dwell.sum(dim=-1, keepdim=True) * self.looks - 1
+
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
         if faults := Looks(looks=self.looks).test_faults([noise]):

@@ -102,7 +102,8 @@ def export_patterns(
     """Write what a device shows for a design, frame by frame, into a new folder."""
     # Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
     # common factor `manifest.dimmed`
-    device, grid = settings.device, find_grid(settings.device, design.image_shape)
+    device = settings.device
+    grid = find_grid(device, design.image_shape, settings.layout)
     counted = mirrors.count_mirrors(design.rails, design.light, grid.mirrors)
     if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
@@ -127,6 +128,7 @@ def export_patterns(
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,
+            layout=settings.layout,
         )
         check_limits(manifest)
         return _write(draft, sequence.Patterns(manifest, counted.on), design)
@@ -249,7 +251,7 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
         frame = manifest.frames[place]
         name = f"frame {place} of {folder} ({frame})"
         wanted = next(masks) if frame.role == "mask" else grid.mirrors * (frame.role == "on")
-        lit = mirrors.unpack(packed, manifest.device)
+        lit = mirrors.unpack(packed, manifest.device) ^ manifest.layout.invert
         on = mirrors.recount(lit, grid)
         if (on != wanted).any() or np.count_nonzero(lit) != on.sum():
             raise InputError(

@@ -26,7 +26,7 @@ from pydantic import Field, model_validator
 from deepfsi.devices import LONGEST_PICTURE_S, Device
 from deepfsi.errors import InputError, check_known
 from deepfsi.frozen import Frozen
-from deepfsi.grid import Grid, find_grid
+from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.laws import Light, Readout, SummedReflectance
@@ -59,13 +59,14 @@ Format = Literal["npy", "raw", "png", "planes"]
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """Settings of an export: device, mean picture time, choice of mirrors and kind of file."""
+    """Settings of an export: device, mean picture time, choice of mirrors, files and layout."""
 
     device: Device
     dwell_s: float
     selection: Selection = "ordered"
     seed: int = 0
     format: Format = "npy"
+    layout: Layout = USUAL
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):
@@ -198,6 +199,8 @@ class Manifest(Frozen):
     looks: Looks | None = None
     selection: Selection  # Choice of the mirrors of a grey cell
     seed: int = 0  # Of the random selection
+    # How the cells lie on the device; of folders that do not say so they fill it
+    layout: Layout = Layout(stretch=True)
     format: Format  # Files of the frames
     design_sha256: str | None = None  # Of the design file beside it
     mirrors_sha256: str  # Of the numbers in mirrors.npy
@@ -230,13 +233,19 @@ class Manifest(Frozen):
         cells = self.detectors and self.detectors.cells
         if cells and len(cells) != math.prod(self.image_shape):
             raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")
-        find_grid(self.device, self.image_shape)  # the device must hold the cells
+        find_grid(self.device, self.image_shape, self.layout)  # the device must hold the cells
         return self
 
     @cached_property
     def grid(self) -> Grid:
         """Cells of the masks."""
-        return find_grid(self.device, self.image_shape)
+        return find_grid(self.device, self.image_shape, self.layout)
+
+    @property
+    def used(self) -> float:
+        """Share of the device's mirrors that are of a cell, and of its light where that is even."""
+        grid, device = self.grid, self.device
+        return grid.down * grid.across * grid.mirrors / (device.columns * device.rows)
 
     @cached_property
     def shown(self) -> np.ndarray:

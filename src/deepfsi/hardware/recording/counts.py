@@ -83,6 +83,8 @@ class Counts:
     inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
     faults: tuple[Fault, ...]  # of the recording
     dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
+    # Relative efficiency of each detector, corrected too; empty where none was measured
+    gains: tuple[float, ...] = ()
 
     @property
     def background(self) -> np.ndarray:
@@ -211,6 +213,7 @@ class _Provenance(Frozen):
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
     dead_time: DeadTime
+    gains: tuple[Positive, ...] = ()
 
 
 def _member(
