@@ -73,7 +73,7 @@ def test_a_detector_at_half_its_gain_spoils_the_run(tmp_path, place):
 @pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
 def test_law_white_tells_each_gain_and_counts_are_corrected_to_two_percent(tmp_path, light):
     arms = 2 if light == "two-arm" else 1
-    gains = (HALF + (0.9, 1.0, 0.8, 1.0))[: 4 * arms]
+    gains = (*HALF, 0.9, 1.0, 0.8, 1.0)[: 4 * arms]
     shown = export(tmp_path, light)
     white = run(tmp_path, np.ones((12, 4, 4)), gains, "white")
     found = np.array(find_gains(white, shown))
