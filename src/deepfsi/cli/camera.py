@@ -11,7 +11,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.files import write_atomically
+from deepfsi.files import read_toml, write_atomically
 
 if TYPE_CHECKING:
     import numpy as np
@@ -177,6 +177,7 @@ def camera_count(
     """
     from deepfsi.hardware.recording.counting import count
     from deepfsi.laboratory.calibration import gains_of
+    from deepfsi.laboratory.camera import camera_of, dead_time_of
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if is_live(folder):
@@ -193,7 +194,7 @@ def camera_count(
             repeats=repeats,
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
-            dead_time=options.dead_time(folder, settings),
+            dead_time=dead_time_of(camera_of(folder, **settings), settings),
             gains=() if flat is None else gains_of(flat),
             report=report,
         )
@@ -376,7 +377,7 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     if not name.endswith(".toml"):
         raise InputError(f"unknown camera {name!r}: {closest(name, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return VirtualCamera.model_validate(common.read_toml(name, Path(name)))
+        return VirtualCamera.model_validate(read_toml(name))
 
 
 def _span(values: "np.ndarray") -> str:

@@ -1,11 +1,13 @@
 """Calibration of the test of counts: simulated exposures of scenes that a model has not seen."""
 
 from collections.abc import Sequence
+from math import prod
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.design.artifact import Design
 from deepfsi.design.consistency import CHANCES, COUNTS, ReadoutDistribution
 from deepfsi.design.readout_model import SMALLEST, ReadoutModel
 
@@ -35,6 +37,14 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
     """Places of the training scenes, of `count`, that are looked at."""
     most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
+
+
+def distribution_of(design: Design, scenes: Tensor, labels: Tensor) -> ReadoutDistribution | None:
+    """Distribution of a design's readouts of scenes (n, N) of classes (n,)."""
+    rows = sample_scenes(len(scenes), prod(design.counts_shape))
+    with torch.no_grad():
+        rates = design.rates(design.scanner(), scenes[rows])
+    return find_distribution(rates, labels[rows].cpu().numpy(), len(design.classes))
 
 
 def find_distribution(

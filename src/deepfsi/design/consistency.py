@@ -37,6 +37,12 @@ CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
 OVER_DISPERSED = 3.1
 """Standard deviations of photon noise beyond which scenes differ: one in 1000 that do not."""
 
+SHARES = ("mean", "directions", "rest")
+"""Fields of a distribution that are of shares, which are at most 1."""
+
+LARGEST_SHARE = 1.001
+"""The same with what rounding may add."""
+
 ROUNDING = 1e-5
 """Error of a logarithm in the file: what is equal is no further out."""
 
@@ -134,8 +140,9 @@ class ReadoutDistribution:
         if {name: tuple(held.shape) for name, held in tensors.items()} != shapes:
             raise ValueError("the distribution of the readouts is not of these masks")
         least = min(float(tensors[name].min()) for name in ("mean", "spread", "rest"))
+        most = max(float(tensors[name].abs().max()) for name in SHARES if tensors[name].numel())
         falling = any(bool((tensors[name].diff() < 0).any()) for name in ("tails", "pairs"))
-        if least < 0 or falling or not bool((tensors["mean"] > 0).any()):
+        if least < 0 or most > LARGEST_SHARE or falling or not bool((tensors["mean"] > 0).any()):
             raise ValueError("the distribution of the readouts is none")
         return cls(**tensors)
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
@@ -14,20 +15,22 @@ from deepfsi.design.exposure.looks import LARGEST_SCORE
 from deepfsi.design.stopping import looks_of
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import Layer, Loop, LoopHeader
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.optics.codes import EVERY_PIXEL
 from deepfsi.progress import SILENT, Report
+from deepfsi.tables.tensor_files import LARGEST
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
     made = Design.load(path)
-    if DESIGNS[made.name].every_pixel:
+    if made.name in EVERY_PIXEL:
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     made.exposure.check_frames()
     known = made.info.get("brightness")
@@ -47,7 +50,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
         made.light,
         made.image_shape,
         made.summed_reflectance,
-        path.read_bytes(),
+        read_regular(path, LARGEST, "give a design file"),
         brightness,
         detectors,
         made.detection.readout,
@@ -64,7 +67,8 @@ def loop_of(design: Design) -> Loop:
             f"a loop with a {type(classifier).__name__} classifier is not possible: learn the "
             "design with the package's own, an Mlp"
         )
-    rule = design.info.get("stopping")
+    with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+        rule = TypeAdapter(StopRule | None).validate_python(design.info.get("stopping"))
     header = LoopHeader(
         looks=exposure.looks,
         masks=design.masks,
@@ -75,10 +79,12 @@ def loop_of(design: Design) -> Loop:
         classes=design.classes,
         largest_score=LARGEST_SCORE,
         shortest=exposure.shortest,
-        rule=None if rule is None else StopRule.model_validate(rule),
+        rule=rule,
     )
     mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
-    return Loop(header, mean, std, _layers(classifier), _layers(exposure.network))
+    known = design.temperatures
+    calibration = None if known is None else (known.logs, known.budgets)
+    return Loop(header, mean, std, _layers(classifier), _layers(exposure.network), calibration)
 
 
 def _layers(network: Mlp) -> tuple[Layer, ...]:

@@ -81,7 +81,7 @@ def detector_shares(
     x: "np.ndarray", labels: "np.ndarray", detectors: "np.ndarray"
 ) -> dict[str, list[Any]] | None:
     """Share of each detector in the light of scenes (n, N) of each class, and its spread."""
-    # detectors (N,): of each pixel. The spread is of single scenes, the largest of a class
+    # detectors (N,): of each pixel. Spread of single scenes, in the class where it is largest
     import numpy as np
 
     light = np.stack(

@@ -9,7 +9,6 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -28,6 +27,7 @@ from pydantic import (
 
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError, as_input_error, check_known, closest
+from deepfsi.files import read_toml
 from deepfsi.grid import Layout, Region, find_grid
 from deepfsi.imports import UNNAMED
 from deepfsi.laws import Light, RailsKind, Readout, check_noise
@@ -110,7 +110,7 @@ def _device(given: Any) -> Any:
         return find_device(given)
     path = Path(given)
     with as_input_error(given):
-        return Device.model_validate({"name": path.stem, **_read_toml(path)})
+        return Device.model_validate({"name": path.stem, **read_toml(path)})
 
 
 class Camera(BaseModel):
@@ -417,21 +417,12 @@ def _fields(source: CameraSource) -> dict[str, Any]:
         check_known("camera", name, PRESETS)
         return dict(PRESETS[name])
     path = Path(name)
-    fields = _read_toml(path)
+    fields = read_toml(path)
     for field in ("detectors", "device"):  # files are named from where the camera's file is
         value = fields.get(field)
         if isinstance(value, str) and value.endswith((".npy", ".toml")):
             fields[field] = str(path.parent / value)
     return fields
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no file {path}: give a TOML file that is there") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path} is no TOML file: {error}") from None
 
 
 def _shortest_frame(device: Device | None) -> float:

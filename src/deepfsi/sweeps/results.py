@@ -8,10 +8,15 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from deepfsi.errors import as_input_error
-from deepfsi.files import write_atomically
+from deepfsi.files import read_regular, write_atomically
+from deepfsi.optics.codes import EVERY_PIXEL
 
 SCHEMA = 2
 """Schema of results and of records, the only one; tests of records of another are run anew."""
+
+
+LARGEST_FILE = 2**28
+"""Bytes of a file of results at most."""
 
 
 def _readable(schema: int) -> int:
@@ -96,6 +101,11 @@ class Point(Frozen):
         False, description="whether each trial gives one class as the answer to every test scene"
     )
 
+    @property
+    def every_pixel(self) -> bool:
+        """True of a design that has a detector for each pixel."""
+        return self.design in EVERY_PIXEL
+
 
 class Data(Frozen):
     """Data set of a comparison and the sizes of its parts."""
@@ -169,5 +179,7 @@ def write_results(path: Path, results: Results) -> Path:
 
 def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
-    with as_input_error(str(path), "run the comparison again"):
-        return Results.model_validate_json(path.read_bytes())
+    again = "run the comparison again"
+    content = read_regular(path, LARGEST_FILE, again)
+    with as_input_error(str(path), again):
+        return Results.model_validate_json(content)

@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import hash_file, new_folder
+from deepfsi.files import hash_file, new_folder, read_regular
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -33,6 +33,9 @@ SENTINELS = 4
 
 DESIGN, LOOP = "design.safetensors", "loop.safetensors"
 """Files of the design, and of the networks that choose its dwells."""
+
+LARGEST_MANIFEST = 2**29
+"""Bytes of a manifest at most."""
 
 ARMS_SLACK = 1e-4
 """Share of the exposure by which two arms' times may differ between pixels."""
@@ -187,12 +190,7 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
 def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     """Patterns of a folder, without reading its frames."""
     path = Path(folder) / "manifest.json"
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"no patterns in {folder} ({error.strerror}): make them with `deepfsi dmd export`"
-        ) from None
+    content = read_regular(path, LARGEST_MANIFEST, "make patterns with `deepfsi dmd export`")
     with as_input_error(str(path), "export the patterns again"):
         manifest = sequence.Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):
@@ -262,9 +260,7 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
     if manifest.format == "planes":
         planes.check_tables(folder, manifest)
     for name, digest in companions(manifest).items():
-        with planes.reading(str(folder / name)):
-            found = hash_file(folder / name)
-        if found != digest:
+        if hash_file(folder / name) != digest:
             raise InputError(
                 f"{folder / name} is not the one that was exported: export the patterns again"
             )

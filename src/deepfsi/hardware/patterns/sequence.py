@@ -29,7 +29,7 @@ from deepfsi.frozen import Frozen
 from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.laws import Light, Readout
+from deepfsi.laws import Light, Readout, SummedReflectance
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -190,7 +190,7 @@ class Manifest(Frozen):
     # (`column`): each exposure then gives this share of its counts
     dimmed: float = Field(gt=0, le=1)
     # s, the training scenes' mean summed reflectance
-    summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
+    summed_reflectance: SummedReflectance
     brightness: Brightness | None = None  # By how much scenes differ from it, where that is known
     # Which see which cells; None where one sees all that an arm sends
     detectors: Detectors | None = None
@@ -225,6 +225,11 @@ class Manifest(Frozen):
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
             raise ValueError("the first look has a dwell for other frames than the masks'")
+        if len(self.frames) * self.detector_count > MOST_FRAMES:
+            raise ValueError(
+                f"{len(self.frames)} frames of {self.detector_count} detectors are given, and at "
+                f"most {MOST_FRAMES} together are allowed"
+            )
         cells = self.detectors and self.detectors.cells
         if cells and len(cells) != math.prod(self.image_shape):
             raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")

@@ -25,7 +25,7 @@ from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.hardware.recording.readouts import by_readout
 from deepfsi.hardware.recording.tails import excess_chance
-from deepfsi.laboratory.live.loop import Loop, judge
+from deepfsi.laboratory.live.loop import Loop
 
 ON, OFF = 0, 1
 """Places of the all-ON and the all-OFF frame among the frames of a manifest."""
@@ -101,7 +101,8 @@ class Observer:
             dwell += gates / self._exposure_ns
             light_ns += int(shown.gate_ns.sum())
             inputs = self.loop.inputs(features, dwell)
-            chances, enough = judge(self.loop.classify(inputs), look, self._settings.rule)
+            chances, rule = self.loop.classify(inputs, photons), self._settings.rule
+            enough = rule is not None and rule.stops(float(chances.max()), photons)
             final = enough or look == header.looks - 1
             yield Decision(scene, look, chances, float(photons), light_ns * 1e-9, final)
             if final:

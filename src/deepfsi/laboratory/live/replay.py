@@ -26,6 +26,7 @@ from deepfsi.laboratory.live.loop import Loop
 from deepfsi.laboratory.live.shown import ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
+from deepfsi.tables.array_files import read_npz
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 """Files of the recording and its counts."""
@@ -95,12 +96,10 @@ def read_live_counts(folder: Path) -> LiveCounts:
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
     acquisition, patterns = read_acquisition(folder)
+    held = read_npz(path, again)
     try:
-        with np.load(path, allow_pickle=False) as held:
-            counts, about = held["counts"], json.loads(held["about"].tobytes())
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: make it with `deepfsi camera count`") from None
-    except Exception:
+        counts, about = held["counts"], json.loads(held["about"].tobytes())
+    except (KeyError, ValueError, RecursionError):
         raise InputError(f"{path} is not a whole file of counts: {again}") from None
     frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
     wanted = frames, len(acquisition.inputs)
