@@ -9,12 +9,11 @@ from deepfsi.hardware.recording.faults import Fault
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
 
-TOO_DIM = 10.0
-"""Lowest budget of a training over that below which a scene gets no class."""
-
 
 def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:
     """Scenes whose budgets (S,) are far below those that a design was trained for."""
+    from deepfsi.design.confidence import TOO_DIM  # it needs torch
+
     trained = design.info.get("job", {}).get("photons")
     if trained is None:
         return []
