@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
-from deepfsi.design.calibration import find_distribution, sample_scenes
+from deepfsi.design.calibration import sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
@@ -296,7 +296,11 @@ class Design:
         rows = sample_scenes(len(scenes), prod(self.counts_shape))
         with torch.no_grad():
             rates = self.rates(self.scanner(), scenes[rows])
-        found = find_distribution(rates, labels[rows].cpu().numpy(), len(self.classes))
+            lit = scenes[rows].sum(dim=-1) / self.summed_reflectance
+            several = labels[rows].cpu().numpy(), len(self.classes)
+            found = self.exposure.distribution(
+                rates, lit, *several, self.detection.features, self.mean, self.std
+            )
         return replace(self, distribution=found)
 
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
@@ -314,9 +318,16 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if the design has no `distribution`: one of patches, of several
-            looks, of less than 100 training scenes or 50 of a class, or not learned here.
+            As for `classify`, or if the design has no `distribution`: one of patches, of less than
+            100 training scenes or 50 of a class, or not learned here; or if it is of several looks,
+            which are tested with their all-ON frames in a live run.
         """
+        if self.exposure.chooses:
+            raise InputError(
+                "this design chooses dwells while the exposure runs, and its counts are tested "
+                "with the all-ON frames of their scene: run it with `deepfsi camera live`, or "
+                "`deepfsi.classify_run` of a live run"
+            )
         if self.distribution is None:
             raise InputError(
                 "this design holds no distribution of its training scenes' readouts: counts are "
@@ -427,7 +438,10 @@ class Design:
         weights: dict[str, dict[str, Tensor]] = {
             "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
             "exposure": network.state_dict() if network is not None else {},
-            "distribution": self.distribution.tensors if self.distribution else {},
+            "distribution": {
+                name: torch.from_numpy(np.asarray(held))
+                for name, held in (self.distribution.arrays if self.distribution else {}).items()
+            },
         }
         header = artifact_file.Header(
             exposure=self.exposure.header(),

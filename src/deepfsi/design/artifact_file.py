@@ -227,9 +227,9 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         )
     words = {name: getattr(header, name) for name in WORDS}
     known = _weights(tensors, "distribution.")
-    distribution = (
-        ReadoutDistribution.restored(known, rails.count, masks * detection.count) if known else None
-    )
+    shape = exposure.compared(rails.count, masks * detection.count)
+    arrays = {name: held.numpy() for name, held in known.items()}
+    distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
     parts = {
         "rails": rails,
         "exposure": exposure,

@@ -234,9 +234,10 @@ def _designs(
             design.shares = _shares(design, training_set, each)
     if not exposures[0].comparable:
         return designs
+    # Those of fixed dwells depend on the masks alone, which designs may share
+    apart = designs if exposures[0].chooses else designs[: len(rails)]
     known = [
-        each.calibrated(training_set.full, training_set.labels).distribution
-        for each in designs[: len(rails)]
+        each.calibrated(training_set.full, training_set.labels).distribution for each in apart
     ]
     return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
 
