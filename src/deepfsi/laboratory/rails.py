@@ -70,9 +70,11 @@ def loop_of(design: Design) -> Loop:
         largest_score=LARGEST_SCORE,
         shortest=exposure.shortest,
         rule=None if rule is None else StopRule.model_validate(rule),
+        photons=design.info.get("job", {}).get("photons"),
     )
     mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
-    return Loop(header, mean, std, _layers(classifier), _layers(exposure.network))
+    networks = _layers(classifier), _layers(exposure.network)
+    return Loop(header, mean, std, *networks, design.distribution)
 
 
 def _layers(network: Mlp) -> tuple[Layer, ...]:
