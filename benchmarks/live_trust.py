@@ -4,9 +4,9 @@
     python benchmarks/live_trust.py --runs 100     # sound runs of 20 scenes too, an hour
 
 A design of 3 looks is learned on digits, and the same test scenes are shown to the virtual camera
-in each case. Of each: the accuracy of the scenes that got a class, the share that got none, and the share of all
-scenes that got a wrong class with a confidence above 0.9. Every run is replayed from its file, and
-the replay must come to the same.
+in each case. Of each: the accuracy of the scenes that got a class, the share that got none, and the
+share of all scenes that got a wrong class with a confidence above 0.9. Every run is replayed from
+its file, and the replay must come to the same.
 """
 
 import argparse
@@ -100,7 +100,9 @@ def lamp_of(case: Case, scenes: int) -> np.ndarray:
     return np.concatenate([np.full(half, before), np.linspace(first, last, scenes - half)])
 
 
-def run(patterns: Path, data: Dataset, case: Case, places: np.ndarray, seed: int) -> list[LiveScene]:
+def run(
+    patterns: Path, data: Dataset, case: Case, places: np.ndarray, seed: int
+) -> list[LiveScene]:
     """Answers for scenes, of a run and of its replay, which are the same."""
     x = data.x_test[places].reshape(-1, *data.image_shape)
     camera = VirtualCamera(**case.camera)

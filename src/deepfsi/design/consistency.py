@@ -182,9 +182,7 @@ class ReadoutDistribution:
         budget = np.broadcast_to(np.asarray(photons, dtype=float), lead).reshape(-1)
         often = np.broadcast_to(np.asarray(weights, dtype=float), read.shape)
         lit = (self.mean > 0).ravel()
-        read, dark, often = (
-            each.reshape(len(budget), -1)[:, lit] for each in (read, dark, often)
-        )
+        read, dark, often = (each.reshape(len(budget), -1)[:, lit] for each in (read, dark, often))
         chances, careful = self._chances(model, read, budget, dark, often)
         one, sums, rest = (each.sum(axis=0)[None] for each in (read, budget, dark))
         _, together = self._chances(model, one, sums, rest, (budget @ often / sums)[None])

@@ -236,9 +236,7 @@ def _designs(
         return designs
     # Those of fixed dwells depend on the masks alone, which designs may share
     apart = designs if exposures[0].chooses else designs[: len(rails)]
-    known = [
-        each.calibrated(training_set.full, training_set.labels).distribution for each in apart
-    ]
+    known = [each.calibrated(training_set.full, training_set.labels).distribution for each in apart]
     return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
 
 

@@ -230,9 +230,7 @@ def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patter
     acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 2 * LOOKS
-    gates = [
-        max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:-1]
-    ]
+    gates = [max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:-1]]
     assert max(gates) > 0.2e9
 
 

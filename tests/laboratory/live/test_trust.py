@@ -66,7 +66,7 @@ class Wavering(VirtualSetup):
         self._rates = lit
 
 
-def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):  # noqa: B008
+def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):
     """Answers of a run; its replay must come to the same."""
     x, named = scenes_of(digits, scenes)
     rates = arrival_rates(patterns, x, lab.camera, FLUX)

@@ -85,9 +85,7 @@ class GateCounter:
         return self.take()
 
 
-def cut_gates(
-    starts: np.ndarray, stops: np.ndarray, parts: int
-) -> tuple[np.ndarray, np.ndarray]:
+def cut_gates(starts: np.ndarray, stops: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """Starts and stops (gates · parts,) of the equal parts of gates, whole ticks."""
     # starts, stops (gates,)
     edges = starts[:, None] + (stops - starts)[:, None] * np.arange(parts + 1) // parts

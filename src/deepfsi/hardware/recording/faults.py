@@ -38,9 +38,9 @@ class Fault(Frozen):
     # changed within the pass. `brighter`: a mask sends more than all mirrors ON. `flicker`: it has
     # a rhythm, in all passes. `level`: it is of another brightness from this scene on.
     # `background`: so are the dark frames. `blind`: one of several detectors saw almost none in all
-    # scenes together. Of a scene of a live run. `budget`: it is not the stated one, or too small for
-    # the design. `unsure`: its counts do not look like the training's. `unlike`: nor do those of
-    # several scenes before
+    # scenes together. Of a scene of a live run. `budget`: it is not the stated one, or too small
+    # for the design. `unsure`: its counts do not look like the training's. `unlike`: nor do those
+    # of several scenes before
     kind: Literal[
         "missing", "extra", "late", "lost",
         "dark", "unsteady", "brighter", "flicker", "level", "background", "blind",

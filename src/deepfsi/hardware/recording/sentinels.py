@@ -248,9 +248,7 @@ def _find_brighter(curve: LightCurve, chance: float) -> np.ndarray:
     return out
 
 
-def find_rhythm(
-    curve: LightCurve, periodogram: Periodogram, chance: float
-) -> tuple[Fault, ...]:
+def find_rhythm(curve: LightCurve, periodogram: Periodogram, chance: float) -> tuple[Fault, ...]:
     """Fault of the whole recording if its light has a rhythm, or varies fast in another way."""
     # The periodogram is of all frames, and the curve needs no more than the all-ON ones
     found = periodogram.strongest(chance)
@@ -310,9 +308,7 @@ def _name_brighter(curve: LightCurve, place: int, which: np.ndarray) -> Fault:
     return Fault(kind="brighter", scene=int(curve.scenes[place]), frame=frame, detail=detail)
 
 
-def _name_unsteady(
-    curve: LightCurve, place: int, drift: np.ndarray, restless: np.ndarray
-) -> Fault:
+def _name_unsteady(curve: LightCurve, place: int, drift: np.ndarray, restless: np.ndarray) -> Fault:
     scene = int(curve.scenes[place])
     if restless.any():
         off = curve.photons[place] - curve.photons[place].mean(axis=1, keepdims=True)

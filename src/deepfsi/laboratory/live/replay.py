@@ -76,7 +76,9 @@ def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     )
     about = json.dumps({name: hash_file(folder / name) for name in COUNTED}).encode()
     file = io.BytesIO()
-    np.savez(file, counts=found.parts, starts_s=found.starts_s, about=np.frombuffer(about, np.uint8))
+    np.savez(
+        file, counts=found.parts, starts_s=found.starts_s, about=np.frombuffer(about, np.uint8)
+    )
     write_atomically(folder / COUNTS, file.getvalue())
     return LiveCounts(acquisition, manifest, scenes, found)
 

@@ -112,6 +112,6 @@ class Trust:
         if self._live.dead_time.seconds or rate * USUAL_DEAD_S < SATURATED:
             return ""
         return (
-            f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns is "
-            f"blind for {rate * USUAL_DEAD_S:.0%} of the time: give `dead_time`, or dim the light"
+            f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns "
+            f"is blind {rate * USUAL_DEAD_S:.0%} of the time: give `dead_time`, or dim the light"
         )
