@@ -80,7 +80,7 @@ def test_in_json(done, lab, tmp_path):
     live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
     assert read_acquisition(tmp_path / "run")[0].live.dead_time.seconds == 20e-9
     counted = json.loads(done("camera", "count", tmp_path / "run", "--json"))
-    assert [len(each) - 1 for each in counted["counts"]] == [each["looks"] for each in live]
+    assert [len(each) - 2 for each in counted["counts"]] == [each["looks"] for each in live]
     words = ["camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json"]
     for each, again in zip(live, json.loads(done(*words))["scenes"], strict=True):
         assert again.pop("agrees")

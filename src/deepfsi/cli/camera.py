@@ -257,12 +257,12 @@ def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> Non
     summary = {
         "scenes": len(counts.scenes),
         "looks": sum(each.looks for each in counts.scenes),
-        "frames": len(counts.counts),
-        "photons_counted": int(counts.counts.sum()),
+        "frames": len(counts.found.starts_s),
+        "photons_counted": int(counts.found.parts.sum()),
     }
     if as_json:
         rows = [
-            [{"look": part.look, "frames": part.frames, "counts": found.tolist()}
+            [{"look": part.look, "frames": part.frames, "counts": found.counts.tolist()}
              for part, found in zip(scene.lists, lists, strict=True)]
             for scene, lists in counts.by_scene
         ]  # fmt: skip

@@ -310,9 +310,16 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if the design has no `distribution`: one of patches, of several
-            looks, of less than 100 training scenes or 50 of a class, or not learned here.
+            As for `classify`, or if the design has no `distribution`: one of patches, of less than
+            100 training scenes or 50 of a class, or not learned here; or if it is of several looks,
+            which are tested with their all-ON frames in a live run.
         """
+        if self.exposure.chooses:
+            raise InputError(
+                "this design chooses dwells while the exposure runs, and its counts are tested "
+                "with the all-ON frames of their scene: run it with `deepfsi camera live`, or "
+                "`deepfsi.classify_run` of a live run"
+            )
         if self.distribution is None:
             raise InputError(
                 "this design holds no distribution of its training scenes' readouts: counts are "

@@ -232,9 +232,9 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         )
     words = {name: getattr(header, name) for name in WORDS}
     known = _weights(tensors, "distribution.")
-    distribution = (
-        ReadoutDistribution.restored(known, rails.count, masks * detection.count) if known else None
-    )
+    shape = exposure.compared(rails.count, masks * detection.count)
+    arrays = {name: each.numpy() for name, each in known.items()}
+    distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
     held = _weights(tensors, "temperatures.")
     parts = {
         "rails": rails,

@@ -80,11 +80,13 @@ def loop_of(design: Design) -> Loop:
         largest_score=LARGEST_SCORE,
         shortest=exposure.shortest,
         rule=rule,
+        photons=design.info.get("job", {}).get("photons"),
     )
     mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
     known = design.temperatures
     calibration = None if known is None else (known.logs, known.budgets)
-    return Loop(header, mean, std, _layers(classifier), _layers(exposure.network), calibration)
+    networks = _layers(classifier), _layers(exposure.network)
+    return Loop(header, mean, std, *networks, calibration, design.distribution)
 
 
 def _layers(network: Mlp) -> tuple[Layer, ...]:

@@ -247,10 +247,9 @@ def _designs(
             design.shares = _shares(design, training_set.full, each.photons, each.seed)
     if not exposures[0].comparable:
         return designs
-    known = [
-        distribution_of(each, training_set.full, training_set.labels)
-        for each in designs[: len(rails)]
-    ]
+    # Those of fixed dwells depend on the masks alone, which designs may share
+    apart = designs if exposures[0].chooses else designs[: len(rails)]
+    known = [distribution_of(each, training_set.full, training_set.labels) for each in apart]
     return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
 
 

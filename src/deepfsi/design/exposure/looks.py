@@ -20,7 +20,9 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
+from deepfsi.design.calibration import find_distribution
 from deepfsi.design.classifiers import Mlp, restored
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
@@ -77,6 +79,9 @@ class Dwells:
         return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
+ON_WEIGHT = 0.2
+"""Time of the all-ON frames of a scene over the exposure, where their readouts are calibrated."""
+
 LARGEST_SCORE = 4.0
 """Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
 
@@ -97,7 +102,6 @@ class LooksExposure(TrainedExposure):
     shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
     kind = "adaptive"
     chooses: ClassVar[bool] = True
-    comparable: ClassVar[bool] = False
 
     def header(self) -> "LooksShape":
         """Entry of the design file's header, of which `restored` makes the kind again."""
@@ -177,6 +181,44 @@ class LooksExposure(TrainedExposure):
             features, total = features + counts, total + shown
             seen = Observation(features, total)
             yield seen
+
+    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
+        """Readouts that counts are compared in: those of all rails and of all mirrors ON."""
+        return (1, rails * readouts + 1), self.looks
+
+    def distribution(
+        self,
+        rates: Tensor,
+        lit: Tensor,
+        labels: np.ndarray,
+        classes: int,
+        features: Callable[[Tensor], Tensor],
+        mean: Tensor,
+        std: Tensor,
+    ) -> ReadoutDistribution | None:
+        """Distribution of readouts and all-ON frames; parameters as for the base class."""
+
+        def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+            every, ones = torch.zeros_like(rates), torch.ones_like(rates)
+            bright = lit.double().cpu().numpy()[:, None]
+            on = rng.poisson(ON_WEIGHT * photons * bright), np.full(bright.shape, ON_WEIGHT)
+
+            def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+                expected = (self.dwells.scaled(rates, dwell) * photons).double().cpu().numpy()
+                counts = torch.from_numpy(rng.poisson(expected)).to(rates)
+                every.add_(counts)
+                return features(counts) / photons, dwell
+
+            out = []
+            for seen in self.expose_live(show, mean.expand(len(rates), -1), std):
+                assert seen.dwell is not None
+                held = every, self.dwells.scaled(ones, seen.dwell)
+                pair = (part.double().flatten(1).cpu().numpy() for part in held)
+                out.append(tuple(np.hstack(each) for each in zip(pair, on, strict=True)))
+            return out  # type: ignore[return-value]
+
+        whole = torch.cat([rates.flatten(1), lit[:, None]], dim=1)[:, None]
+        return find_distribution(whole, labels, classes, expose=expose)
 
     @property
     def dwell_words(self) -> str:

@@ -15,7 +15,9 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
+from deepfsi.design.calibration import find_distribution
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
@@ -146,6 +148,25 @@ class TrainedExposure:
             "the dwells of this design are fixed: show all masks and use `classify`, or learn "
             "a design with `looks`"
         )
+
+    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
+        """Readouts (rails, m) that counts are compared in, and looks; 0 of fixed dwells."""
+        return (rails, readouts), 0
+
+    def distribution(
+        self,
+        rates: Tensor,
+        lit: Tensor,
+        labels: np.ndarray,
+        classes: int,
+        features: Callable[[Tensor], Tensor],
+        mean: Tensor,
+        std: Tensor,
+    ) -> ReadoutDistribution | None:
+        """Distribution of the readouts of scenes, None if there are too few of a class."""
+        # rates (n, rails, m · D) as from `Design.rates`; lit (n,), the scenes' light for a budget
+        # of one photon; features, from counts of rails; mean, std (k,)
+        return find_distribution(rates, labels, classes)
 
     def fewest_masks(self, masks: int) -> int:
         """Smallest number of first masks, of m, that can be classified alone."""

@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 from deepfsi.errors import InputError
 from deepfsi.files import read_regular
 from deepfsi.frozen import Frozen
+from deepfsi.hardware.recording.faults import Fault
 from deepfsi.laboratory.live.decisions import FrameList
 
 NAME = "shown.jsonl"
@@ -24,7 +25,7 @@ LARGEST_FILE = 2**31
 class ShownList(Frozen):
     """A list of frames as it was shown."""
 
-    look: int = Field(ge=-1, le=63)  # From 0; -1 for the frames that begin a scene
+    look: int = Field(ge=-1, le=63)  # From 0; -1 for those that begin and end a scene
     frames: tuple[int, ...]  # Places among the frames of the manifest
     gate_ns: tuple[int, ...]  # For how long each was counted
     # Markers that each gave, and at the end those of the all-OFF frame that was shown while the
@@ -55,6 +56,7 @@ class ShownScene(Frozen):
     first_marker: int = Field(ge=0)  # Markers before those of this scene
     lists: tuple[ShownList, ...]  # In their order
     chances: tuple[float, ...]  # Probabilities of the classes; none if there was no light
+    faults: tuple[Fault, ...] = ()  # Of the scene
     light_s: float = Field(ge=0)  # Exposure used, seconds
     clock_s: float = Field(ge=0)  # From the scene's first command to its decision, seconds
 
