@@ -310,21 +310,12 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if the design has no `distribution`: one of patches, of less than
-            100 training scenes or 50 of a class, or not learned here; or if it is of several looks,
-            which are tested with their all-ON frames in a live run.
+            As for `classify`, or if it is of several looks, which live runs test, or has no
+            `distribution`: one of patches, less than 100 training scenes or 50 of a class.
         """
-        if self.exposure.chooses:
-            raise InputError(
-                "this design chooses dwells while the exposure runs, and its counts are tested "
-                "with the all-ON frames of their scene: run it with `deepfsi camera live`, or "
-                "`deepfsi.classify_run` of a live run"
-            )
+        self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError(
-                "this design holds no distribution of its training scenes' readouts: counts are "
-                "tested for designs of fixed dwells, learned from 100 scenes or more, 50 a class"
-            )
+            raise InputError("this design holds no distribution: it takes 100 scenes, 50 a class")
         read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
@@ -441,8 +432,8 @@ class Design:
             readout=self.detection.readout,
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
-        statistics = {name: getattr(self, name) for name in artifact_file.STATISTICS}
-        tensors = {"rails": self.rails.stacked, **statistics}
+        tensors = {name: getattr(self, name) for name in artifact_file.STATISTICS}
+        tensors["rails"] = self.rails.stacked
         if self.detection.labels is not None:
             tensors["detectors"] = self.detection.labels
         return artifact_file.pack(header, tensors, weights)

@@ -2,12 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from deepfsi.design.consistency import CHANCES, COUNTS, ReadoutDistribution
 from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+
+if TYPE_CHECKING:  # a design holds a distribution
+    from deepfsi.design.artifact import Design
 
 FEWEST_SCENES = 100
 """Scenes from which on a tail is calibrated."""

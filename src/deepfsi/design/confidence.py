@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 from torch import Tensor
 
+from deepfsi.optics.budget import TOO_DIM
 from deepfsi.optics.scanner import Scanner
 
 if TYPE_CHECKING:  # a design holds temperatures
@@ -25,9 +26,6 @@ if TYPE_CHECKING:  # a design holds temperatures
 
 REACH = 100.0
 """Highest budget of a calibration over the highest of the training; lowest over lowest inverse."""
-
-TOO_DIM = 10.0
-"""Lowest budget of a training over that below which a design has too little light."""
 
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""

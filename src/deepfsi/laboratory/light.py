@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepfsi.hardware.recording.faults import Fault
+from deepfsi.optics.budget import TOO_DIM
 
 if TYPE_CHECKING:
     from deepfsi.design.artifact import Design
@@ -12,8 +13,6 @@ if TYPE_CHECKING:
 
 def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:
     """Scenes whose budgets (S,) are far below those that a design was trained for."""
-    from deepfsi.design.confidence import TOO_DIM  # it needs torch
-
     trained = design.info.get("job", {}).get("photons")
     if trained is None:
         return []

@@ -23,6 +23,9 @@ Array = TypeVar("Array")
 BUDGETS = (1e-12, 1e15)
 """Smallest and largest photon budget; beyond the second float32 would overflow in squares."""
 
+TOO_DIM = 10.0
+"""Lowest budget of a training over that below which a design has too little light."""
+
 
 def check_budget(photons: float) -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""

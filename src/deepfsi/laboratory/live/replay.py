@@ -116,8 +116,8 @@ def read_live_counts(folder: Path) -> LiveCounts:
     frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
     wanted = frames, PARTS, len(acquisition.inputs)
     hashes = {name: hash_file(folder / name) for name in COUNTED}
-    kinds = counts.dtype, starts.shape, starts.dtype
-    whole = counts.shape == wanted and kinds == (np.int64, (frames,), np.float64)
+    whole = counts.shape == wanted and counts.dtype == np.int64
+    whole &= starts.shape == (frames,) and starts.dtype == np.float64
     if not whole or about != hashes:
         raise InputError(f"{path} is of other files than those beside it: {again}")
     return LiveCounts(acquisition, patterns.manifest, scenes, FrameCounts(starts, counts))
