@@ -197,8 +197,8 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     own = header.classifier.kind == "own"
     ours = [key for key in tensors if not (own and key.startswith("classifier."))]
     for key in ours:
-        others = key == "detectors" or key.startswith("distribution.")
-        if tensors[key].dtype != torch.float32 and not others:
+        computed = key in ("rails", *STATISTICS) or key.startswith(("classifier.", "exposure."))
+        if computed and tensors[key].dtype != torch.float32:
             raise ValueError(f"{key} holds numbers of another type")
         if not bool(torch.isfinite(tensors[key]).all()):
             raise ValueError("tensors are not finite")

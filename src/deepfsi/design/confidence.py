@@ -33,6 +33,9 @@ CALIBRATED_STOPS = 8
 BOUNDS = (-3.0, 15.0)
 """Least and largest log τ."""
 
+SLACK = 1e-6
+"""What rounding may add to them."""
+
 CHUNK = 1024
 """Scenes that are exposed at once."""
 
@@ -53,6 +56,8 @@ class Temperatures:
         logs, budgets = (tensors[name].double().numpy() for name in ("logs", "budgets"))
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or budgets.min() <= 0:
             raise ValueError("temperatures are not of this design")
+        if logs.min() < BOUNDS[0] - SLACK or logs.max() > BOUNDS[1] + SLACK:
+            raise ValueError("temperatures are beyond all that are fitted")
         ratios = np.diff(np.log(budgets))
         if ratios.min() <= 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
             raise ValueError("budgets of temperatures do not rise in equal ratios")
