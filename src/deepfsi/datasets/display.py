@@ -45,7 +45,7 @@ def read_display(path: str | os.PathLike[str], white: float | None = None) -> Di
         labels = tuple(picture.label for picture in pictures)
     folder = source.parent if source.is_file() else source
     names = tuple(Path(picture.where).relative_to(folder).as_posix() for picture in pictures)
-    pixels, tally = read_all(pictures, None, False)
+    pixels, tally, _ = read_all(pictures, None)
     levels = tally.levels(white)
     said = f"{tally.words}; {levels.words}"
     return Display(names, labels, reflectance(pixels, levels), levels, said)

@@ -20,7 +20,7 @@ from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedE
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import write_atomically
+from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
@@ -413,7 +413,8 @@ class Design:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one safetensors file, all or nothing."""
+        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
+        check_ending(path, DESIGNS)
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:

@@ -18,7 +18,7 @@ from typing import Any
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
-from deepfsi.files import remove_drafts, write_atomically
+from deepfsi.files import check_ending, remove_drafts, write_atomically
 from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
@@ -127,8 +127,7 @@ def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write records as one table, to a path that ends in .csv or .parquet, else `InputError`."""
     import polars
 
-    if path.suffix.lower() not in (".csv", ".parquet"):
-        raise InputError(f"no table can be written to {path}: end the name in .csv or .parquet")
+    check_ending(path, (".csv", ".parquet"))
     table, whole = polars.DataFrame(rows(records), infer_schema_length=None), io.BytesIO()
     if path.suffix.lower() == ".csv":
         table.write_csv(whole)
