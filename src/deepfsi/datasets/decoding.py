@@ -24,6 +24,9 @@ GREY_MODES = ("1", "L", "LA", "I", "F")
 PHOTOMETRIC_TAG = 262
 """Tag of a TIFF file that is 0 where 0 is white."""
 
+WRITTEN = "deepfsi"
+"""Word in the head of a PNG file that holds reflectance as a data set had it."""
+
 DEPTHS: dict[Family, str] = {"byte": "8 bits", "integer": "more than 8 bits", "float": "floats"}
 """For messages."""
 
@@ -37,6 +40,7 @@ class Tally:
     coloured: int = 0
     transparent: int = 0
     several: int = 0
+    written: int = 0  # by `display.write_pictures`, as reflectance
     sizes: set[Shape] = field(default_factory=set)  # heights and widths
     family: Family | None = None  # "byte", "integer" or "float"; None before the first
     first: str = ""  # name of the first, for messages
@@ -65,6 +69,7 @@ class Tally:
         self.coloured += coloured
         self.transparent += image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
         self.several += getattr(image, "n_frames", 1) > 1
+        self.written += WRITTEN in image.info
         self.sizes.add((image.height, image.width))
         self.low = min(self.low, float(values.min()))
         self.high = max(self.high, float(values.max()))

@@ -5,11 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset, Origin
+from deepfsi.datasets.display import Display, read_display
 from deepfsi.datasets.pictures import load_pictures
 from deepfsi.errors import InputError, closest
 
@@ -180,6 +183,28 @@ def _load_name(name: str, options: Options) -> Dataset:
             values="Divided by 16",
         )
     return idx.load_idx(name, rescale or DIM_BLACK)
+
+
+def prepared(pictures: Path, origin: Origin, skip_bad: bool = False) -> Display:
+    """Pictures made scenes as those of a data set of that origin were."""
+    # But for the view of a camera. Pictures that `write_pictures` wrote are mapped already
+    bilinear = origin.data in CIFAR
+    shape = origin.size or ((cifar.SIDE, cifar.SIDE) if bilinear else None)
+    shown = read_display(pictures, origin.white, shape, bilinear, skip_bad)
+    x, said = shown.x, shown.preprocessing
+    if origin.data in idx.ORIGINALS and x.shape[1:] == idx.UNFRAMED:
+        x, said = np.pad(x, idx.FRAME), f"{said}, padded as {origin.data}"
+    ends = origin.rescale or (DIM_BLACK if origin.data in DIM else (0, 1))
+    if ends == (0, 1) or shown.written == len(x):
+        return shown._replace(x=x, preprocessing=said)
+    if shown.written:
+        raise InputError(
+            f"{shown.written} of {len(x)} pictures at {pictures} are reflectance that `deepfsi "
+            "data export` wrote, and the others are not: give them apart"
+        )
+    low, high = ends
+    said = f"{said}, then mapped from [0, 1] to [{low:g}, {high:g}]"
+    return shown._replace(x=low + (high - low) * x, preprocessing=said)
 
 
 def _load_path(path: Path, options: Options) -> Dataset:

@@ -79,8 +79,7 @@ def from_listings(
     labels = np.array([wanted[place].label for place in kept_places])
     x, n = reflectance(pixels, levels), sum(place < len(train) for place in kept_places)
     drawn = "" if images is None else f"{images} training images drawn by class; "
-    how = "resized bilinearly" if bilinear else "averaged"
-    sized = f", {how} to {shape[0]}x{shape[1]} pixels" if shape else ""
+    sized = sized_text(shape, bilinear)
     data = split_arrays(
         (x[:n], labels[:n]),
         (x[n:], labels[n:]) if test else (None, None),
@@ -90,6 +89,12 @@ def from_listings(
         values=f"{drawn}{tally.words}{sized}; {levels.words}",
     )
     return replace(data, white=levels.white if levels.chosen else None)
+
+
+def sized_text(shape: Shape | None, bilinear: bool) -> str:
+    """Say to what size images were brought, as the end of a phrase."""
+    how = "resized bilinearly" if bilinear else "averaged"
+    return f", {how} to {shape[0]}x{shape[1]} pixels" if shape else ""
 
 
 def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:

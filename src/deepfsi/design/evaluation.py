@@ -14,6 +14,7 @@ from deepfsi.errors import InputError
 from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
+from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
 
@@ -141,10 +142,7 @@ def evaluate(
     scenes = as_dataset(data)
     check_data(design, scenes)
     check_draws(draws, seed)
-    tested = camera_for(design, camera, **settings)
-    dark = tested.dark_counts if tested.noise_name == "camera" else 0.0
-    scanner = design.scanner(tested.noise, tested.sigma, dark)
-    design.exposure.check_noise(scanner.noise)
+    scanner = scanner_for(design, camera_for(design, camera, **settings))
 
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
@@ -171,6 +169,14 @@ def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> 
             "not run: give `noise`, it or another"
         )
     return Camera.load(found, **settings)
+
+
+def scanner_for(design: Design, camera: Camera) -> Scanner:
+    """A design's front end with the noise, the dark counts and the read noise of a camera."""
+    dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
+    scanner = design.scanner(camera.noise, camera.sigma, dark)
+    design.exposure.check_noise(scanner.noise)
+    return scanner
 
 
 Guess = Callable[[torch.Generator, float], tuple[Tensor, float]]
