@@ -251,6 +251,8 @@ def _print_results(
     ]
     heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
+    for result in sorted(results, key=lambda r: r.photons):
+        _print_confusion(result, made.classes)
     if bounds:
         common.print_table(
             "ideal observer of these counts, training scenes as prior",
@@ -263,6 +265,26 @@ def _print_results(
     print(f"± half of the 95 % interval: {results[0].covers}")
     print("counts: photons that detectors count, in the mean over test scenes")
     print("counted: share of the budget that they count, in the mean over training scenes")
+
+
+def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
+    """Print which classes are taken for which; of many, the most frequent mistakes."""
+    from deepfsi.statistics.confusion import MOST_CLASSES, frequent, shares
+
+    where = f"at {common.budget(result.photons)} photons, % of the true class"
+    if len(classes) > MOST_CLASSES:
+        rows = [
+            (classes[i], classes[j], f"{100 * x:.1f}") for i, j, x in frequent(result.confusion)
+        ]
+        common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), rows)
+        return
+    found = shares(result.confusion)
+    rows = [
+        (common.short(name), *(f"{100 * x:.0f}" if x else "" for x in row))
+        for name, row in zip(classes, found, strict=True)
+    ]
+    heads = ("true \\ answered", *(common.short(name, 5) for name in classes))
+    common.print_table(f"answers {where}", heads, rows)
 
 
 def _print_stopped(found: "Stopped", size: str) -> None:

@@ -15,6 +15,7 @@ from deepfsi.design import artifact_file
 from deepfsi.design.calibration import find_distribution, sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
+from deepfsi.design.display import design_html, design_text
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
@@ -91,14 +92,10 @@ class Design:
     distribution: ReadoutDistribution | None = None
 
     def __repr__(self) -> str:
-        budget = self.info.get("job", {}).get("photons")
-        trained = f", learned at {budget:g} photons" if budget else ""
-        shape = "x".join(map(str, self.mask_shape))
-        network = getattr(self.classifier, "title", type(self.classifier).__name__)
-        return (
-            f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, "
-            f"{self.rails.kind} rails, {network}, {len(self.classes)} classes{trained}>"
-        )
+        return design_text(self)
+
+    def _repr_html_(self) -> str:
+        return design_html(self)
 
     @property
     def matrix(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from typing import Any, get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
+from deepfsi.inline import accuracy_curve, confusion_table
 from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
@@ -83,6 +85,14 @@ class Result:
     throughput: float
     photons_per_mask: list[float]
 
+    def _repr_html_(self) -> str:
+        classes = [str(place) for place in range(len(self.confusion))]
+        return (
+            f"<p>accuracy {self.accuracy:.3f} ({self.low:.3f} to {self.high:.3f}) at "
+            f"{self.photons:.3g} photons, {escape(self.noise)} noise</p>"
+            f"{confusion_table(self.confusion, classes)}"
+        )
+
     @property
     def worst(self) -> int:
         """Place of the class with the lowest accuracy."""
@@ -91,6 +101,14 @@ class Result:
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return asdict(self)
+
+
+class ResultList(list[Result]):
+    """Results at several budgets, which a notebook shows as a curve."""
+
+    def _repr_html_(self) -> str:
+        points = [(each.photons, each.accuracy, each.low, each.high) for each in self]
+        return accuracy_curve(points) if points else ""
 
 
 def evaluate(
@@ -209,10 +227,10 @@ def test_scenes(
                     counts[place] += counted
             report(done / len(chunks))
     means = (counts / (draws * len(data.x_test))).tolist()
-    return [
+    return ResultList(
         _result(budget, noise, confusion, mean, draws, shares.tolist())
         for budget, confusion, mean in zip(budgets, confusions, means, strict=True)
-    ]
+    )
 
 
 def check_data(design: Design, data: Dataset) -> None:
