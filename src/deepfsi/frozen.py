@@ -1,10 +1,15 @@
 """Base of the models of settings and of what files hold."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.errors import as_input_error
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
 
 
 class Frozen(BaseModel):
@@ -13,7 +18,7 @@ class Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class _InOneLine(type(BaseModel)):  # type: ignore[misc]
+class _InOneLine(ModelMetaclass):
     """Makes models, or raises `InputError`: pydantic's own error has several lines."""
 
     def __call__(cls, *args: Any, **fields: Any) -> Any:

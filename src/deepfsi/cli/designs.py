@@ -273,10 +273,10 @@ def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
 
     where = f"at {common.budget(result.photons)} photons, % of the true class"
     if len(classes) > MOST_CLASSES:
-        rows = [
+        told = [
             (classes[i], classes[j], f"{100 * x:.1f}") for i, j, x in frequent(result.confusion)
         ]
-        common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), rows)
+        common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), told)
         return
     found = shares(result.confusion)
     rows = [

@@ -302,9 +302,10 @@ def read_all(
 
     if shape is not None:
         _check_total(len(pictures), shape)
-    tally, kept = Tally(), []
+    tally = Tally()
+    kept: list[int] = []
     bad: list[tuple[str, str]] = []
-    grey = np.empty(0)
+    grey: npt.NDArray[Any] = np.empty(0)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         for place, picture in enumerate(pictures):

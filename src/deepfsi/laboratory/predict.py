@@ -162,6 +162,6 @@ def _scenes(design: Design, pictures: Path, skip_bad: bool) -> Display:
         )
     if memory.origin.view is None:
         return shown
-    calibration = load_calibration(memory.origin.view)
+    calibration = load_calibration(Path(memory.origin.view))
     x = camera_view(shown.x.reshape(len(shown.x), -1), design.image_shape, calibration)
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")

@@ -24,7 +24,7 @@ BUDGETS = (1e-12, 1e15)
 """Smallest and largest photon budget; beyond the second float32 would overflow in squares."""
 
 
-def check_budget(photons: float) -> float:
+def check_budget(photons: Any) -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
     if isinstance(photons, tuple | list):
         raise InputError(
