@@ -294,13 +294,10 @@ class Design:
     def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
         """The design with the distribution of readouts of scenes (n, N) of classes (n,)."""
         rows = sample_scenes(len(scenes), prod(self.counts_shape))
+        x, several = scenes[rows], (labels[rows].cpu().numpy(), len(self.classes), self.detection)
         with torch.no_grad():
-            rates = self.rates(self.scanner(), scenes[rows])
-            lit = scenes[rows].sum(dim=-1) / self.summed_reflectance
-            several = labels[rows].cpu().numpy(), len(self.classes)
-            found = self.exposure.distribution(
-                rates, lit, *several, self.detection.features, self.mean, self.std
-            )
+            rates, lit = self.rates(self.scanner(), x), x.sum(dim=-1) / self.summed_reflectance
+            found = self.exposure.distribution(rates, lit, *several, self.mean, self.std)
         return replace(self, distribution=found)
 
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
@@ -318,21 +315,12 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if the design has no `distribution`: one of patches, of less than
-            100 training scenes or 50 of a class, or not learned here; or if it is of several looks,
-            which are tested with their all-ON frames in a live run.
+            As for `classify`, or if it is of several looks, which live runs test, or has no
+            `distribution`: one of patches, less than 100 training scenes or 50 of a class.
         """
-        if self.exposure.chooses:
-            raise InputError(
-                "this design chooses dwells while the exposure runs, and its counts are tested "
-                "with the all-ON frames of their scene: run it with `deepfsi camera live`, or "
-                "`deepfsi.classify_run` of a live run"
-            )
+        self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError(
-                "this design holds no distribution of its training scenes' readouts: counts are "
-                "tested for designs of fixed dwells, learned from 100 scenes or more, 50 a class"
-            )
+            raise InputError("this design holds no distribution: it takes 100 scenes, 50 a class")
         read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
@@ -438,10 +426,7 @@ class Design:
         weights: dict[str, dict[str, Tensor]] = {
             "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
             "exposure": network.state_dict() if network is not None else {},
-            "distribution": {
-                name: torch.from_numpy(np.asarray(held))
-                for name, held in (self.distribution.arrays if self.distribution else {}).items()
-            },
+            "distribution": self.distribution.tensors if self.distribution else {},
         }
         header = artifact_file.Header(
             exposure=self.exposure.header(),
@@ -449,8 +434,8 @@ class Design:
             readout=self.detection.readout,
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
-        statistics = {name: getattr(self, name) for name in artifact_file.STATISTICS}
-        tensors = {"rails": self.rails.stacked, **statistics}
+        tensors = {name: getattr(self, name) for name in artifact_file.STATISTICS}
+        tensors["rails"] = self.rails.stacked
         if self.detection.labels is not None:
             tensors["detectors"] = self.detection.labels
         return artifact_file.pack(header, tensors, weights)

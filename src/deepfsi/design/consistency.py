@@ -14,12 +14,16 @@ would, are *alike*: then they count as one.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtrc
 
 from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+
+if TYPE_CHECKING:  # live runs do without torch
+    from torch import Tensor
 
 UNSURE = 0.01
 """Rate of false alarms of a single scene: below this p-value it is unsure."""
@@ -114,6 +118,13 @@ class ReadoutDistribution:
     # (counts, chances): The same of the likeness of two scenes, in the class whose scenes are most
     # alike; (0, chances) where dwells are chosen, and it is not tested
     pairs: np.ndarray
+
+    @property
+    def tensors(self) -> "dict[str, Tensor]":
+        """Fields by name, as a design file takes them."""
+        from torch import from_numpy
+
+        return {name: from_numpy(np.asarray(held)) for name, held in self.arrays.items()}
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:

@@ -29,6 +29,7 @@ from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.dwells import Shares, share_out
 from deepfsi.optics.masks import LearnedMasks, through
 from deepfsi.optics.rails import Rails
@@ -192,7 +193,7 @@ class LooksExposure(TrainedExposure):
         lit: Tensor,
         labels: np.ndarray,
         classes: int,
-        features: Callable[[Tensor], Tensor],
+        detection: Detection,
         mean: Tensor,
         std: Tensor,
     ) -> ReadoutDistribution | None:
@@ -207,7 +208,7 @@ class LooksExposure(TrainedExposure):
                 expected = (self.dwells.scaled(rates, dwell) * photons).double().cpu().numpy()
                 counts = torch.from_numpy(rng.poisson(expected)).to(rates)
                 every.add_(counts)
-                return features(counts) / photons, dwell
+                return detection.features(counts) / photons, dwell
 
             out = []
             for seen in self.expose_live(show, mean.expand(len(rates), -1), std):
@@ -245,6 +246,14 @@ class LooksExposure(TrainedExposure):
         """Raise `InputError` unless the noise is that of photons."""
         if faults := Looks(looks=self.looks).test_faults([noise]):
             raise InputError(faults[0])
+
+    def check_alone(self) -> None:
+        """Raise `InputError`: counts are compared together with all-ON frames."""
+        raise InputError(
+            "this design chooses dwells while the exposure runs, and its counts are tested with "
+            "the all-ON frames of their scene: run it with `deepfsi camera live`, or give "
+            "`deepfsi.classify_run` a live run"
+        )
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are not given."""

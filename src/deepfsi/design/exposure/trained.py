@@ -22,6 +22,7 @@ from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 
@@ -159,13 +160,13 @@ class TrainedExposure:
         lit: Tensor,
         labels: np.ndarray,
         classes: int,
-        features: Callable[[Tensor], Tensor],
+        detection: Detection,
         mean: Tensor,
         std: Tensor,
     ) -> ReadoutDistribution | None:
         """Distribution of the readouts of scenes, None if there are too few of a class."""
         # rates (n, rails, m · D) as from `Design.rates`; lit (n,), the scenes' light for a budget
-        # of one photon; features, from counts of rails; mean, std (k,)
+        # of one photon; mean, std (k,)
         return find_distribution(rates, labels, classes)
 
     def fewest_masks(self, masks: int) -> int:
@@ -202,6 +203,9 @@ class TrainedExposure:
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the exposure can be tested under a noise."""
+
+    def check_alone(self) -> None:
+        """Raise `InputError` if counts of masks alone are not compared with the training."""
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are given and not needed, or needed and not given."""
