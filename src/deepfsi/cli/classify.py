@@ -94,16 +94,11 @@ def camera_classify(
                 count_live(counted, report)
         found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
-        from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
         from deepfsi.hardware.recording.tables import TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
-        dead = options.dead_time(file, settings) if settings else None
-        table = TableSettings(
-            *(photons, background, settle_s, exposures, repeats, gain, read_noise),
-            dead or NO_DEAD_TIME,
-        )
-        found = classify_table(file, counted, table, force=force, trust=trust)
+        table = TableSettings(photons, background, settle_s, exposures, repeats, gain, read_noise)
+        found = classify_table(file, counted, table, camera=settings, force=force, trust=trust)
     else:
         raise InputError(
             f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu "

@@ -84,7 +84,7 @@ def camera_live(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times = _latencies(latency or [])
-    from deepfsi.laboratory.camera import camera_of, exposure_of, flux_of
+    from deepfsi.laboratory.camera import camera_of, dead_time_of, exposure_of, flux_of
     from deepfsi.laboratory.live.bench import most_events, virtual_bench
     from deepfsi.laboratory.live.run import plan_live, run_live
     from deepfsi.laboratory.scenes import displayed, scenes_of
@@ -92,7 +92,7 @@ def camera_live(
     known = camera_of(source, **settings)
     exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
     told: dict[str, Any] = {"flux": known.flux, **options.wiring(inputs, marker)}
-    if dead := options.dead_time(source, settings):
+    if dead := dead_time_of(known, settings):
         told["dead_time"] = dead
     if simulated:
         flux_of(known)

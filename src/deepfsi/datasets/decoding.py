@@ -42,6 +42,7 @@ class Tally:
     transparent: int = 0
     several: int = 0
     deep_colours: int = 0
+    packed: int = 0  # bytes of their files
     sizes: set[Shape] = field(default_factory=set)  # heights and widths
     family: Family | None = None  # "byte", "integer" or "float"; None before the first
     first: str = ""  # name of the first, for messages

@@ -23,6 +23,8 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
+from deepfsi.files import check_unpacked, read_regular
+from deepfsi.tables.zip_files import open_zip, read_entry
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
 """Ends of the names of image files."""
@@ -31,7 +33,7 @@ FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""
 
 MAX_FILE = 2**28
-"""Bytes at most of one image in a zip file."""
+"""Bytes at most of one image."""
 
 MAX_PIXELS = 2**30
 """Pixels at most of all images together: 4.3 GB as float32."""
@@ -115,11 +117,7 @@ def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
     if path.is_dir():
         yield list_folder(path)
         return
-    try:
-        archive = zipfile.ZipFile(path)
-    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read {path} as a zip file ({error}); pack it again") from error
-    with archive:
+    with open_zip(path, "pack it again") as archive:
         yield _list_zip(archive, path)
 
 
@@ -141,7 +139,11 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
 
 def picture_file(path: Path, label: str = "") -> Picture:
     """Picture of a file."""
-    return Picture(label, str(path), lambda: path.open("rb"))
+
+    def read() -> IO[bytes]:
+        return io.BytesIO(read_regular(path, MAX_FILE, "replace or remove it"))
+
+    return Picture(label, str(path), read)
 
 
 def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
@@ -185,18 +187,7 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
 
 
 def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-    if info.flag_bits & 1:
-        raise InputError(f"{where} is encrypted; pack it again without a password")
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise InputError(f"{where} is compressed in an unusual way; pack it with deflate or none")
-    if info.file_size > MAX_FILE:
-        raise InputError(
-            f"{where} unpacks to {info.file_size / 1e6:.0f} MB; an image has {MAX_FILE / 1e6:.0f} "
-            "MB or less, remove it"
-        )
-    with archive.open(info) as entry:
-        # asked for no more than is declared, zipfile unpacks no more
-        return io.BytesIO(entry.read(info.file_size + 1))
+    return io.BytesIO(read_entry(archive, info, where, MAX_FILE, "remove it"))
 
 
 def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:
@@ -252,6 +243,8 @@ def read_all(
                     f"{image.shape[0]}x{image.shape[1]}; give a size to bring them to one"
                 )
             grey[i] = image
+            filled = (i + 1) * first.size
+            check_unpacked(filled, tally.packed, "these images", "give a smaller size, or fewer")
     return grey, tally
 
 
@@ -259,8 +252,14 @@ def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with picture.open() as stream, Image.open(stream, formats=FORMATS) as image:
-            grey = tally.grey(image, picture.where)
+        with picture.open() as stream:
+            size = stream.seek(0, io.SEEK_END)
+            stream.seek(0)
+            with Image.open(stream, formats=FORMATS) as image:
+                pixels, advice = image.width * image.height, "replace or remove it"
+                check_unpacked(pixels, size, picture.where, advice)
+                grey = tally.grey(image, picture.where)
+        tally.packed += size
     except InputError:
         raise
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file

@@ -40,6 +40,12 @@ CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
 OVER_DISPERSED = 3.1
 """Standard deviations of photon noise beyond which scenes differ: one in 1000 that do not."""
 
+SHARES = ("mean", "directions", "rest")
+"""Fields of a distribution that are of shares, which are at most 1."""
+
+LARGEST_SHARE = 1.001
+"""The same with what rounding may add."""
+
 ROUNDING = 1e-5
 """Error of a logarithm in the file: what is equal is no further out."""
 
@@ -150,8 +156,9 @@ class ReadoutDistribution:
         if not all(np.isfinite(held).all() for held in arrays.values()):
             raise ValueError("the distribution of the readouts is not finite")
         least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
+        most = max(float(np.abs(arrays[name]).max()) for name in SHARES if arrays[name].size)
         falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
-        if least < 0 or falling or not (arrays["mean"] > 0).any():
+        if least < 0 or most > LARGEST_SHARE or falling or not (arrays["mean"] > 0).any():
             raise ValueError("the distribution of the readouts is none")
         return cls(**arrays)
 

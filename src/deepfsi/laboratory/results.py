@@ -47,12 +47,13 @@ class ClassifiedRun:
     scenes: tuple[ClassifiedScene, ...]
     faults: tuple[Fault, ...]  # of the markers and the light
     consistency: "Consistency | None"  # with the training; none where it was not tested
-    remarks: tuple[str, ...]  # on the consistency, for a reader
+    remarks: tuple[str, ...]  # on the light and the consistency, for a reader
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return {
             "consistency": None if self.consistency is None else self.consistency.as_dict(),
+            "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }
 

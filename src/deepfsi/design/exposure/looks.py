@@ -26,7 +26,7 @@ from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
-from deepfsi.laws import Light
+from deepfsi.laws import Light, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
 from deepfsi.optics.detection import Detection
@@ -242,6 +242,15 @@ class LooksExposure(TrainedExposure):
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
 
+    def count_stops(self, masks: int) -> int:
+        """K, an answer after each look."""
+        return self.looks
+
+    def stop_place(self, seen: Observation) -> Tensor:
+        """Place (..., 1) of an exposure among its looks, from 0, by the time it took."""
+        assert seen.dwell is not None
+        return seen.dwell.sum(dim=-1, keepdim=True) * self.looks - 1
+
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
         if faults := Looks(looks=self.looks).test_faults([noise]):
@@ -279,7 +288,7 @@ class LooksShape:
     """
 
     looks: Annotated[int, Field(ge=2, le=64)]
-    hidden: tuple[Annotated[int, Field(ge=1)], ...]
+    hidden: Widths
     shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 

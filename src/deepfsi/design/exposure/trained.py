@@ -173,6 +173,19 @@ class TrainedExposure:
         """Smallest number of first masks, of m, that can be classified alone."""
         return masks
 
+    def count_stops(self, masks: int) -> int:
+        """Numbers of masks, of m, or of looks, after which an exposure can be classified."""
+        return masks - self.fewest_masks(masks) + 1
+
+    def stop_place(self, seen: Observation) -> Tensor | int:
+        """Place of an exposure so far among these numbers, from 0."""
+        masks = seen.features.shape[-1] // self.width
+        return masks - self.fewest_masks(masks)
+
+    def budget(self, photons: Tensor) -> Tensor:
+        """Budget (..., 1) of an exposure, of that of each of its parts."""
+        return photons
+
     def using(self, used: float) -> "TrainedExposure":
         """The kind for masks that take another share of the light law, see `used`."""
         return self
@@ -251,6 +264,10 @@ class PatchExposure(TrainedExposure):
     def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
         """Patches (..., P, N) of images (..., H · W), as the masks see them."""
         return cut(scenes, image_shape, self.side)
+
+    def budget(self, photons: Tensor) -> Tensor:
+        """Budget (..., 1) of an image: every patch has it."""
+        return photons[..., 0, :] if photons.ndim > 1 else photons
 
     def check_frames(self) -> None:
         """Raise `InputError`: frames are for whole images."""

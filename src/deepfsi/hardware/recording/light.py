@@ -14,6 +14,7 @@ from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
 from deepfsi.hardware.recording.acquisition import name_inputs
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.gains import find_gains
 from deepfsi.hardware.recording.levels import Allowed, Row, find_parts
 from deepfsi.hardware.recording.sentinels import (
     HARMLESS,
@@ -74,7 +75,11 @@ def find_light(
     for curve, each in zip(detectors or arms, alone or checked, strict=True):
         faults += name_backgrounds(curve, each.background)
     faults += changes
-    faults += _find_blind(detectors, [each.background for each in alone])
+    backgrounds = [each.background for each in alone]
+    faults += _find_blind(detectors, backgrounds)
+    for first in range(0, len(alone), count):
+        arm = slice(first, first + count)
+        faults += find_gains(detectors[arm], backgrounds[arm], manifest.detectors)
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
     rates = np.stack([each.background.rate for each in alone or checked], axis=1)
     lit = np.logical_and.reduce([each.lit for each in checked])

@@ -29,7 +29,7 @@ from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.hardware.recording.readouts import by_readout
 from deepfsi.hardware.recording.streaming import FrameCounts
-from deepfsi.laboratory.live.loop import Loop, judge
+from deepfsi.laboratory.live.loop import Loop
 from deepfsi.laboratory.live.trust import SceneCounts, Trust
 
 ON, OFF = 0, 1
@@ -111,7 +111,8 @@ class Observer:
             dwell += gates / self._exposure_ns
             light_ns += int(shown.gate_ns.sum())
             inputs = self.loop.inputs(features, dwell)
-            chances, enough = judge(self.loop.classify(inputs), look, self._settings.rule)
+            chances, rule = self.loop.classify(inputs, photons), self._settings.rule
+            enough = rule is not None and rule.stops(float(chances.max()), photons)
             decision = scene, look, chances, float(photons), light_ns * 1e-9
             if enough or look == header.looks - 1:
                 break

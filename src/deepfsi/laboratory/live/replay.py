@@ -29,6 +29,7 @@ from deepfsi.laboratory.live.loop import Loop
 from deepfsi.laboratory.live.shown import ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
+from deepfsi.tables.array_files import read_npz
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 """Files of the recording and its counts."""
@@ -106,19 +107,17 @@ def read_live_counts(folder: Path) -> LiveCounts:
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
     acquisition, patterns = read_acquisition(folder)
+    held = read_npz(path, again)
     try:
-        with np.load(path, allow_pickle=False) as held:
-            counts, starts = held["counts"], held["starts_s"]
-            about = json.loads(held["about"].tobytes())
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: make it with `deepfsi camera count`") from None
-    except Exception:
+        counts, starts = held["counts"], held["starts_s"]
+        about = json.loads(held["about"].tobytes())
+    except (KeyError, ValueError, RecursionError):
         raise InputError(f"{path} is not a whole file of counts: {again}") from None
     frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
     wanted = frames, PARTS, len(acquisition.inputs)
     hashes = {name: hash_file(folder / name) for name in COUNTED}
-    kinds = counts.dtype, starts.shape, starts.dtype
-    whole = counts.shape == wanted and kinds == (np.int64, (frames,), np.float64)
+    whole = counts.shape == wanted and counts.dtype == np.int64
+    whole &= starts.shape == (frames,) and starts.dtype == np.float64
     if not whole or about != hashes:
         raise InputError(f"{path} is of other files than those beside it: {again}")
     return LiveCounts(acquisition, patterns.manifest, scenes, FrameCounts(starts, counts))

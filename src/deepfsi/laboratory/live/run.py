@@ -89,12 +89,12 @@ def plan_live(
 
 
 def _find_rule(own: StopRule | None, until: float | None) -> StopRule | None:
-    """Rule of a run: the design's own, or one of a confidence, with its temperatures."""
+    """Rule of a run: the design's own, or one of a confidence, for any budget."""
     if until is None:
         return own
     if not 0 < until < 1:
         raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
-    return StopRule(temperatures=own.temperatures if own else (), threshold=until)
+    return StopRule(threshold=until)
 
 
 def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:

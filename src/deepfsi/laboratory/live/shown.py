@@ -10,12 +10,16 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from deepfsi.errors import InputError
+from deepfsi.files import read_regular
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.laboratory.live.decisions import FrameList
 
 NAME = "shown.jsonl"
 """File of the record in the folder of a run."""
+
+LARGEST_FILE = 2**31
+"""Bytes of a record at most."""
 
 
 class ShownList(Frozen):
@@ -76,12 +80,8 @@ def read_shown(folder: Path) -> tuple[ShownScene, ...]:
     """Finished scenes of a run, or `InputError` if there are none or they do not follow."""
     # A last line that is not whole is that of a run that was killed, and is left out
     path = folder / NAME
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", "it is no text")
-        raise InputError(f"{path} cannot be read ({reason}): give a run of `camera live`") from None
-    lines = text.split("\n")[:-1]
+    content = read_regular(path, LARGEST_FILE, "give a run of `camera live`")
+    lines = content.split(b"\n")[:-1]
     try:
         scenes = tuple(ShownScene.model_validate_json(line) for line in lines)
     except ValidationError:

@@ -11,9 +11,7 @@ from deepfsi.hardware.recording.acquisition import Acquisition
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.live_light import LiveLight
 from deepfsi.laboratory.live.loop import Loop
-
-LEAST_BUDGET = 0.1
-"""Budget over that of the training below which no scene gets a class."""
+from deepfsi.optics.budget import TOO_DIM
 
 LOOKED_BACK = 20
 """Scenes up to the present one among which the unsure ones are counted."""
@@ -61,7 +59,7 @@ class Trust:
                 f"{measured:.4g}, further off than scenes differ: leave it out, or give that number"
             )
             faults.append(Fault(kind="budget", scene=scene, detail=detail))
-        elif trained is not None and measured < LEAST_BUDGET * trained:
+        elif trained is not None and measured * TOO_DIM < trained:
             detail = (
                 f"all-ON frames give {measured:.4g} counts an exposure, and the design was "
                 f"trained at {trained:.4g}: too little light for it; expose for longer"
