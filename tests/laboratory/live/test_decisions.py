@@ -160,3 +160,28 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
 
     chances = design.classify_live(read, decided[-1].photons)
     np.testing.assert_allclose(chances, decided[-1].chances, atol=1e-4)
+
+
+@pytest.mark.parametrize("paralysable", [False, True])
+def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patterns, paralysable):
+    """A short gate may be, by chance: its photons stay finite and above 0, and the run goes on."""
+    dead = DeadTime(seconds=25e-9, paralysable=paralysable)
+    rates, shown = rates_of(patterns, digits), read_patterns(patterns).manifest.shown
+    rates[:, shown[::2]] = 2.5 * dead.most_registered
+    (found,), asked = observe(patterns, rates, dead_time=dead)
+    rates *= dead.correction(np.minimum(rates, dead.most_registered)).arrivals
+    (arrived,), again = observe(patterns, rates)
+    assert len(found) == len(arrived) == LOOKS
+    for one, other in zip(found, arrived, strict=True):
+        np.testing.assert_allclose(one.chances, other.chances, atol=1e-6)
+    for one, other in zip(asked, again, strict=True):
+        assert np.array_equal(one.frames, other.frames)
+        assert np.array_equal(one.gate_ns, other.gate_ns)
+
+
+def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
+    rates = rates_of(patterns, digits, 2)
+    decided, asked = observe(patterns, rates, 2)
+    looks = np.array([each.gate_ns.sum() for each in asked if each.look != SENTINELS])
+    for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
+        assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)
