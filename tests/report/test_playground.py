@@ -6,19 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
-from deepfsi.design.exposure.trained import PatchExposure
-from deepfsi.design.payload import check_playable, playable
-from deepfsi.errors import InputError
+from deepfsi.design.payload import playable
 from deepfsi.laboratory.rails import loop_of
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
-from shared.playground import KINDS, VECTORS, ask, fits, large_design, read_counts
+from shared.playground import KINDS, VECTORS, ask, fits, read_counts
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 AGREES = 1e-5
@@ -46,13 +43,11 @@ def pages(designs, digits, tmp_path_factory):
     for kind, design in designs.items():
         data = synthetic((24,)) if kind == "spectra" else digits
         if kind == "looks":  # a rule that stops at once, where another would at a good training
-            design = replace(design, info={**design.info, "stopping": rule(design, 0.05)})
+            design = replace(
+                design, info={**design.info, "stopping": {"threshold": 0.05, "photons": 1e4}}
+            )
         write_page(home / f"{kind}.html", playable(design, data))
     return {kind: (home / f"{kind}.html").as_uri() for kind in designs}
-
-
-def rule(design, threshold):
-    return {"threshold": threshold, "photons": 1e4}
 
 
 @pytest.fixture(scope="module")
@@ -489,36 +484,6 @@ def test_names_that_users_give_stay_text(opened, designs, digits, tmp_path):
     assert name in browser.find_element(By.TAG_NAME, "h1").text
     assert name in browser.find_element(By.ID, "answer").text
     assert browser.get_log("browser") == []
-
-
-def test_the_page_of_a_large_design_is_small(tmp_path):
-    data = replace(synthetic((32, 32), scenes=100, classes=10), classes=tuple("0123456789"))
-    page = write_page(tmp_path / "page.html", playable(large_design(), data))
-    assert 1e6 < page.stat().st_size < 3e6
-
-
-def test_what_a_page_cannot_play_is_refused(designs, made):
-    good = made("deepfsi", "column", "dual")
-    with pytest.raises(InputError, match="own in it: give a design with the package's own"):
-        check_playable(replace(good, classifier=torch.nn.Linear(7, 10)))
-    other = replace(
-        good, info={"job": {"camera": {"light": "column", "noise": "shared.noises:photons"}}}
-    )
-    with pytest.raises(InputError, match=r"for shared\.noises:photons noise"):
-        check_playable(other)
-    with pytest.raises(InputError, match="of image patches"):
-        check_playable(replace(good, exposure=PatchExposure(4)))
-    assert check_playable(good) is good.classifier
-
-
-def test_a_design_that_does_not_say_what_it_was_learned_for(designs, digits):
-    """Nothing is marked then; a budget beyond the slider is not measured."""
-    unknown = playable(replace(designs["column"], info={}), digits)
-    assert unknown["budget"] is None
-    assert unknown["rules"] == []
-    far = playable(replace(designs["column"], info={"job": {"photons": 1e8}}), digits)
-    assert far["budget"] == {"low": 1e8, "high": 1e8}
-    assert len(far["curve"]) == len(unknown["curve"]) == 13
 
 
 def test_the_command_writes_a_page_and_says_where(done, refuse, designs, tmp_path):

@@ -45,7 +45,7 @@ def predict(
         paths.check_file(out, (".csv",), force)
     from deepfsi.design.evaluation import camera_for
     from deepfsi.files import write_atomically
-    from deepfsi.laboratory.predict import predict as run
+    from deepfsi.laboratory.prediction import predict as run
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)

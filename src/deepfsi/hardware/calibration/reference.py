@@ -109,7 +109,7 @@ def has_reference(manifest: Manifest) -> bool:
 
 @dataclass(frozen=True)
 class ReferenceFit:
-    """How a camera shows the reference target."""
+    """View of the reference target by a camera."""
 
     exported: Layout
     layout: Layout  # that masks need to lie on the device as scenes do
@@ -142,7 +142,7 @@ class ReferenceFit:
 
     @property
     def findings(self) -> list[tuple[str, str, bool]]:
-        """What was found, in words, and whether it departs from what was exported."""
+        """Findings in words, and true of each that departs from what was exported."""
         scale, down, across, turn = self.errors
         turned = self.layout != self.exported
         words = "as exported"
@@ -170,7 +170,7 @@ class ReferenceFit:
 
 
 class _Model:
-    """What the cells of a mask see of the target."""
+    """Target as the cells of a mask see it."""
 
     def __init__(self, manifest: Manifest) -> None:
         self.grid, self.exported = manifest.grid, manifest.layout

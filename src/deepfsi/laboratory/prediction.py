@@ -51,7 +51,7 @@ class Predictions:
 
     @property
     def right(self) -> tuple[int, int]:
-        """How many labels are right, of those that are classes of the design."""
+        """Number of right labels, and of those that are classes of the design."""
         known = [each for each in self.pictures if each.label in self.classes]
         return sum(each.predicted == each.label for each in known), len(known)
 
