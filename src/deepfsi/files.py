@@ -15,7 +15,7 @@ import stat
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from hashlib import file_digest
@@ -25,6 +25,9 @@ from typing import Any, BinaryIO
 
 from deepfsi.errors import InputError
 from deepfsi.owners import PATTERN, owner_of, this_process
+
+DESIGNS = (".safetensors",)
+"""Ends of the names of design files."""
 
 DRAFT_SECONDS = 86400.0
 """Age from which a draft of another host is left over: its process cannot be asked for."""
@@ -100,6 +103,12 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
     with open_atomically(path) as file:
         file.write(content)
     return Path(path)
+
+
+def check_ending(path: str | os.PathLike[str], ends: Sequence[str]) -> None:
+    """Raise `InputError` unless a name ends as files of its kind do."""
+    if Path(path).suffix.lower() not in ends:
+        raise InputError(f"cannot write to {path}: end the name in {' or '.join(ends)}")
 
 
 def hash_file(path: Path) -> str:

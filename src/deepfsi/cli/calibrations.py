@@ -33,6 +33,7 @@ def camera_calibrate(
     folder: options.Run,
     spots: Annotated[Path, typer.Option(help="the pictures that were shown")],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Fit the camera's view to a run of the spots: position, blur, flat field, dark counts.
@@ -43,6 +44,7 @@ def camera_calibrate(
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
     paths.check_folder(out)
+    paths.check_free(out / "calibration.json", force)
     from deepfsi.laboratory.calibration import calibrate
 
     found, path, where = calibrate(folder, spots, out)

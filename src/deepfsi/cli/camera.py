@@ -55,6 +55,7 @@ def camera_describe(
     template: Annotated[
         Path | None, typer.Option(help="write a camera file, .toml, with a comment on each field")
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Say in words what a camera is, what it can show and what light it has.
@@ -66,8 +67,7 @@ def camera_describe(
     from deepfsi.optics.camera import template as commented
 
     if template is not None:
-        paths.check_file(template, (".toml",))
-        paths.check_absent(template)
+        paths.check_file(template, (".toml",), force)
         write_atomically(template, commented().encode())
         print(f"camera file: {template}; then: deepfsi camera describe {template}")
         return
@@ -288,6 +288,7 @@ def camera_image(
         Path | None,
         typer.Option("--out", "-o", help="picture; picture.png in the folder unless given"),
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Draw the least-squares reconstruction of each scene from its counts, to align the camera.
@@ -296,7 +297,7 @@ def camera_image(
     """
     target = out or folder / "picture.png"
     if out is not None:
-        paths.check_file(out, paths.PICTURES)
+        paths.check_file(out, paths.PICTURES, force)
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.picture import reconstruct

@@ -22,7 +22,9 @@ MOST_PIXELS = 10_000
 Data = Annotated[
     str,
     typer.Option(
-        "--data", help="name (deepfsi data list), folder or .zip of images, cube, or .npz"
+        "--data",
+        help="name (deepfsi data list), folder or .zip of images, .csv of file names and labels, "
+        "cube, or .npz",
     ),
 ]
 TestData = Annotated[
@@ -31,6 +33,9 @@ TestData = Annotated[
 ]
 Size = Annotated[
     str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
+]
+SkipBad = Annotated[
+    bool, typer.Option("--skip-bad", help="leave pictures that cannot be read out, and name them")
 ]
 View = Annotated[
     Path | None,
@@ -43,6 +48,7 @@ Workers = Annotated[
     int | None, typer.Option(min=1, help="processes; one for each core unless given")
 ]
 Ray = Annotated[str | None, typer.Option(help="work on a Ray cluster: its address, or auto")]
+Force = Annotated[bool, typer.Option("--force", help="replace what is at --out")]
 Json = Annotated[bool, typer.Option("--json", help="print JSON and nothing else")]
 Folder = Annotated[Path, typer.Option("--out", "-o", help="output folder")]
 Matrix = Annotated[

@@ -27,18 +27,27 @@ TOO_DIM = 10.0
 """Lowest budget of a training over that below which a design has too little light."""
 
 
-def check_budget(photons: float) -> float:
+def check_budget(photons: Any) -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
-    try:
-        budget = float(photons)
-    except (TypeError, ValueError, OverflowError):
-        budget = math.nan
-    if not BUDGETS[0] <= budget <= BUDGETS[1]:
+    if isinstance(photons, tuple | list):
         raise InputError(
-            f"photon budget {photons!r} is not allowed: give a number from {BUDGETS[0]:g} to "
-            f"{BUDGETS[1]:g}, such as 1e4"
+            f"photon budget {photons!r} is no number: give the lowest of a range, with "
+            "`exposure=Range(span=...)`, its highest divided by its lowest"
         )
-    return budget
+    return _checked(photons, f"photon budget {photons!r} is", "1e4")
+
+
+def _checked(value: Any, what: str, example: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not BUDGETS[0] <= number <= BUDGETS[1]:
+        raise InputError(
+            f"{what} not allowed: give a number from {BUDGETS[0]:g} to {BUDGETS[1]:g}, such as "
+            f"{example}"
+        )
+    return number
 
 
 def check_one_budget(photons: float | None, counts: float | None) -> float:
@@ -50,12 +59,7 @@ def check_one_budget(photons: float | None, counts: float | None) -> float:
             "the light of a design is told once: give `photons`, the budget on the device, or "
             "`counts`, the photons that its detectors are to count, or a camera with its flux"
         )
-    if not BUDGETS[0] <= counts <= BUDGETS[1]:
-        raise InputError(
-            f"{counts!r} counts are not allowed: give a number from {BUDGETS[0]:g} to "
-            f"{BUDGETS[1]:g}, such as 30"
-        )
-    return float(counts)
+    return _checked(counts, f"{counts!r} counts are", "30")
 
 
 def summed_reflectance(x: "np.ndarray") -> float:

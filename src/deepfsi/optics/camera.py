@@ -15,9 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     ValidationInfo,
@@ -28,6 +26,7 @@ from pydantic import (
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError, as_input_error, check_known, closest
 from deepfsi.files import read_toml
+from deepfsi.frozen import Settings
 from deepfsi.grid import Layout, Region, find_grid
 from deepfsi.imports import UNNAMED
 from deepfsi.laws import Light, RailsKind, Readout, check_noise
@@ -113,7 +112,7 @@ def _device(given: Any) -> Any:
         return Device.model_validate({"name": path.stem, **read_toml(path)})
 
 
-class Camera(BaseModel):
+class Camera(Settings):
     """A single-pixel camera, in the units of a laboratory.
 
     Fields that are left out follow from the others: rails and readout from the light law, the
@@ -133,8 +132,6 @@ class Camera(BaseModel):
     >>> round(camera.shortest_share, 6)  # pictures of 44 µs, of which 32 are counted
     0.0032
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     light: Light = Field(
         "free-dwell",

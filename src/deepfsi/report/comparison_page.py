@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.inline import confusion_table
 from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
@@ -80,6 +81,7 @@ def page_text(results: Results, designs: Path) -> str:
         designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
         covers=list(dict.fromkeys(p.covers for p in points)),
+        confusions=list(confusions(results)),
         learned=learned,
         learned_missing=not learned and any(p.learned for p in points),
         masks_shown=MASKS_SHOWN,
@@ -289,6 +291,20 @@ def best_table(results: Results, noise: str) -> Part:
         "rows": rows,
         "leaders": {photons: leading(points, photons) for photons in budgets},
     }
+
+
+def confusions(results: Results) -> Iterator[Part]:
+    """Confusion matrices at the chosen mask counts under each noise, by series and budget."""
+    axes = accuracy.series_axes(results)
+    for noise in accuracy.noises(results):
+        points = [p for p in chosen(results, noise) if p.confusion]
+        names = accuracy.series_names(points, axes, "title")
+        for point in sorted(points, key=lambda p: (p.photons, -p.accuracy)):
+            where = f"{photons_text(point.photons)} photons, {noise_text(noise)}"
+            yield {
+                "heading": f"{names[accuracy.key_of(point, axes)]}, {where}",
+                "table": Markup(confusion_table(point.confusion, results.data.classes)),
+            }
 
 
 def learned_masks(results: Results, designs: Path) -> Iterator[Part]:

@@ -22,7 +22,7 @@ from pydantic import BaseModel, Field, FiniteFloat
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Result
 from deepfsi.errors import InputError
-from deepfsi.files import read_regular, remove_drafts, write_atomically
+from deepfsi.files import check_ending, read_regular, remove_drafts, write_atomically
 from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
@@ -160,8 +160,7 @@ def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write records as one table, to a path that ends in .csv or .parquet, else `InputError`."""
     import polars
 
-    if path.suffix.lower() not in (".csv", ".parquet"):
-        raise InputError(f"no table can be written to {path}: end the name in .csv or .parquet")
+    check_ending(path, (".csv", ".parquet"))
     table, whole = polars.DataFrame(rows(records), infer_schema_length=None), io.BytesIO()
     if path.suffix.lower() == ".csv":
         table.write_csv(whole)

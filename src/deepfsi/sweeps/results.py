@@ -112,6 +112,11 @@ class Point(Frozen):
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
     )
+    confusion: tuple[tuple[int, ...], ...] = Field(
+        (),
+        description="at a chosen mask count: rows true classes, columns answers, over all trials "
+        "and noise draws",
+    )
     one_class: bool = Field(
         False, description="whether each trial gives one class as the answer to every test scene"
     )

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     WithJsonSchema,
@@ -30,9 +28,10 @@ from deepfsi.design.exposure import (
     find_exposure,
 )
 from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
 from deepfsi.laws import Scale, Widths
-from deepfsi.optics.budget import BUDGETS, check_one_budget
+from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
 from deepfsi.optics.camera import Camera, Noise, noise_name
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def _widths(given: Any) -> Any:
     return [part for part in given.split(",") if part] if isinstance(given, str) else given
 
 
-class Training(BaseModel):
+class Training(Settings):
     """Settings of a training: its steps, its network, its precision and its start.
 
     Examples
@@ -111,8 +110,6 @@ class Training(BaseModel):
     >>> deepfsi.Training(epochs=20, hidden=(256, 128), start="class-pairs").lr
     0.01
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
     batch: int | None = Field(
@@ -197,7 +194,7 @@ def _camera(given: Any) -> Any:
     return Camera.load(given)
 
 
-class Job(BaseModel):
+class Job(Settings):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.
@@ -211,13 +208,11 @@ class Job(BaseModel):
     ('dual', Looks(looks=4), 'class-pairs')
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     design: Annotated[str, AfterValidator(_design)] = Field(
         "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
     )
     masks: int = Field(ge=1, description="number of masks, m")
-    photons: float = Field(
+    photons: Annotated[float, BeforeValidator(check_budget)] = Field(
         ge=BUDGETS[0],
         le=BUDGETS[1],
         description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "

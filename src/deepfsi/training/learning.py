@@ -14,7 +14,7 @@ from torch import Tensor
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.calibration import distribution_of
-from deepfsi.design.evaluation import scanner_of
+from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.memory import Memory
 from deepfsi.errors import InputError
@@ -110,7 +110,7 @@ def train(
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
     for job, design in zip(jobs, designs, strict=True):
         budgets = job.photons, job.exposure.highest(job.photons)
-        scanner = scanner_of(design, job.camera)
+        scanner = scanner_for(design, job.camera)
         design.temperatures = find_temperatures(
             design, scanner, budgets, training_set.data, job.seed
         )
