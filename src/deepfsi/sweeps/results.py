@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from deepfsi.errors import as_input_error
 from deepfsi.files import write_atomically
 
-SCHEMA = 2
+SCHEMA = 3
 """Schema of results and of records, the only one; tests of records of another are run anew."""
 
 
