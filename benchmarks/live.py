@@ -45,7 +45,7 @@ from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.laboratory.live.decisions import FrameList, Observer
@@ -288,7 +288,7 @@ class _Replayed:
         self.seconds.append(now() - self.began)
         self.began = None
 
-    def __call__(self, asked: FrameList) -> np.ndarray:
+    def __call__(self, asked: FrameList) -> FrameCounts:
         gates = np.append(asked.gate_ns, 0) * 1e-9
         self.counter.expect(FrameGates.of(SETTLE_S, gates))
         if self.began is not None:
@@ -300,10 +300,10 @@ class _Replayed:
             size = min(self.block, end - self.at)
             if self.at + size == end and asked.look >= 0:
                 self.began = now()
-            parts.append(self.counter.feed(self.content[self.at : self.at + size]).counts)
+            parts.append(self.counter.feed(self.content[self.at : self.at + size]))
             self.at += size
-        found = np.concatenate(parts)[self.rests :]
-        self.rests = len(gates) - len(found)
+        found = FrameCounts.join(parts, 1)[self.rests :]
+        self.rests = len(gates) - len(found.starts_s)
         return found[: len(asked.frames)]
 
 

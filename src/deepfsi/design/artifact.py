@@ -15,12 +15,13 @@ from deepfsi.design import artifact_file
 from deepfsi.design.classifiers import Mlp, Vit
 from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
+from deepfsi.design.display import design_html, design_text
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import write_atomically
+from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
@@ -94,14 +95,10 @@ class Design:
     temperatures: Temperatures | None = None
 
     def __repr__(self) -> str:
-        budget = self.info.get("job", {}).get("photons")
-        trained = f", learned at {budget:g} photons" if budget else ""
-        shape = "x".join(map(str, self.mask_shape))
-        network = getattr(self.classifier, "title", type(self.classifier).__name__)
-        return (
-            f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, "
-            f"{self.rails.kind} rails, {network}, {len(self.classes)} classes{trained}>"
-        )
+        return design_text(self)
+
+    def _repr_html_(self) -> str:
+        return design_html(self)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -310,14 +307,12 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if the design has no `distribution`: one of patches, of several
-            looks, of less than 100 training scenes or 50 of a class, or not learned here.
+            As for `classify`, or if it is of several looks, which live runs test, or has no
+            `distribution`: one of patches, less than 100 training scenes or 50 of a class.
         """
+        self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError(
-                "this design holds no distribution of its training scenes' readouts: counts are "
-                "tested for designs of fixed dwells, learned from 100 scenes or more, 50 a class"
-            )
+            raise InputError("this design holds no distribution: it takes 100 scenes, 50 a class")
         read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
@@ -411,7 +406,8 @@ class Design:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one safetensors file, all or nothing."""
+        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
+        check_ending(path, DESIGNS)
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:
@@ -434,8 +430,8 @@ class Design:
             readout=self.detection.readout,
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
-        statistics = {name: getattr(self, name) for name in artifact_file.STATISTICS}
-        tensors = {"rails": self.rails.stacked, **statistics}
+        tensors = {name: getattr(self, name) for name in artifact_file.STATISTICS}
+        tensors["rails"] = self.rails.stacked
         if self.detection.labels is not None:
             tensors["detectors"] = self.detection.labels
         return artifact_file.pack(header, tensors, weights)

@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 from torch import Tensor
 
+from deepfsi.optics.budget import TOO_DIM
 from deepfsi.optics.scanner import Scanner
 
 if TYPE_CHECKING:  # a design holds temperatures
@@ -26,14 +27,14 @@ if TYPE_CHECKING:  # a design holds temperatures
 REACH = 100.0
 """Highest budget of a calibration over the highest of the training; lowest over lowest inverse."""
 
-TOO_DIM = 10.0
-"""Lowest budget of a training over that below which a design has too little light."""
-
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""
 
 BOUNDS = (-3.0, 15.0)
 """Least and largest log τ."""
+
+SLACK = 1e-6
+"""What rounding may add to them."""
 
 CHUNK = 1024
 """Scenes that are exposed at once."""
@@ -55,6 +56,8 @@ class Temperatures:
         logs, budgets = (tensors[name].double().numpy() for name in ("logs", "budgets"))
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or budgets.min() <= 0:
             raise ValueError("temperatures are not of this design")
+        if logs.min() < BOUNDS[0] - SLACK or logs.max() > BOUNDS[1] + SLACK:
+            raise ValueError("temperatures are beyond all that are fitted")
         ratios = np.diff(np.log(budgets))
         if ratios.min() <= 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
             raise ValueError("budgets of temperatures do not rise in equal ratios")
@@ -69,17 +72,6 @@ class Temperatures:
     def dimmest(self) -> float:
         """Lowest budget of which a design can say something: a tenth of the training's lowest."""
         return float(self.budgets[0]) * REACH / TOO_DIM
-
-    def remark(self, photons: np.ndarray) -> str | None:
-        """Words for a reader where some of these budgets (n,) are far below the training's."""
-        count = int((photons < self.dimmest * (1 - 1e-9)).sum())
-        if not count:
-            return None
-        return (
-            f"too little light for this design: {count} of {len(photons)} scenes have a budget "
-            f"below {self.dimmest:.3g}, a tenth of the lowest that it was learned for, and answers "
-            "to them are hardly more than guesses"
-        )
 
     def scaled(self, factor: float, stops: int | None = None) -> "Temperatures":
         """Temperatures where the same counts take so many times the budget, at the first stops."""

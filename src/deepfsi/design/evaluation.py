@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from typing import Any, get_args
 
 import numpy as np
@@ -12,6 +13,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import calibration_error, confidence_groups
 from deepfsi.errors import InputError
+from deepfsi.inline import accuracy_curve, confusion_table
 from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
@@ -88,6 +90,14 @@ class Result:
     throughput: float
     photons_per_mask: list[float]
 
+    def _repr_html_(self) -> str:
+        classes = [str(place) for place in range(len(self.confusion))]
+        return (
+            f"<p>accuracy {self.accuracy:.3f} ({self.low:.3f} to {self.high:.3f}) at "
+            f"{self.photons:.3g} photons, {escape(self.noise)} noise</p>"
+            f"{confusion_table(self.confusion, classes)}"
+        )
+
     @property
     def worst(self) -> int:
         """Place of the class with the lowest accuracy."""
@@ -96,6 +106,14 @@ class Result:
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return asdict(self)
+
+
+class ResultList(list[Result]):
+    """Results at several budgets, which a notebook shows as a curve."""
+
+    def _repr_html_(self) -> str:
+        points = [(each.photons, each.accuracy, each.low, each.high) for each in self]
+        return accuracy_curve(points) if points else ""
 
 
 def evaluate(
@@ -147,8 +165,7 @@ def evaluate(
     scenes = as_dataset(data)
     check_data(design, scenes)
     check_draws(draws, seed)
-    scanner = scanner_of(design, camera_for(design, camera, **settings))
-    design.exposure.check_noise(scanner.noise)
+    scanner = scanner_for(design, camera_for(design, camera, **settings))
 
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
@@ -179,10 +196,12 @@ def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> 
     return Camera.load(found, **settings)
 
 
-def scanner_of(design: Design, camera: Camera) -> Scanner:
-    """The optical front end of a design with the noise of a camera."""
+def scanner_for(design: Design, camera: Camera) -> Scanner:
+    """A design's front end with the noise, the dark counts and the read noise of a camera."""
     dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
-    return design.scanner(camera.noise, camera.sigma, dark)
+    scanner = design.scanner(camera.noise, camera.sigma, dark)
+    design.exposure.check_noise(scanner.noise)
+    return scanner
 
 
 Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
@@ -218,12 +237,12 @@ def test_scenes(
                     counts[place] += counted
             report(done / len(chunks))
     means = (counts / (draws * len(data.x_test))).tolist()
-    return [
+    return ResultList(
         _result(
             budget, noise, confusion, np.concatenate(told, axis=1), mean, draws, shares.tolist()
         )
         for budget, confusion, told, mean in zip(budgets, confusions, answers, means, strict=True)
-    ]
+    )
 
 
 def check_data(design: Design, data: Dataset) -> None:

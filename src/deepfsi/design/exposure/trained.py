@@ -15,11 +15,14 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
+from deepfsi.design.calibration import find_distribution
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 
@@ -147,6 +150,25 @@ class TrainedExposure:
             "a design with `looks`"
         )
 
+    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
+        """Readouts (rails, m) that counts are compared in, and looks; 0 of fixed dwells."""
+        return (rails, readouts), 0
+
+    def distribution(
+        self,
+        rates: Tensor,
+        lit: Tensor,
+        labels: np.ndarray,
+        classes: int,
+        detection: Detection,
+        mean: Tensor,
+        std: Tensor,
+    ) -> ReadoutDistribution | None:
+        """Distribution of the readouts of scenes, None if there are too few of a class."""
+        # rates (n, rails, m · D) as from `Design.rates`; lit (n,), the scenes' light for a budget
+        # of one photon; mean, std (k,)
+        return find_distribution(rates, labels, classes)
+
     def fewest_masks(self, masks: int) -> int:
         """Smallest number of first masks, of m, that can be classified alone."""
         return masks
@@ -194,6 +216,9 @@ class TrainedExposure:
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the exposure can be tested under a noise."""
+
+    def check_alone(self) -> None:
+        """Raise `InputError` if counts of masks alone are not compared with the training."""
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are given and not needed, or needed and not given."""

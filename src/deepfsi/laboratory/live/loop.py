@@ -13,15 +13,16 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laws import Readout
 from deepfsi.optics.dwells import share_out
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 TEMPERATURES = ("temperatures.logs", "temperatures.budgets")
 """Tensors of the calibration, float64."""
@@ -45,6 +46,8 @@ class LoopHeader(Frozen):
     # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
     rule: StopRule | None = None  # of the design, where it has one
+    # Budget that the design was trained at, counts of an exposure; none where that is not known
+    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
 
     @property
     def frames(self) -> int:
@@ -70,6 +73,8 @@ class Loop:
     # Log τ after each look at each budget (K, B), and these budgets, as `design.confidence` has
     # them; None where the design has none
     temperatures: tuple[np.ndarray, np.ndarray] | None = None
+    # Of the readouts of training scenes, and of all mirrors ON; none where there were too few
+    distribution: ReadoutDistribution | None = None
 
     def features(self, counts: np.ndarray) -> np.ndarray:
         """Features (k,) of counts (rails, m, D)."""
@@ -134,7 +139,10 @@ class Loop:
         for name, layers in (("classifier", self.classifier), ("chooser", self.chooser)):
             for place, (weight, bias) in enumerate(layers):
                 tensors |= {f"{name}.{place}.weight": weight, f"{name}.{place}.bias": bias}
-        whole = {name: np.ascontiguousarray(held, np.float32) for name, held in tensors.items()}
+        if self.distribution is not None:
+            held = self.distribution.arrays.items()
+            tensors |= {f"distribution.{name}": each for name, each in held}
+        whole = {name: np.asarray(held, np.float32, order="C") for name, held in tensors.items()}
         if self.temperatures is not None:
             whole |= dict(zip(TEMPERATURES, self.temperatures, strict=True))
         return save(whole, metadata={"deepfsi-loop": self.header.model_dump_json()})
@@ -144,16 +152,18 @@ def read_loop(path: Path) -> Loop:
     """Loop of a file, or `InputError` if it is missing, damaged or none."""
     again = "export the patterns again"
     try:
-        with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {})["deepfsi-loop"]
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: {again}") from None
-    except (SafetensorError, KeyError, OSError, ValueError):
+        text, tensors = read_tensors(path, "deepfsi-loop", again)
+    except DamagedError:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again):
         header = LoopHeader.model_validate_json(text)
     inputs = header.features + header.frames
+    known = {
+        name.removeprefix("distribution."): held
+        for name, held in tensors.items()
+        if name.startswith("distribution.")
+    }
+    readouts = 1, header.rails * header.masks * header.detectors + 1
     try:
         loop = Loop(
             header,
@@ -162,6 +172,7 @@ def read_loop(path: Path) -> Loop:
             _layers(tensors, "classifier", inputs, len(header.classes)),
             _layers(tensors, "chooser", inputs + 1, header.frames),
             _temperatures(tensors, header.looks) if TEMPERATURES[0] in tensors else None,
+            ReadoutDistribution.restored(known, readouts, header.looks) if known else None,
         )
     except (KeyError, ValueError, IndexError):
         raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
