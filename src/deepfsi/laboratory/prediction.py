@@ -129,7 +129,7 @@ def predict(
     with torch.no_grad():
         for some in scenes.split(AT_ONCE):
             *_, seen = design.expose(scanner, design.rates(scanner, some), generator, budget)
-            chances.append(design.logits_of(seen, budget).softmax(dim=-1).cpu())
+            chances.append(design.chances(seen, budget).cpu())
     surest, places = torch.cat(chances).max(dim=-1)
     found = tuple(
         Predicted(name, label, design.classes[place], confidence)
