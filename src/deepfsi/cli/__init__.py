@@ -70,6 +70,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
     "Calibrate the camera": {
         "spots": calibrations.camera_spots,
         "calibrate": calibrations.camera_calibrate,
+        "check": calibrations.camera_check,
     },
 }
 for _heading, _named in _OF_CAMERA.items():

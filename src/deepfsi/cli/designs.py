@@ -246,10 +246,11 @@ def _print_results(
             _worst(r, made.classes),
             common.budget(r.counts),
             f"{r.throughput:.3f}",
+            f"{r.calibration_error:.3f}",
         )
         for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted")
+    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted", "calibration")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
     for result in sorted(results, key=lambda r: r.photons):
         _print_confusion(result, made.classes)
@@ -265,6 +266,7 @@ def _print_results(
     print(f"± half of the 95 % interval: {results[0].covers}")
     print("counts: photons that detectors count, in the mean over test scenes")
     print("counted: share of the budget that they count, in the mean over training scenes")
+    print("calibration: mean distance of an answer's probability and how often such are right")
 
 
 def _print_confusion(result: "Result", classes: Sequence[str]) -> None:

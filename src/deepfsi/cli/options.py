@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
     from deepfsi.training.job import Job
 
 MOST_PIXELS = 10_000
@@ -130,16 +129,6 @@ Marker = Annotated[
         min=0, max=3, help="marker input of the trigger, 0 for the first, as `inspect` numbers them"
     ),
 ]
-
-
-def dead_time(source: Path, settings: Mapping[str, Any]) -> "CounterDeadTime | None":
-    """Dead time of a design's, a run's or another camera, or None where it has none."""
-    from deepfsi.laboratory.camera import camera_of, dead_time_of
-
-    camera = camera_of(source, **settings)
-    if "dead_time_model" in settings and not camera.dead_time:
-        raise InputError("--dead-time-model is of a dead time: give --dead-time, such as 20ns")
-    return dead_time_of(camera)
 
 
 def words(text: str | None) -> list[str] | None:

@@ -40,6 +40,7 @@ class Tally:
     coloured: int = 0
     transparent: int = 0
     several: int = 0
+    packed: int = 0  # bytes of their files
     written: int = 0  # by `display.write_pictures`, as reflectance
     sizes: set[Shape] = field(default_factory=set)  # heights and widths
     family: Family | None = None  # "byte", "integer" or "float"; None before the first

@@ -25,6 +25,8 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
+from deepfsi.files import check_unpacked, read_regular
+from deepfsi.tables.zip_files import open_zip, read_entry
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
 """Ends of the names of image files."""
@@ -33,7 +35,7 @@ FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""
 
 MAX_FILE = 2**28
-"""Bytes at most of one image in a zip file."""
+"""Bytes at most of one image."""
 
 MAX_PIXELS = 2**30
 """Pixels at most of all images together: 4.3 GB as float32."""
@@ -41,6 +43,9 @@ MAX_PIXELS = 2**30
 
 MOST_NAMES = 20
 """Images that one line names at most."""
+
+LIST_ADVICE = "give a line of text for each image, its file name and its label"
+"""What to do about a list of images that cannot be used."""
 
 
 class Picture(NamedTuple):
@@ -129,11 +134,7 @@ def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
     if path.suffix.lower() == ".csv":
         yield [list_labels(path)]
         return
-    try:
-        archive = zipfile.ZipFile(path)
-    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read {path} as a zip file ({error}); pack it again") from error
-    with archive:
+    with open_zip(path, "pack it again") as archive:
         yield _list_zip(archive, path)
 
 
@@ -150,13 +151,10 @@ def list_labels(path: Path) -> list[Picture]:
     # Names are from the folder beside it that has its name, `pets/` of `pets.csv`, or else from its
     # own folder. A first line that names no image is a heading
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_regular(path, MAX_FILE, LIST_ADVICE).decode("utf-8-sig").splitlines()
         rows = list(csv.reader(lines, delimiter=next((d for d in ";\t" if d in lines[0]), ",")))
     except (OSError, UnicodeDecodeError, csv.Error, IndexError) as error:
-        raise InputError(
-            f"cannot read {path} ({error}): give a line of text for each image, its file name and "
-            "its label"
-        ) from error
+        raise InputError(f"cannot read {path} ({error}): {LIST_ADVICE}") from error
     folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
     pictures = []
     for number, row in enumerate(rows, 1):
@@ -166,13 +164,11 @@ def list_labels(path: Path) -> list[Picture]:
         if not (is_image(Path(name).name) and len(label) == 1 and label[0]):
             raise InputError(
                 f"{path}, line {number}: {', '.join(row)!r} is not an image "
-                "and its label: give a line for each image, its file name and its label"
+                f"and its label: {LIST_ADVICE}"
             )
         pictures.append(picture_file(folder / name, label[0]))
     if not pictures:
-        raise InputError(
-            f"{path} names no image: give a line for each, its file name and its label"
-        )
+        raise InputError(f"{path} names no image: {LIST_ADVICE}")
     missing = [picture.where for picture in pictures if not Path(picture.where).is_file()]
     if missing:
         raise InputError(
@@ -195,7 +191,11 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
 
 def picture_file(path: Path, label: str = "") -> Picture:
     """Picture of a file."""
-    return Picture(label, str(path), lambda: path.open("rb"))
+
+    def read() -> IO[bytes]:
+        return io.BytesIO(read_regular(path, MAX_FILE, "replace or remove it"))
+
+    return Picture(label, str(path), read)
 
 
 def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
@@ -239,18 +239,7 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
 
 
 def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-    if info.flag_bits & 1:
-        raise InputError(f"{where} is encrypted; pack it again without a password")
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise InputError(f"{where} is compressed in an unusual way; pack it with deflate or none")
-    if info.file_size > MAX_FILE:
-        raise InputError(
-            f"{where} unpacks to {info.file_size / 1e6:.0f} MB; an image has {MAX_FILE / 1e6:.0f} "
-            "MB or less, remove it"
-        )
-    with archive.open(info) as entry:
-        # asked for no more than is declared, zipfile unpacks no more
-        return io.BytesIO(entry.read(info.file_size + 1))
+    return io.BytesIO(read_entry(archive, info, where, MAX_FILE, "remove it"))
 
 
 def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:
@@ -325,6 +314,8 @@ def read_all(
                 )
             grey[len(kept)] = image
             kept.append(place)
+            filled = len(kept) * image.size
+            check_unpacked(filled, tally.packed, "these images", "give a smaller size, or fewer")
     if bad and not (skip_bad and kept):
         raise InputError(_bad_text(bad, skip_bad is False))
     tally.bad = tuple(where for where, _ in bad)
@@ -349,13 +340,18 @@ def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with picture.open() as stream, Image.open(stream, formats=FORMATS) as image:
+        with picture.open() as stream:
+            size = stream.seek(0, io.SEEK_END)
 
             def again() -> Image.Image:
                 stream.seek(0)
                 return Image.open(stream, formats=FORMATS)
 
-            grey = tally.grey(image, picture.where, again)
+            with again() as image:
+                pixels, advice = image.width * image.height, "replace or remove it"
+                check_unpacked(pixels, size, picture.where, advice)
+                grey = tally.grey(image, picture.where, again)
+        tally.packed += size
     except InputError:
         raise
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.design.confidence import calibration_error, confidence_groups
 from deepfsi.errors import InputError
 from deepfsi.inline import accuracy_curve, confusion_table
 from deepfsi.laws import Noise
@@ -49,6 +50,9 @@ class Result:
         Accuracy of each class (recall); None where the test has no scene of it.
     confusion : list of list of int
         Rows true classes, columns predicted ones, over all draws.
+    calibration_error : float
+        Mean distance of confidence, the probability of the answer, and accuracy, over 15 groups of
+        answers of like confidence, all of one size.
     counts : float
         Photons that the detectors count, in the mean over the test scenes; without dark counts.
     throughput : float
@@ -81,6 +85,7 @@ class Result:
     balanced_high: float
     rates: list[float | None]
     confusion: list[list[int]]
+    calibration_error: float
     counts: float
     throughput: float
     photons_per_mask: list[float]
@@ -165,10 +170,12 @@ def evaluate(
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
-            classes = design.logits_of(seen, budget).argmax(dim=-1)
-            return classes, budget * float(design.exposure.shown(rates, seen).sum())
+            counted = budget * float(design.exposure.shown(rates, seen).sum())
+            logits = design.logits_of(seen, budget)
+            chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
+            return logits.argmax(dim=-1), chances.amax(dim=-1), counted
 
         return guess
 
@@ -197,8 +204,8 @@ def scanner_for(design: Design, camera: Camera) -> Scanner:
     return scanner
 
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, float]]
-"""Exposes scenes once at a budget: their classes (b,), and the sum of their expected counts."""
+Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
+"""Exposes scenes once at a budget: classes (b,), confidences, and the sum of expected counts."""
 
 
 def test_scenes(
@@ -215,6 +222,7 @@ def test_scenes(
     # shares (m,) of the budget that each mask counts
     generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
+    answers: list[list[np.ndarray]] = [[] for _ in budgets]  # confidence, and if it is right
     counts = np.zeros(len(budgets))
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
@@ -222,14 +230,18 @@ def test_scenes(
             guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    classes, counted = guess(generator, budget)
-                    np.add.at(confusions[place], (truth, classes.cpu().numpy()), 1)
+                    classes, sure, counted = guess(generator, budget)
+                    found = classes.cpu().numpy()
+                    np.add.at(confusions[place], (truth, found), 1)
+                    answers[place].append(np.stack([sure.cpu().numpy(), found == truth]))
                     counts[place] += counted
             report(done / len(chunks))
     means = (counts / (draws * len(data.x_test))).tolist()
     return ResultList(
-        _result(budget, noise, confusion, mean, draws, shares.tolist())
-        for budget, confusion, mean in zip(budgets, confusions, means, strict=True)
+        _result(
+            budget, noise, confusion, np.concatenate(told, axis=1), mean, draws, shares.tolist()
+        )
+        for budget, confusion, told, mean in zip(budgets, confusions, answers, means, strict=True)
     )
 
 
@@ -260,9 +272,15 @@ def check_draws(draws: object, seed: int) -> None:
 
 
 def _result(
-    budget: float, noise: str, confusion: np.ndarray, counts: float, draws: int, share: list[float]
+    budget: float,
+    noise: str,
+    confusion: np.ndarray,
+    answers: np.ndarray,
+    counts: float,
+    draws: int,
+    share: list[float],
 ) -> Result:
-    """`Result` of a confusion matrix (C, C) of all noise draws."""
+    """`Result` of a confusion matrix (C, C) and answers (2, E), sure and right, of all draws."""
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
@@ -282,6 +300,7 @@ def _result(
         balanced_high=upper,
         rates=rates,
         confusion=confusion.tolist(),
+        calibration_error=calibration_error(confidence_groups(*answers)),
         counts=counts,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],

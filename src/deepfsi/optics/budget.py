@@ -23,6 +23,9 @@ Array = TypeVar("Array")
 BUDGETS = (1e-12, 1e15)
 """Smallest and largest photon budget; beyond the second float32 would overflow in squares."""
 
+TOO_DIM = 10.0
+"""Lowest budget of a training over that below which a design has too little light."""
+
 
 def check_budget(photons: Any) -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
@@ -79,6 +82,28 @@ def brightness(x: "np.ndarray", labels: "np.ndarray") -> dict[str, float] | None
         "between": float(means.max() / means.min()),
         "within": max(float(g.std() / mean) for g, mean in zip(groups, means, strict=True)),
     }
+
+
+def detector_shares(
+    x: "np.ndarray", labels: "np.ndarray", detectors: "np.ndarray"
+) -> dict[str, list[Any]] | None:
+    """Share of each detector in the light of scenes (n, N) of each class, and its spread."""
+    # detectors (N,): of each pixel. Spread of single scenes, in the class where it is largest
+    import numpy as np
+
+    light = np.stack(
+        [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1
+    )
+    shares, spread = [], []
+    for label in np.unique(labels):
+        own = light[labels == label]
+        whole = own.sum(axis=1, keepdims=True)
+        if not whole.mean() > 0:
+            return None
+        share = own.sum(axis=0) / whole.sum()
+        shares.append(share.tolist())
+        spread.append(((own - share * whole) / whole.mean()).std(axis=0))
+    return {"shares": shares, "spread": np.max(spread, axis=0).tolist()}
 
 
 def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:

@@ -30,7 +30,7 @@ from deepfsi.design.exposure import (
 from deepfsi.errors import InputError, as_input_error, closest
 from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.laws import Scale
+from deepfsi.laws import Scale, Widths
 from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
 from deepfsi.optics.camera import Camera, Noise, noise_name
 
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.optics.codes import Code
     from deepfsi.optics.detection import Detection
+    from deepfsi.optics.noise import OwnNoise
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
@@ -118,7 +119,7 @@ class Training(Settings):
         1e-2, description="peak of the one-cycle schedule; what was tuned for the design, or this"
     )
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
-    hidden: Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_widths)] = Field(
+    hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
         (40, 128), description="widths of the hidden layers of mlp"
     )
     dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
@@ -267,6 +268,14 @@ class Job(Settings):
         return self.exposure.training_noise(self.camera.noise_name)
 
     @property
+    def own_noise(self) -> "OwnNoise | None":
+        """The noise that is trained under, where it is a user's own."""
+        from deepfsi.optics.noise import resolve
+
+        told = self.training.noise
+        return resolve(self.camera.noise if told is None else told)[1]
+
+    @property
     def optics(self) -> Camera:
         """The camera as the design has it: one with a detector for each pixel needs no other.
 
@@ -311,6 +320,10 @@ class Job(Settings):
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
             raise InputError("; ".join(faults))
+        if (own := self.own_noise) is not None:
+            from deepfsi.optics.noise import try_own
+
+            try_own(own, self.code.learned)
 
     def faults(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data.
