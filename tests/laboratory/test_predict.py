@@ -80,6 +80,12 @@ def test_the_same_seed_gives_the_same_classes(design, raw):
     assert first != other
 
 
+def test_too_little_light_is_said(design, raw):
+    assert deepfsi.predict(design, raw, 1e4).remarks == ()
+    [said] = deepfsi.predict(design, raw, 10).remarks
+    assert "10 photons are too little light for this design" in said
+
+
 def test_pictures_that_data_export_wrote_are_not_mapped_twice(design, digits, raw, tmp_path):
     write_display(digits, tmp_path / "shown", per_class=2)
     found = deepfsi.predict(design, tmp_path / "shown", 1e6)

@@ -75,5 +75,7 @@ def predict(
         print(f"right: {right} of {known} pictures")
     if foreign := sum(each.label is not None for each in found.pictures) - known:
         print(f"{foreign} pictures have labels that are none of the design's classes: left out")
+    for remark in found.remarks:
+        print(f"note: {remark}")
     if out is not None:
         print(f"table: {out}")
