@@ -37,7 +37,7 @@ LARGEST_TOML = 2**18
 """Bytes of a TOML file at most."""
 
 MOST_DOTS = 500
-"""Dots of a line of a TOML file at most: to read a key takes time in the square of its parts."""
+"""Dots of a key of a TOML file at most: to read a key takes time in the square of its parts."""
 
 SPARE, RATIO = 2**24, 32
 """Values, or bytes, that any file may unpack to, and those for each of its bytes beyond."""
@@ -81,8 +81,8 @@ def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> byt
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Tables of a TOML file."""
     content = read_regular(path, LARGEST_TOML, "give a TOML file")
-    if max(line.count(b".") for line in content.split(b"\n")) > MOST_DOTS:
-        raise InputError(f"{path} has a line of more than {MOST_DOTS} dots: break it up")
+    if max(part.count(b".") for part in re.split(rb"[\n,={}\[\]]", content)) > MOST_DOTS:
+        raise InputError(f"{path} has a key of more than {MOST_DOTS} dots: break it up")
     try:
         return tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:

@@ -63,7 +63,7 @@ def test_a_device_of_ones_own_is_a_toml_file(done, tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "no file"),
+        (None, "is missing: give a TOML file"),
         ("columns = 40\nrows = ", "is no TOML file"),
         ("columns = 40\n", "rows"),
         ("columns = 40\nrows = 0\n", "rows"),
