@@ -16,9 +16,9 @@ from conftest import quick, synthetic
 from deepfsi.design.exposure.trained import PatchExposure
 from deepfsi.design.payload import check_playable, playable
 from deepfsi.errors import InputError
-from deepfsi.laboratory.rails import loop_of
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
+from shared.design_files import loop_of
 from shared.playground import KINDS, VECTORS, ask, fits, large_design, read_counts
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")

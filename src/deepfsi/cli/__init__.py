@@ -1,5 +1,6 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
+import io
 import re
 import sys
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
+from deepfsi.imports import torch_needed
 from deepfsi.interrupts import STOPPED, say_stopped
 
 app = typer.Typer(
@@ -78,8 +80,12 @@ for _heading, _named in _OF_CAMERA.items():
 
 def main() -> NoReturn:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name
     try:
-        code = app(standalone_mode=False)
+        with torch_needed():
+            code = app(standalone_mode=False)
     except typer.Exit as stop:
         code = stop.exit_code
     except (KeyboardInterrupt, typer.Abort):

@@ -303,7 +303,7 @@ def show(
         parts=None if labels is None else labels.cpu().numpy(),
     )
     common.draw("show", figure, out, as_json)
-    if (memory := memory_of(made)) and not as_json:
+    if (memory := memory_of(made.info)) and not as_json:
         print(f"trained on: {memory.words}")
 
 

@@ -20,6 +20,7 @@ from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
+from deepfsi.imports import torch_needed
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.replay import (
     check_as_it_was,
@@ -187,7 +188,8 @@ def _file(design: str | os.PathLike[str]) -> Path:
 
 def _open(design: str | os.PathLike[str], trust: bool) -> "Design":
     """Design of a file or a folder of patterns, with dwells that are fixed."""
-    from deepfsi.design.artifact import Design
+    with torch_needed():
+        from deepfsi.design.artifact import Design
 
     made = Design.load(_file(design), trust=trust)
     if made.exposure.chooses:

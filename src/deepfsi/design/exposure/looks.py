@@ -21,7 +21,7 @@ from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
 from deepfsi.design.classifiers import Mlp, restored
-from deepfsi.design.exposure import LOOKING, Looks
+from deepfsi.design.exposure import LARGEST_SCORE, LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
@@ -75,13 +75,6 @@ class Dwells:
         if not self.each_rail:
             return dwell
         return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
-
-
-LARGEST_SCORE = 4.0
-"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
-
-A mask that is never shown is never learned, and the scores would not come back from there.
-"""
 
 
 @dataclass(frozen=True)
