@@ -9,7 +9,17 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
-from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd, live
+from deepfsi.cli import (
+    acquisitions,
+    calibrations,
+    camera,
+    classify,
+    common,
+    data,
+    dmd,
+    live,
+    record,
+)
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
@@ -59,6 +69,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
     "Record a run": {
         "prepare": acquisitions.camera_prepare,
         "simulate": camera.camera_simulate,
+        "record": record.camera_record,
         "live": live.camera_live,
         "import": acquisitions.camera_import,
     },

@@ -187,10 +187,13 @@ def camera_count(
             dead_time=options.dead_time(folder, settings),
             report=report,
         )
-    _print_counts(counts, folder, as_json)
+    print_counts(counts, folder, as_json)
 
 
-def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
+def print_counts(
+    counts: "Counts", folder: Path, as_json: bool, command: str = "camera.count"
+) -> None:
+    """Print what was counted, and every fault."""
     from deepfsi.hardware.ptu.header import read_header
     from deepfsi.hardware.recording.acquisition import read_acquisition
 
@@ -217,7 +220,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
             for fault in counts.faults
         ]
         measured = {"counts": counts.counts.tolist(), "valid": counts.valid.tolist()}
-        common.print_json("camera.count", {**summary, "faults": faults, **measured})
+        common.print_json(command, {**summary, "faults": faults, **measured})
         return
     for problem in problems:
         print(f"photons.ptu: {problem}")

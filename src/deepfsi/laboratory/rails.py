@@ -109,7 +109,8 @@ class ShownDesign:
 
     def _layers(self, part: str) -> tuple[Layer, ...]:
         """Weights and biases of a network's layers."""
-        layers, held = [], self.tensors
+        layers: list[Layer] = []
+        held = self.tensors
         while (name := f"{part}.layers.{len(layers)}") + ".weight" in held:
             weight = np.ascontiguousarray(held[f"{name}.weight"].T, np.float32)
             layers.append((weight, held[f"{name}.bias"].astype(np.float32)))
