@@ -111,3 +111,20 @@ def test_scenes_are_a_list_or_pictures(lab, tmp_path):
     assert listed(lab / "images") == scenes_of(read_display(lab / "images"))
     with pytest.raises(deepfsi.InputError, match="there is nothing at"):
         listed(tmp_path / "none.csv")
+
+
+def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch):
+    """It is the same in all exposures of a scene, so that of n together has n² its variance."""
+    from dataclasses import replace
+
+    from deepfsi.design.artifact import Design
+    from deepfsi.laboratory.classify import _consistency
+
+    counts, told = read_counts(lab / RUN), []
+    monkeypatch.setattr(Design, "consistency", lambda *given: told.append(given[3]))
+    made = Design.load(lab / DESIGN)
+    n = counts.valid.sum(axis=1)[0]
+    for ambient_variance in (0 * counts.ambient, counts.ambient + 7.0):
+        changed = replace(counts, ambient_variance=ambient_variance)
+        _consistency(made, changed, counts.valid, np.ones(len(counts.valid)))
+    np.testing.assert_allclose(told[1] - told[0], 7.0 * n**2)

@@ -155,6 +155,13 @@ def camera_count(
         str | None,
         typer.Option(help="how far a marker may be off; 10us or a tenth of a frame unless given"),
     ] = None,
+    background: Annotated[
+        str | None,
+        typer.Option(
+            help="scene of this run that was dark, or folder of a run with the scene dark: its "
+            "counts are subtracted"
+        ),
+    ] = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     as_json: options.Json = False,
@@ -172,7 +179,8 @@ def camera_count(
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if is_live(folder):
-        check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker, *settings.values()))
+        given = exposure, settle, repeats, tolerance, background, inputs, marker
+        check_as_it_was((*given, *settings.values()))
         with common.progress("counting", quiet=as_json) as report:
             _print_live_counts(count_live(folder, report), folder, as_json)
         return
@@ -185,6 +193,7 @@ def camera_count(
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
             dead_time=options.dead_time(folder, settings),
+            background=background,
             report=report,
         )
     print_counts(counts, folder, as_json)
@@ -212,6 +221,7 @@ def print_counts(
         "dead_time_s": counts.dead_time.seconds,
         "paralysable": counts.dead_time.paralysable,
         "arrivals": float(counts.arrivals.sum()),
+        "ambient": float(counts.ambient.sum()),
         "problems": list(problems),
     }
     if as_json:
@@ -238,6 +248,7 @@ def print_counts(
         f"{_span(counts.photons)} photons an exposure, dark "
         f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
         f"clocks: frames last {_drifted(counts.drift)}\n"
+        f"{_ambient(counts)}"
         f"counts: {folder / 'counts.npz'}"
     )
 
@@ -262,6 +273,14 @@ def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> Non
         f"frames\n{summary['photons_counted']} photons counted\n"
         f"counts: {folder / 'counts.npz'}"
     )
+
+
+def _ambient(counts: "Counts") -> str:
+    """Line on the background that was measured; nothing where none was."""
+    if not counts.ambient_variance.any():
+        return ""
+    error = math.sqrt(counts.ambient_variance.sum())
+    return f"background subtracted: {counts.ambient.sum():.4g} ± {error:.2g} counts an exposure\n"
 
 
 def _drifted(drift: float) -> str:

@@ -266,7 +266,8 @@ def _consistency(
     some = often > 0
     exposures = counts.by_readout(usable)
     signal = counts.signal().sum(axis=1, where=exposures)[some]
-    dark = counts.background.clip(min=0) * exposures.sum(axis=1)
+    number = exposures.sum(axis=1)
+    dark = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
     background = (dark + counts.excess.sum(axis=1, where=exposures))[some]
     budget = (budgets * often)[some]
     return design.consistency(design.readouts(signal), budget, design.readouts(background))
