@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scipy import special
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
@@ -31,10 +30,11 @@ CLOSE = 1e-7
 
 @pytest.fixture(scope="module")
 def designs(digits):
-    """Give the designs, trained for a moment."""
+    """Give the designs, trained until they know something."""
+    few = {"epochs": 15, "lr": 2e-2}
     kept, spectra = digits.hold_out(237), synthetic((24,))
     return {
-        kind: quick(spectra if kind == "spectra" else kept, **settings)
+        kind: quick(spectra if kind == "spectra" else kept, **few, **settings)
         for kind, settings in KINDS.items()
     }
 
@@ -52,7 +52,7 @@ def pages(designs, digits, tmp_path_factory):
 
 
 def rule(design, threshold):
-    return {"temperatures": [1.0] * design.exposure.looks, "threshold": threshold}
+    return {"threshold": threshold, "photons": 1e4}
 
 
 @pytest.fixture(scope="module")
@@ -130,11 +130,11 @@ def test_dwells_are_those_of_a_live_run(opened, designs, digits, kind):
 def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
     """The package, given the counts that the page has drawn, asks for the same dwells."""
     design, browser = designs[kind], opened(kind)
-    frames, chances, temperature = ask(
+    frames, chances = ask(
         browser,
         "const e = new Exposure(model, page.scene, 300, 5);"
         "return [e.frames.map(f => [f.look, f.mask, f.rails[0], f.share, f.counts[0]]), "
-        "e.answer(e.frames.length).chances, e.rule.temperatures.at(-1)]",
+        "e.answer(e.frames.length).chances]",
     )
     told = iter(range(design.exposure.looks))
 
@@ -148,9 +148,44 @@ def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
         np.testing.assert_allclose(shown, dwell, atol=AGREES, rtol=0)
         return counts
 
-    wanted = special.softmax(np.log(design.classify_live(show, 300)) / temperature)
+    wanted = design.classify_live(show, 300)
     np.testing.assert_allclose(chances, wanted, atol=AGREES, rtol=0)
     np.testing.assert_allclose(sum(frame[3] for frame in frames), 1, atol=AGREES)
+
+
+def verdict_at(browser, exponent):
+    browser.execute_script(
+        "const l = document.getElementById('light'); l.value = arguments[0];"
+        "l.dispatchEvent(new Event('input'))", exponent
+    )  # fmt: skip
+    return browser.find_element(By.ID, "verdict").text
+
+
+def test_too_little_light_is_said_and_no_stop_is_offered_far_from_its_rule(opened):
+    """The rule was chosen at 1e4 photons and stops at once; the design was learned for 1e4."""
+    browser = opened("looks")
+    said = {exponent: verdict_at(browser, exponent) for exponent in (1, 2.9, 3.4, 4, 4.4, 4.6, 7)}
+    for exponent, words in said.items():
+        assert words.startswith("Too little light for this design") == (exponent < 3)
+        assert ("could have stopped" in words) == (3.5 <= exponent <= 4.5)
+
+
+@pytest.mark.parametrize("kind", ["column", "equal", "looks", "nested"])
+def test_nobody_is_sure_of_two_photons(opened, kind):
+    """At every moment of exposures of two photons, of test scenes and of a blank one."""
+    browser = opened(kind)
+    sure, wrong = ask(
+        browser,
+        "let sure = 0, all = 0, wrong = 0; const blank = page.scene.map(() => model.scenes.low);"
+        "const scenes = [...page.scenes.slice(0, 10), blank];"
+        "for (const scene of scenes) for (let seed = 1; seed < 6; seed++) {"
+        "  const e = new Exposure(model, scene, 2, seed); all += e.stop ? 1 : 0;"
+        "  for (let k = 1; k <= e.frames.length; k++)"
+        "    sure = Math.max(sure, ...e.answer(k).chances);"
+        "} return [sure, all];",
+    )
+    assert sure < 0.8
+    assert wrong == 0
 
 
 def test_answers_to_the_first_of_nested_masks_are_those_of_the_design(opened, designs, digits):
@@ -391,7 +426,7 @@ def test_an_exposure_is_watched_frame_by_frame(opened, kind):
     ended = browser.find_element(By.ID, "verdict").text
     assert ended.startswith("Answer: ")
     assert ("stopped after look 1 of 4" in ended) == (kind == "looks")
-    assert ("of the light" in ended) == (kind == "looks")
+    assert ("of the light" in ended) == (kind in ("looks", "nested"))
 
 
 def test_playing_ends_and_can_be_paused(opened):

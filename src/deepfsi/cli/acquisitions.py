@@ -114,6 +114,7 @@ def camera_import(
         int | None,
         typer.Option(min=1, help="--cumulative and --bins: passes; as many as there are"),
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Bring the data of another make of counter into a form that is read here.
@@ -127,14 +128,14 @@ def camera_import(
         given = {"--marker-channel": marker, "--channel": channels, "--unit": unit}
         if stray := [option for option, value in given.items() if value is not None]:
             raise InputError(f"{stray[0]} is for time stamps: leave it out, or {_SERIES}")
+        paths.check_file(out, (".csv",), force)
         _import_series(events, out, bins, patterns, passes, as_json)
         return
     if patterns is not None or passes is not None:
         raise InputError(f"--patterns and --passes are for {_SERIES}: leave them out")
     if marker is None:
         raise InputError(f"time stamps need --marker-channel, and counts {_SERIES}: give one")
-    paths.check_file(out, (".ptu",))
-    paths.check_absent(out)
+    paths.check_file(out, (".ptu",), force)
     from deepfsi.hardware.ptu.reader import inspect
     from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
 
@@ -165,8 +166,6 @@ def _import_series(
     as_json: bool,
 ) -> None:
     """Write cumulative counts, or counts in bins, as a table."""
-    paths.check_file(out, (".csv",))
-    paths.check_absent(out)
     if patterns is None:
         raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
     from deepfsi.files import write_atomically

@@ -8,11 +8,12 @@ from importlib.metadata import version
 from typing import Annotated, Any, ClassVar, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
 from deepfsi.design.classifiers import Mlp, Vit, restored
+from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
@@ -20,8 +21,9 @@ from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.file_content import SCHEMA, damaged, read_content
 from deepfsi.design.own import OwnClassifier
 from deepfsi.imports import PATTERN
-from deepfsi.laws import Light, Readout
+from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
+from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
 
@@ -48,7 +50,7 @@ class MlpSize(BaseModel):
     model_config = STRICT
 
     kind: Literal["mlp"]
-    hidden: tuple[Count, ...]
+    hidden: Widths
     dropout: float = Field(ge=0, lt=1)
     patches: ClassVar = 1
 
@@ -75,7 +77,7 @@ class VitSize(BaseModel):
     kind: Literal["vit"]
     patches: Count
     width: Count
-    depth: Count
+    depth: int = Field(ge=1, le=MOST_LAYERS)
     heads: Count
     hidden: Count
 
@@ -130,10 +132,10 @@ class Header(BaseModel):
 
     schema_number: Literal[1] = Field(SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")
-    name: str
+    name: Annotated[str, AfterValidator(check_design)]
     light: Light
     readout: Readout
-    summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
+    summed_reflectance: SummedReflectance
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     exposure: Annotated[
@@ -179,8 +181,12 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     """Fields of `artifact.Design`, or an error where header and tensors do not fit together."""
     own = header.classifier.kind == "own"
     ours = [key for key in tensors if not (own and key.startswith("classifier."))]
-    if not all(bool(torch.isfinite(tensors[key]).all()) for key in ours):
-        raise ValueError("tensors are not finite")
+    for key in ours:
+        computed = key in ("rails", *STATISTICS) or key.startswith(("classifier.", "exposure."))
+        if computed and tensors[key].dtype != torch.float32:
+            raise ValueError(f"{key} holds numbers of another type")
+        if not bool(torch.isfinite(tensors[key]).all()):
+            raise ValueError("tensors are not finite")
     statistics = {name: tensors[name] for name in STATISTICS}
     rails, (_, masks, pixels) = Rails.of(tensors["rails"]), tensors["rails"].shape
     detection = _detection(header, tensors.get("detectors"))
@@ -211,15 +217,17 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         )
     words = {name: getattr(header, name) for name in WORDS}
     known = _weights(tensors, "distribution.")
-    distribution = (
-        ReadoutDistribution.restored(known, rails.count, masks * detection.count) if known else None
-    )
+    shape = exposure.compared(rails.count, masks * detection.count)
+    arrays = {name: each.numpy() for name, each in known.items()}
+    distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
+    held = _weights(tensors, "temperatures.")
     parts = {
         "rails": rails,
         "exposure": exposure,
         "detection": detection,
         "classifier": classifier,
         "distribution": distribution,
+        "temperatures": Temperatures.restored(held, exposure.count_stops(masks)) if held else None,
     }
     return {**words, **statistics, **parts}
 

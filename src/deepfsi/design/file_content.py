@@ -3,12 +3,12 @@
 import json
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -16,16 +16,13 @@ SCHEMA: Literal[1] = 1
 
 def read_content(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.ndarray]]:
     """Header, as JSON, and tensors of a design file, or `InputError` as for `Design.load`."""
-    if not Path(path).is_file():
+    if not Path(path).exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
     try:
-        with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {})["deepfsi"]
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        header: dict[str, Any] = json.loads(text)
-        schema = int(header["schema"])
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
-        raise damaged(path) from error
+        text, tensors = read_tensors(path, "deepfsi", "give a design file")
+        schema = int(json.loads(text)["schema"])
+    except (DamagedError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise error if isinstance(error, InputError) else damaged(path) from error
     if schema > SCHEMA:
         raise InputError(
             f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"

@@ -9,21 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.file_content import damaged, read_content
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.files import read_regular
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.hardware.recording.live_settings import StopRule
-from deepfsi.laboratory.live.loop import Layer, Loop, LoopHeader
+from deepfsi.laboratory.live.loop import Loop, LoopHeader, loop_from
 from deepfsi.laws import Light, Readout
-from deepfsi.optics.codes import DESIGNS
+from deepfsi.optics.codes import EVERY_PIXEL
 from deepfsi.optics.detectors import detector_map
 from deepfsi.progress import SILENT, Report
+from deepfsi.tables.tensor_files import LARGEST
 
 
 class _Kind(BaseModel):
@@ -77,7 +79,9 @@ class ShownDesign:
         if labels is None:
             return None
         cells = tuple(detector_map(labels, self.header.image_shape).tolist())
-        return Detectors(count=max(cells) + 1, cells=cells) if max(cells) else None
+        light = self.header.info.get("detector_light") or {}
+        known = {"count": max(cells) + 1, "cells": cells, **light}
+        return Detectors.model_validate(known) if max(cells) else None
 
     @property
     def loop(self) -> Loop:
@@ -91,38 +95,41 @@ class ShownDesign:
                 "package's own, an Mlp"
             )
         rails, masks, _ = self.tensors["rails"].shape
-        rule = header.info.get("stopping")
-        made = LoopHeader(
-            looks=header.exposure.looks,
-            masks=masks,
-            rails=2 if rails == 2 else 1,
-            detectors=1 if known is None else known.count,
-            each_rail=rails == 2 and header.light != "two-arm",
-            readout=header.readout,
-            classes=header.classes,
-            largest_score=LARGEST_SCORE,
-            shortest=header.exposure.shortest,
-            rule=None if rule is None else StopRule.model_validate(rule),
-        )
-        statistics = self.tensors["mean"], self.tensors["std"]
-        return Loop(made, *statistics, self._layers("classifier"), self._layers("exposure"))
+        with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+            rule = TypeAdapter(StopRule | None).validate_python(header.info.get("stopping"))
+        with as_input_error("the design"):
+            made = LoopHeader(
+                looks=header.exposure.looks,
+                masks=masks,
+                rails=2 if rails == 2 else 1,
+                detectors=1 if known is None else known.count,
+                each_rail=rails == 2 and header.light != "two-arm",
+                readout=header.readout,
+                classes=header.classes,
+                largest_score=LARGEST_SCORE,
+                shortest=header.exposure.shortest,
+                rule=rule,
+                photons=header.info.get("job", {}).get("photons"),
+            )
+        return loop_from(made, dict(map(_in_loop, self.tensors.items())))
 
-    def _layers(self, part: str) -> tuple[Layer, ...]:
-        """Weights and biases of a network's layers."""
-        layers: list[Layer] = []
-        held = self.tensors
-        while (name := f"{part}.layers.{len(layers)}") + ".weight" in held:
-            weight = np.ascontiguousarray(held[f"{name}.weight"].T, np.float32)
-            layers.append((weight, held[f"{name}.bias"].astype(np.float32)))
-        return tuple(layers)
+
+def _in_loop(held: tuple[str, np.ndarray]) -> tuple[str, np.ndarray]:
+    """A tensor of a design file by its name in a loop, whose weights are (inputs, outputs)."""
+    name, values = held
+    for part, own in (("classifier.layers.", "classifier."), ("exposure.layers.", "chooser.")):
+        if name.startswith(part):
+            turned = np.ascontiguousarray(values.T) if name.endswith(".weight") else values
+            return own + name.removeprefix(part), turned
+    return held
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
     made = ShownDesign.read(path)
-    header, detectors = made.header, made.detectors
-    if header.name in DESIGNS and DESIGNS[header.name].every_pixel:
+    header = made.header
+    if header.name in EVERY_PIXEL:
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
     if header.exposure.kind == "patches":
         raise InputError(
@@ -132,13 +139,17 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     known = header.info.get("brightness")
     with as_input_error(str(file)):
         brightness = None if known is None else Brightness.model_validate(known)
-    loop = made.loop if header.exposure.looks > 1 else None
+        detectors = made.detectors
+    try:
+        loop = made.loop if header.exposure.looks > 1 else None
+    except (KeyError, IndexError) as error:
+        raise damaged(path) from error
     return DesignRails(
         made.tensors["rails"],
         header.light,
         header.image_shape,
         header.summed_reflectance,
-        path.read_bytes(),
+        read_regular(path, LARGEST, "give a design file"),
         brightness,
         detectors,
         header.readout,

@@ -23,10 +23,10 @@ from deepfsi.hardware.recording.acquisition import (
     keep_first,
     prepare,
 )
+from deepfsi.hardware.recording.live_light import NO_LIGHT
 from deepfsi.hardware.recording.live_settings import margin_ns
 from deepfsi.hardware.recording.streaming import FrameGates
 from deepfsi.hardware.recording.tails import excess_chance
-from deepfsi.laboratory.live.decisions import NO_LIGHT
 from deepfsi.laboratory.live.run import PATIENCE_S, Bench
 
 

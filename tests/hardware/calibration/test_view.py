@@ -167,7 +167,7 @@ def test_a_damaged_file_is_named(tmp_path, change, words):
 
 
 def test_a_missing_or_broken_file_is_named(tmp_path):
-    with pytest.raises(InputError, match="no calibration at"):
+    with pytest.raises(InputError, match="is missing: calibrate"):
         load_calibration(tmp_path)
     (tmp_path / "calibration.json").write_bytes(b"{\xff")
     with pytest.raises(InputError, match=r"calibration.json. cannot be used"):

@@ -83,7 +83,7 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     assert abs(off).mean() > 10
     flux = wanted[0][:d].sum()
     assert counts.flux[0] == pytest.approx(flux, rel=0.02)
-    assert raw.flux[0] > 1.8 * flux
+    assert raw.flux[0] > 1.6 * flux  # cells leave some of the device dark
     if where == "scene":
         assert not counts.valid[SCENES].any()
         assert [fault.scene for fault in counts.faults if "subtracted" in fault.detail] == [SCENES]

@@ -1,6 +1,7 @@
 """Photons of a recording counted frame by frame, for the exposure it was made for or another."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,6 +49,9 @@ from deepfsi.progress import SILENT, Report
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
 
+Correct = Callable[[np.ndarray], Correction]
+"""Corrections of counts, at their rates."""
+
 SHIFTED = (
     "its first and last frames are not the brightest and darkest: stray light in others, or the "
     "pass is shifted"
@@ -66,21 +70,27 @@ def count(
     marker_bit: int | None = None,
     dead_time: DeadTime | None = None,
     background: str | None = None,
+    gains: tuple[float, ...] = (),
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz."""
     # background: the scene that was dark, or the folder of a recording with the scene dark, of the
-    # same patterns and wiring
+    # same patterns and wiring. gains: relative efficiency of each detector, as `find_gains` gives
+    # them
     recorded, patterns = read_acquisition(folder)
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
-    dead = _find_dead_time(Path(folder), dead_time)
+    dead, shares = _find_dead_time(Path(folder), dead_time), _check_gains(gains, manifest)
+
+    def correct(rates: np.ndarray) -> Correction:
+        return dead.correction(rates).divided(shares)
+
     names = [scene.name for scene in acquisition.scenes]
     own = names.index(background) if background in names else None
     ambient = Ambient.none(manifest)
     if background is not None and own is None:
-        ambient = _read_dark(Path(background), recorded, manifest, gates, dead)
+        ambient = _read_dark(Path(background), acquisition, manifest, gates, correct)
     header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)
     frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
     check_gates(header, gates, manifest, frames)
@@ -94,7 +104,7 @@ def count(
         dark, kept = (np.flatnonzero(whole) == own, np.flatnonzero(whole) != own)
         if not dark.any():
             raise InputError(f"scene {background} was not recorded whole: give another background")
-        ambient = _find_ambient(windows, found[dark], seconds[dark], dead, manifest, gates)
+        ambient = _find_ambient(windows, found[dark], seconds[dark], correct, manifest, gates)
         found, seconds, parted, parted_s = (
             each[kept] for each in (found, seconds, parted, parted_s)
         )
@@ -108,7 +118,7 @@ def count(
     whole[whole] = fits
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
-    factors = dead.correction(rates)
+    factors = correct(rates)
     shape = len(rates), *parts.middles.shape
     parted = parted[fits].reshape(*shape, -1)
     arrivals = parted * factors.arrivals[:, :, None]
@@ -134,13 +144,14 @@ def count(
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
         dead_time=dead,
+        gains=gains,
     )
     counts.save(Path(folder), recorded)
     return counts
 
 
 def _read_dark(
-    folder: Path, recorded: Acquisition, manifest: Manifest, gates: Gates, dead: DeadTime
+    folder: Path, run: Acquisition, manifest: Manifest, gates: Gates, correct: Correct
 ) -> Ambient:
     """Background that a recording with the scene dark has, in the gates of another."""
     if not folder.is_dir():
@@ -148,12 +159,10 @@ def _read_dark(
             f"there is no scene and no folder {folder}: give the name of a scene that was dark, "
             "or the folder of a run with the scene dark"
         )
-    acquisition, _ = read_acquisition(folder)
-    same = "manifest_sha256", "inputs", "marker_bit"
-    if any(getattr(acquisition, name) != getattr(recorded, name) for name in same):
+    acquisition = read_acquisition(folder)[0].rewired(run.inputs, run.marker_bit)
+    if acquisition.manifest_sha256 != run.manifest_sha256:
         raise InputError(
-            f"{folder} was recorded with other patterns, inputs or another marker: record the dark "
-            "scene as the others"
+            f"{folder} was recorded with other patterns: record the dark scene as the others"
         )
     header = _read_counter(folder / "photons.ptu", gates, manifest)
     frames = find_frames(header, acquisition, manifest, None, SILENT)
@@ -162,20 +171,20 @@ def _read_dark(
     ((found, seconds),) = _count_windows(
         header, starts, frames.until_s, (windows,), acquisition.inputs, SILENT
     )
-    return _find_ambient(windows, found, seconds, dead, manifest, gates)
+    return _find_ambient(windows, found, seconds, correct, manifest, gates)
 
 
 def _find_ambient(
     windows: Windows,
     found: np.ndarray,
     seconds: np.ndarray,
-    dead: DeadTime,
+    correct: Correct,
     manifest: Manifest,
     gates: Gates,
 ) -> Ambient:
     """Background of passes with the scene dark: photons and times in their windows."""
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
-    factors = dead.correction(photons / np.where(spent > 0, spent, np.inf)[..., None])
+    factors = correct(photons / np.where(spent > 0, spent, np.inf)[..., None])
     gated = found[:, windows.gates].swapaxes(1, 2)  # (P, R, f, inputs)
     both = (
         (gated * factor[:, None, manifest.shown]).reshape(-1, *gated.shape[2:])
@@ -252,6 +261,16 @@ def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
     return given or NO_DEAD_TIME
 
 
+def _check_gains(gains: tuple[float, ...], manifest: Manifest) -> np.ndarray:
+    """Gains (inputs,) of all detectors, 1 where none are given."""
+    if gains and len(gains) != manifest.inputs:
+        raise InputError(
+            f"the flat field is of {len(gains)} detectors, and these patterns are for "
+            f"{manifest.inputs}: record it with the same detectors"
+        )
+    return np.array(gains or (1.0,) * manifest.inputs)
+
+
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
     """Raise `InputError` if no pass has light, saying which inputs have photons."""
     if light.lit.any():
@@ -278,6 +297,14 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
         ]
     )
     if not fits.any():
+        with np.errstate(invalid="ignore"):
+            rates = np.nanmean(np.where(seconds > 0, photons / seconds, np.nan), axis=0)
+        if min(rates[[1, -1]]) > 2 * max(rates[[0, -2]]):
+            raise InputError(
+                f"{header.path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
+                "inverted; export the patterns again with --invert, or give the inputs of the arms "
+                "in the other order"
+            )
         raise InputError(
             f"{header.path} has no pass that begins and ends with a bright and a dark frame: give "
             "the patterns that were shown, and the input that the detector is wired to"
