@@ -265,7 +265,6 @@ def marker_to_decision(
     found = []
     for k in range(len(scenes)):
         found += [each.chances for each in observer.observe(k, stream)]
-        stream.ended()
     assert np.array_equal(found, wanted)
     return stream.seconds
 
@@ -283,16 +282,12 @@ class _Replayed:
         self.began: np.ndarray | None = None
         self.at = self.markers = self.rests = 0
 
-    def ended(self) -> None:
-        """The last look of a scene is decided."""
-        self.seconds.append(now() - self.began)
-        self.began = None
-
     def __call__(self, asked: FrameList) -> FrameCounts:
         gates = np.append(asked.gate_ns, 0) * 1e-9
         self.counter.expect(FrameGates.of(SETTLE_S, gates))
-        if self.began is not None:
-            self.ended()
+        if self.began is not None:  # all-ON frames follow the last look
+            self.seconds.append(now() - self.began)
+            self.began = None
         self.markers += len(gates)
         end = int(self.ends[self.markers - 1])
         parts = []

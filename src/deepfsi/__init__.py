@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from deepfsi.errors import InputError as InputError
     from deepfsi.laboratory.classify import classify_run as classify_run
     from deepfsi.laboratory.classify import classify_table as classify_table
-    from deepfsi.laboratory.predict import predict as predict
+    from deepfsi.laboratory.prediction import predict as predict
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
     from deepfsi.optics.camera import Camera as Camera
     from deepfsi.optics.scanner import Scanner as Scanner
@@ -68,7 +68,7 @@ _HOMES = {
     "learn": "training.learning",
     "load_dataset": "datasets",
     "photons_per_pixel": "optics.budget",
-    "predict": "laboratory.predict",
+    "predict": "laboratory.prediction",
 }
 
 __all__ = [

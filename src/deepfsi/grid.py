@@ -36,7 +36,7 @@ Region = Annotated[str, AfterValidator(_region)]
 
 
 class Layout(Frozen):
-    """How the cells of masks lie on a device."""
+    """Place of the cells of masks on a device."""
 
     region: Region | None = None  # that holds the cells; the whole device unless given
     stretch: bool = False  # True where cells fill the region, and need not be square

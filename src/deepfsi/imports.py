@@ -28,7 +28,7 @@ NO_TORCH = (
     'torch is not installed, and learning, testing and classifying need it: pip install "deepfsi'
     "[design]\"; a camera's computer needs none to show patterns, count and decide in looks"
 )
-"""What is said where torch is missing."""
+"""Message where torch is missing."""
 
 
 @contextlib.contextmanager

@@ -234,6 +234,7 @@ READERS = {
     "text": Reader("table.txt", read_table, (changed_table, mangled), 3),
     "parquet": Reader("table.parquet", read_table, (mangled,)),
     "hdf5 table": Reader("table.h5", read_table, (mangled,), 2),
+    "labels": Reader("folder/labels.csv", load_small, (changed_table, mangled), 2),
 }  # fmt: skip
 
 
@@ -358,6 +359,9 @@ def _pictures(folder: Path, x: np.ndarray) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(scene).save(path)
             archive.write(path, f"{label}/{path.name}")
+    names = sorted((folder / "folder").glob("*/*.*"))
+    lines = [f"{path.parent.name}/{path.name},{path.parent.name}" for path in names]
+    (folder / "folder" / "labels.csv").write_text("\n".join(lines))
     pages = [Image.fromarray(scene) for scene in x[:3]]
     pages[0].save(folder / "masks.tif", save_all=True, append_images=pages[1:])
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.readers import READERS, make_samples
+from fuzz.readers import READERS
 
 INPUTS, SEED = (int(os.environ.get(name, usual)) for name, usual in
                 (("DEEPFSI_FUZZ", 10_000), ("DEEPFSI_FUZZ_SEED", 0)))  # fmt: skip
@@ -27,13 +27,6 @@ SLOW = ["report", "report's design"]
 FAST = [name for name in READERS if name not in SLOW]
 GROUPS = [*((ROUNDS, FAST[first::4]) for first in range(4)), (min(ROUNDS, 30), SLOW)]
 """Readers that share a process, and their rounds."""
-
-
-@pytest.fixture(scope="session")
-def samples(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("samples")
-    make_samples(folder)
-    return folder
 
 
 def faults_of(samples: Path, work: Path, first: int, count: int, names: list[str]) -> list[str]:
@@ -52,6 +45,7 @@ def faults_of(samples: Path, work: Path, first: int, count: int, names: list[str
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", range(len(GROUPS)))
 def test_readers_refuse_what_they_cannot_read(group, samples, tmp_path):
     rounds, names = GROUPS[group]

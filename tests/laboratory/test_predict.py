@@ -54,6 +54,15 @@ def test_new_pictures_are_classified_as_often_as_the_test_scenes(design, digits,
     assert "then mapped from [0, 1] to [0.3, 1]" in found.preprocessing
 
 
+@pytest.mark.parametrize("photons", [1e2, 1e4])
+def test_confidence_is_calibrated_for_the_light(design, raw, photons):
+    """It agrees with accuracy within five standard deviations, and 0.08 of few training scenes."""
+    found = deepfsi.predict(design, raw, photons, seed=3).pictures
+    [accuracy] = (each.accuracy for each in deepfsi.evaluate(design, "digits", photons, draws=1))
+    error = 5 * (accuracy * (1 - accuracy) / len(found)) ** 0.5 + 0.08
+    assert abs(np.mean([each.confidence for each in found]) - accuracy) < error
+
+
 def test_without_noise_the_answer_is_that_of_the_expected_counts(design, digits, raw):
     found = deepfsi.predict(design, raw, 1e4, noise="none")
     features = design.rates(design.scanner("none"), design.mean.new_tensor(digits.x_test)) * 1e4
@@ -69,6 +78,12 @@ def test_the_same_seed_gives_the_same_classes(design, raw):
     first, again, other = (deepfsi.predict(design, raw, 30, seed=seed) for seed in (0, 0, 1))
     assert first == again
     assert first != other
+
+
+def test_too_little_light_is_said(design, raw):
+    assert deepfsi.predict(design, raw, 1e4).remarks == ()
+    [said] = deepfsi.predict(design, raw, 10).remarks
+    assert "10 photons are too little light for this design" in said
 
 
 def test_pictures_that_data_export_wrote_are_not_mapped_twice(design, digits, raw, tmp_path):

@@ -45,7 +45,7 @@ def predict(
         paths.check_file(out, (".csv",), force)
     from deepfsi.design.evaluation import camera_for
     from deepfsi.files import write_atomically
-    from deepfsi.laboratory.predict import predict as run
+    from deepfsi.laboratory.prediction import predict as run
     from deepfsi.training.training_set import find_device
 
     budget = options.number("photons", photons)
@@ -75,5 +75,7 @@ def predict(
         print(f"right: {right} of {known} pictures")
     if foreign := sum(each.label is not None for each in found.pictures) - known:
         print(f"{foreign} pictures have labels that are none of the design's classes: left out")
+    for remark in found.remarks:
+        print(f"note: {remark}")
     if out is not None:
         print(f"table: {out}")

@@ -10,6 +10,7 @@ import csv
 import io
 import warnings
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -175,8 +176,8 @@ def list_labels(path: Path) -> list[Picture]:
             f"{path} names {len(missing)} images that are not there, {_listed(missing)}: names are "
             f"from the folder {folder} on"
         )
-    if len(where := {picture.where for picture in pictures}) < len(pictures):
-        twice = [each for each in where if sum(p.where == each for p in pictures) > 1]
+    lines_of = Counter(picture.where for picture in pictures)
+    if twice := [where for where, count in lines_of.items() if count > 1]:
         raise InputError(f"{path} names {_listed(twice)} twice: give each image one line")
     return pictures
 

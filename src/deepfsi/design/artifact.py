@@ -162,7 +162,7 @@ class Design:
     def logits(
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
-        """Logits (..., C) of features (..., k) in counts, a budget (..., 1) and dwells (..., q)."""
+        """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
         return self.logits_of(Observation(features / photons, dwell), photons)
 
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:

@@ -73,17 +73,6 @@ class Temperatures:
         """Lowest budget of which a design can say something: a tenth of the training's lowest."""
         return float(self.budgets[0]) * REACH / TOO_DIM
 
-    def remark(self, photons: np.ndarray) -> str | None:
-        """Words for a reader where some of these budgets (n,) are far below the training's."""
-        count = int((photons < self.dimmest * (1 - 1e-9)).sum())
-        if not count:
-            return None
-        return (
-            f"too little light for this design: {count} of {len(photons)} scenes have a budget "
-            f"below {self.dimmest:.3g}, a tenth of the lowest that it was learned for, and answers "
-            "to them are hardly more than guesses"
-        )
-
     def scaled(self, factor: float, stops: int | None = None) -> "Temperatures":
         """Temperatures where the same counts take so many times the budget, at the first stops."""
         return Temperatures(self.logs[:stops], self.budgets * factor)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def design_text(design: "Design") -> str:
-    """What a design is, in one line."""
+    """A design in one line."""
     budget = design.info.get("job", {}).get("photons")
     trained = f", learned at {budget:g} photons" if budget else ""
     shape = "x".join(map(str, design.mask_shape))

@@ -184,8 +184,10 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
     share = (data.x_test[rows] - low) / max(high - low, 1e-9)
     levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
-    known = data.wavelengths
+    known, sums = data.wavelengths, data.x_train.sum(axis=1, dtype=float)
     return {
+        "sums": [float(sums.min()), float(sums.max())],
+        "flattest": float(data.x_train.std(axis=1).min()),
         "low": low,
         "high": high,
         "levels": pack(levels),

@@ -75,7 +75,7 @@ class StoppingRule:
         return chances, self.decide(shown, chances, photons)
 
     def decide(self, shown: int, chances: np.ndarray, photons: float) -> bool:
-        """Whether an exposure of a budget stops, of its probabilities (C,) so far."""
+        """True if an exposure of a budget stops, by its probabilities (C,) so far."""
         # For `Design.classify_live`; `InputError` if an exposure is not judged after so many
         if shown not in self.after:
             raise InputError(

@@ -40,7 +40,7 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 
 
 def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
-    """How the scenes of a camera lie on the device, from a counted run of the reference target."""
+    """Place of scenes on the device, from a counted run of the reference target."""
     return find_reference(read_counts(folder), read_acquisition(folder)[1], report)
 
 

@@ -255,8 +255,6 @@ def _classified(
             )
         )
     remarks = (UNTESTED,) if found is None else tuple(found.remarks)
-    if design.temperatures and (remark := design.temperatures.remark(budgets[some])):
-        remarks = (remark, *remarks)
     return ClassifiedRun(
         design.name, design.masks, design.classes, tuple(classified), counts.faults, found, remarks
     )

@@ -54,7 +54,7 @@ class ShownHeader(BaseModel):
 
 @dataclass(frozen=True)
 class ShownDesign:
-    """What patterns need of a design file, read without torch."""
+    """A design file as far as patterns need it, read without torch."""
 
     header: ShownHeader
     tensors: dict[str, np.ndarray]

@@ -47,7 +47,7 @@ class ClassifiedRun:
     scenes: tuple[ClassifiedScene, ...]
     faults: tuple[Fault, ...]  # of the markers and the light
     consistency: "Consistency | None"  # with the training; none where it was not tested
-    remarks: tuple[str, ...]  # on the light and the consistency, for a reader
+    remarks: tuple[str, ...]  # on the consistency, for a reader
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""

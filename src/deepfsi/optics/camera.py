@@ -346,7 +346,7 @@ class Camera(Settings):
 
     @property
     def layout(self) -> Layout:
-        """How the cells of its masks lie on the device."""
+        """Place of the cells of its masks on the device."""
         return Layout(region=self.region, stretch=self.stretch)
 
     def mask_levels(self, mask_shape: tuple[int, ...]) -> int:

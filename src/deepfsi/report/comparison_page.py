@@ -295,15 +295,19 @@ def best_table(results: Results, noise: str) -> Part:
 
 def confusions(results: Results) -> Iterator[Part]:
     """Confusion matrices at the chosen mask counts under each noise, by series and budget."""
-    axes = accuracy.series_axes(results)
+    axes, classes = accuracy.series_axes(results), results.data.classes
     for noise in accuracy.noises(results):
         points = [p for p in chosen(results, noise) if p.confusion]
+        if any([*map(len, p.confusion)] != [len(classes)] * len(classes) for p in points):
+            raise InputError(
+                "a confusion matrix is not of the data's classes: run the comparison again"
+            )
         names = accuracy.series_names(points, axes, "title")
         for point in sorted(points, key=lambda p: (p.photons, -p.accuracy)):
             where = f"{photons_text(point.photons)} photons, {noise_text(noise)}"
             yield {
                 "heading": f"{names[accuracy.key_of(point, axes)]}, {where}",
-                "table": Markup(confusion_table(point.confusion, results.data.classes)),
+                "table": Markup(confusion_table(point.confusion, classes)),
             }
 
 

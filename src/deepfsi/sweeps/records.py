@@ -43,14 +43,14 @@ class _Tested(Result):
 
 
 class _Info(BaseModel):
-    """What is read of a design's provenance."""
+    """Provenance of a design, as far as it is read."""
 
     device: str
     seconds: FiniteFloat
 
 
 class _Record(BaseModel):
-    """What is read of a record, but its trial, which is that of who asks."""
+    """A record as far as it is read, but for its trial, which is that of who asks."""
 
     revision: int = Field(alias="schema")
     key: str

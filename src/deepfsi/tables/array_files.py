@@ -245,7 +245,7 @@ def _check_deflated(file: IO[bytes], path: Path) -> None:
         if kind == MAT_PLAIN:
             file.seek(length, io.SEEK_CUR)
         elif kind == MAT_DEFLATED:
-            inflate, left = zlib.decompressobj(), file.read(length)
+            inflate, left = zlib.decompressobj(), file.read(min(length, size))
             with suppress(zlib.error):  # scipy says what is wrong
                 while left and not inflate.eof:
                     found += len(inflate.decompress(left, INFLATED_AT_ONCE))

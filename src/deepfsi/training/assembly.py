@@ -82,10 +82,16 @@ def design_of(
         info=provenance(job, scenes, rails.device, 0.0),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
-    train = torch.from_numpy(scenes.x_train).to(rails.difference), torch.from_numpy(scenes.y_train)
-    design.distribution = distribution_of(design, *train)
+    return _calibrated(design, scanner, scenes, job)
+
+
+def _calibrated(design: Design, scanner: Scanner, data: Dataset, job: Job) -> Design:
+    """The design with the distribution of its readouts, and its temperatures."""
+    scenes = torch.from_numpy(data.x_train).to(design.rails.difference)
+    design.distribution = distribution_of(design, scenes, torch.from_numpy(data.y_train))
     exact = design.scanner() if scanner.noise == "ml_gauss" else scanner
-    design.temperatures = find_temperatures(design, exact, (budget, budget), scenes, job.seed)
+    budgets = (job.photons, job.photons)
+    design.temperatures = find_temperatures(design, exact, budgets, data, job.seed)
     return design
 
 

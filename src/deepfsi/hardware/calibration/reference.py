@@ -109,7 +109,7 @@ def has_reference(manifest: Manifest) -> bool:
 
 @dataclass(frozen=True)
 class ReferenceFit:
-    """How a camera shows the reference target."""
+    """Place of the reference target on the device, as a camera shows it."""
 
     exported: Layout
     layout: Layout  # that masks need to lie on the device as scenes do
@@ -122,7 +122,7 @@ class ReferenceFit:
 
     @property
     def doubt(self) -> str | None:
-        """Why what was found is not certain, in words; None where it is."""
+        """Reason why what was found is not certain; None where it is."""
         if self.chance < LEAST_CHANCE:
             return (
                 "no place of the reference explains these counts: show it alone, on black, and "
@@ -142,7 +142,7 @@ class ReferenceFit:
 
     @property
     def findings(self) -> list[tuple[str, str, bool]]:
-        """What was found, in words, and whether it departs from what was exported."""
+        """Findings by name, in words, and whether each departs from what was exported."""
         scale, down, across, turn = self.errors
         turned = self.layout != self.exported
         words = "as exported"
@@ -170,7 +170,7 @@ class ReferenceFit:
 
 
 class _Model:
-    """What the cells of a mask see of the target."""
+    """Light of the target on the cells of a mask."""
 
     def __init__(self, manifest: Manifest) -> None:
         self.grid, self.exported = manifest.grid, manifest.layout

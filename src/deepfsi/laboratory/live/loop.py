@@ -97,7 +97,7 @@ class Loop:
         return _softmax(logits / self._temperature(inputs, photons))
 
     def _temperature(self, inputs: np.ndarray, photons: float) -> float:
-        """What the logits are divided by, after the time that the dwells of the inputs took."""
+        """Divisor of the logits, after the time that the dwells of the inputs took."""
         if self.temperatures is None:
             return 1.0
         logs, budgets = self.temperatures

@@ -232,7 +232,8 @@ class Page {
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
-    const answer = `${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
+    const strange = exposure.unlike ? "This scene is darker, brighter or flatter than all that the design was learned from: the probability does not hold for it. " : "";
+    const answer = `${strange}${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
     const { stop, rule } = exposure;
     if (stop) return `${answer} It could have stopped ${this.stopWords(stop)}`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;

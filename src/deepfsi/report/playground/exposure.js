@@ -45,7 +45,8 @@ export class Exposure {
   constructor(model, scene, photons, seed) {
     Object.assign(this, { model, scene, photons, seed, frames: [], decisions: [] });
     this.together = model.light === "column";
-    this.rule = model.rule(photons);
+    this.unlike = model.unlike(scene);
+    this.rule = this.unlike ? null : model.rule(photons);
     this.answers = new Map();
     const random = new Random(seed);
     const rates = model.rates(scene).map((rate) => rate * photons);

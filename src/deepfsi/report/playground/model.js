@@ -184,6 +184,15 @@ export class Model {
     return Math.exp(log - Math.min(level, 0) * step);
   }
 
+  /** True of a scene that is darker, brighter or flatter than all scenes of the training. */
+  unlike(scene) {
+    const { sums, flattest } = this.scenes;
+    const sum = scene.reduce((a, b) => a + b, 0);
+    const mean = sum / scene.length;
+    const spread = Math.sqrt(scene.reduce((all, x) => all + (x - mean) ** 2, 0) / scene.length);
+    return sum < sums[0] * 0.999 || sum > sums[1] * 1.001 || spread < flattest * 0.999;
+  }
+
   /** True where the light is far below that of the training. */
   tooDim(photons) {
     return this.temperatures !== null && photons < this.temperatures.dimmest * (1 - 1e-9);

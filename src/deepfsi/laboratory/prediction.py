@@ -18,6 +18,7 @@ from deepfsi.design.memory import memory_of
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import load_calibration
+from deepfsi.laboratory.light import dim_scenes
 from deepfsi.optics.budget import check_budget
 
 AT_ONCE = 1024
@@ -46,12 +47,13 @@ class Predictions:
     photons: float  # budget
     noise: str
     preprocessing: str  # what was done to the pictures, in words
+    remarks: tuple[str, ...]  # on the budget, where it is too little for the design
     classes: tuple[str, ...]  # those that the design tells apart
     pictures: tuple[Predicted, ...]
 
     @property
     def right(self) -> tuple[int, int]:
-        """How many labels are right, of those that are classes of the design."""
+        """Number of right labels, and of those that are classes of the design."""
         known = [each for each in self.pictures if each.label in self.classes]
         return sum(each.predicted == each.label for each in known), len(known)
 
@@ -129,7 +131,7 @@ def predict(
     with torch.no_grad():
         for some in scenes.split(AT_ONCE):
             *_, seen = design.expose(scanner, design.rates(scanner, some), generator, budget)
-            chances.append(design.logits_of(seen, budget).softmax(dim=-1).cpu())
+            chances.append(design.chances(seen, budget).cpu())
     surest, places = torch.cat(chances).max(dim=-1)
     found = tuple(
         Predicted(name, label, design.classes[place], confidence)
@@ -141,7 +143,9 @@ def predict(
             strict=True,
         )
     )
-    return Predictions(budget, camera.noise_name, shown.preprocessing, design.classes, found)
+    remarks = tuple(fault.detail for fault in dim_scenes(design, np.array([budget])))
+    said = shown.preprocessing
+    return Predictions(budget, camera.noise_name, said, remarks, design.classes, found)
 
 
 def _scenes(design: Design, pictures: Path, skip_bad: bool) -> Display:
