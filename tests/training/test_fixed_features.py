@@ -63,10 +63,10 @@ def test_features_are_those_of_the_formula(digits, kind, budgets, replicas):
 
 
 @pytest.mark.parametrize(("budgets", "replicas"), [([9.0], 1), ([1.0, 80.0], 2)])
-def test_a_step_passes_over_its_features_twice(digits, budgets, replicas):
-    """Noise times its deviation, and the sum: features are standardised before the first step."""
+def test_a_step_passes_over_its_features_three_times(digits, budgets, replicas):
+    """Features over their deviation, noise times its own, and the sum."""
     features, *_ = made(digits, "ml_gauss", budgets, replicas)
     with profile(activities=[ProfilerActivity.CPU]) as seen:
         features.at(0)
     counted = Counter(event.name for event in seen.events())
-    assert sum(counted[name] for name in PASSES) == 2
+    assert sum(counted[name] for name in PASSES) == 3

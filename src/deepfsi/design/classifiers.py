@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.errors import InputError
+from deepfsi.optics.scanner import apart
 
 
 class Mlp(nn.Module):
@@ -188,11 +189,9 @@ class Replicas(nn.Module):
             return self._logits(features).float()
 
     def _logits(self, features: Tensor) -> Tensor:
-        if len(self.networks) == 1 and not self.stacked:
-            return self.networks[0](features.squeeze(1)).unsqueeze(1)
         if not self.stacked:
-            pairs = zip(self.networks, features.unbind(1), strict=True)
-            return torch.stack([network(own) for network, own in pairs], dim=1)
+            pairs = zip(self.networks, features.transpose(0, 1), strict=True)
+            return torch.stack([apart(network(apart(own))) for network, own in pairs]).transpose(0, 1)
         h = features.transpose(0, 1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             h = torch.baddbmm(bias, h, weight)

@@ -13,7 +13,7 @@ from deepfsi.optics.detection import Detection, Readouts
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.noise import OwnNoise, attach_gradient, readout, root, variance
 from deepfsi.optics.rails import Rails
-from deepfsi.optics.scanner import project, project_rails
+from deepfsi.optics.scanner import apart, project, project_rails
 
 CHUNK = 4096
 """Scenes that are multiplied at once outside the steps."""
@@ -119,7 +119,15 @@ class FeatureNoise:
 
 def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
     """Divide centred features by the standard deviation of their batch."""
-    # features (B, R, m)
+    # features (B, R, m); on a processor those of one replica after another, see `apart`
+    replicas = features.shape[1]
+    if replicas > 1 and features.device.type == "cpu":
+        known = [None] * replicas if shown is None else shown.expand_as(features).split(1, dim=1)
+        own = [
+            apart(standardise(apart(each), scale, own_shown))
+            for each, own_shown in zip(features.split(1, dim=1), known, strict=True)
+        ]
+        return torch.stack([each.squeeze(1) for each in own]).transpose(0, 1)
     if shown is not None:
         over = (0,) if scale == "each" else (0, 2)
         power = (features.square() * shown).sum(dim=over, keepdim=True)

@@ -73,7 +73,9 @@ class LearnedMasks(nn.Module):
             return
         pattern = 0.9 * start / peak(start.abs())
         self.weight = nn.Parameter(
-            torch.atanh(pattern) if rails == "dual" else torch.logit(pattern.clamp(min=0.05))
+            (torch.log1p(pattern) - torch.log1p(-pattern)) / 2  # atanh, which ends otherwise
+            if rails == "dual"
+            else torch.logit(pattern.clamp(min=0.05))
         )
         if light != "equal-dwell":
             per_mask = 2 if (light, rails) == ("free-dwell", "dual") else 1
@@ -101,7 +103,7 @@ class LearnedMasks(nn.Module):
             matrix = self.weight * (self.unit / (sums * self.unit).clamp(min=1))
             return matrix if self.rails == "dual" else matrix.abs()
         if self.rails == "single":
-            pattern = torch.sigmoid(self.weight)
+            pattern = 0.5 + 0.5 * torch.tanh(0.5 * self.weight)
             return pattern * self._dwell(pattern)[..., 0, :, None]
         pattern = torch.tanh(self.weight)
         if self.light != "free-dwell":

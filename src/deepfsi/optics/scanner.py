@@ -169,11 +169,26 @@ def _check_light(photons: Any, pixels: int) -> None:
         )
 
 
+def apart(part: Tensor) -> Tensor:
+    """Copy of a part of a tensor, whose gradient is copied, too.
+
+    How products and sums are rounded depends on strides, and on where in memory a tensor begins.
+    """
+    own = part.clone(memory_format=torch.contiguous_format)
+    if own.requires_grad:
+        own.register_hook(lambda slope: slope.clone(memory_format=torch.contiguous_format))
+    return own
+
+
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
-    """Product of scenes (..., N) with masks (*lead, m, N), as one: (..., *lead, m)."""
+    """Product of scenes (..., N) with masks (*lead, m, N): (..., *lead, m)."""
     # Multiplies in the type of the scenes and returns the wider of theirs and the masks'. For
     # several parts, of arranged scenes and masks (`detection`), the product of each: (..., *lead, m
-    # · parts). photons (..., N); masks (*lead, m, N)
+    # · parts). A processor multiplies each m masks by themselves, since how a product is rounded
+    # depends on how many it has; a GPU all at once. photons (..., N); masks (*lead, m, N)
+    if masks.ndim > 2 and masks.device.type == "cpu":
+        own = [apart(project(photons, apart(each), parts)) for each in masks.unbind(-3)]
+        return torch.stack(own).movedim(0, -2)
     low = masks.flatten(0, -2).to(photons.dtype)
     if parts == 1:
         product = photons @ low.T
@@ -210,6 +225,20 @@ def measure(
     return _Measure.apply(scenes, rails, epsilon, disjoint, parts)  # type: ignore[no-untyped-call]
 
 
+def _project_back(back: Tensor, scenes: Tensor, parts: int) -> Tensor:
+    """Gradient of masks (*lead, m, N) from that of their products (B, *lead, k) by `project`."""
+    if back.ndim > 2 and back.device.type == "cpu":
+        each = [_project_back(apart(own), scenes, parts) for own in back.unbind(-2)]
+        return torch.stack(each, dim=-3)
+    low = back.flatten(1)
+    if parts == 1:
+        product = low.T @ scenes
+    else:
+        pieces = low.unflatten(-1, (-1, parts)), scenes.unflatten(-1, (parts, -1))
+        product = torch.einsum("bkd,bdp->kdp", *pieces)
+    return product.reshape(*back.shape[1:-1], -1, scenes.shape[-1])
+
+
 class _Measure(torch.autograd.Function):
     """Written out because autograd's own graph of it takes twice the time of its products."""
 
@@ -226,7 +255,7 @@ class _Measure(torch.autograd.Function):
         mean, counts = (products, products) if single else products.unbind(1)
         deviation = (counts[:-1] + counts[-1]).clamp_(min=0).sqrt_()
         ctx.save_for_backward(scenes, epsilon, deviation)
-        ctx.signed, ctx.shape, ctx.parts = signed, low.shape, parts
+        ctx.signed, ctx.lead, ctx.parts = signed, low.shape[:-2], parts
         return torch.addcmul(mean[:-1], deviation, epsilon)
 
     @staticmethod
@@ -234,17 +263,12 @@ class _Measure(torch.autograd.Function):
         scenes, epsilon, deviation = ctx.saved_tensors
         # 0, not infinite, where a mask is dark; passes over booleans take many times longer
         by_counts = (epsilon / deviation).nan_to_num_(0, 0, 0).mul_(gradient).mul_(0.5)
-        back = gradient.new_zeros(len(scenes), *ctx.shape[:-2], gradient.shape[-1])
+        back = gradient.new_zeros(len(scenes), *ctx.lead, gradient.shape[-1])
         mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
         mean[:-1] = gradient
         counts[:-1] += by_counts
-        counts[-1] = by_counts.sum(dim=0)
-        low = back.flatten(1).to(scenes.dtype)
-        if ctx.parts == 1:
-            product = (low.T @ scenes).view(ctx.shape)
-        else:
-            pieces = low.unflatten(-1, (-1, ctx.parts)), scenes.unflatten(-1, (ctx.parts, -1))
-            product = torch.einsum("bkd,bdp->kdp", *pieces).reshape(ctx.shape)
+        counts[-1] = by_counts.transpose(0, -2).contiguous().sum(dim=-2)
+        product = _project_back(back.to(scenes.dtype), scenes, ctx.parts)
         if ctx.signed:
             product = torch.addcmul(product[0], product[1], ctx.sign)
         by_draw = gradient * deviation if ctx.needs_input_grad[2] else None

@@ -46,11 +46,7 @@ class Features(ABC):
 
 
 class FixedFeatures(Features):
-    """Features of fixed masks, whose products with all scenes (n, N) are known.
-
-    Where no counts are drawn the products are standardised once, for the first of the replicas that
-    share them; what the others have in place of that is a factor.
-    """
+    """Features of fixed masks, whose products with all scenes (n, N) are known."""
 
     def __init__(
         self,
@@ -81,20 +77,13 @@ class FixedFeatures(Features):
         self.read = detection.readouts(arranged)
         self.counting = noise.counting
         self.totals = totals if photonic else None
-        if not self.counting:
-            self._standardise(noise)
-
-    def _standardise(self, noise: FeatureNoise) -> None:
-        held = self.means.shape[1]
-        self.alone = held == len(self.std)
-        self.ratio = self.std[:held] / self.std
+        if self.counting:
+            return
         if self.totals is None:
             self.gain = noise.variance(self.mean, self.read).sqrt() / self.std
         else:
-            gain = noise.unit / self.std
-            self.totals = root(self.totals).mul_(gain[:held])
-            self.gain = gain / gain[:held]
-        self.means.sub_(self.mean[:held]).div_(self.std[:held])
+            self.totals, self.gain = root(self.totals), noise.unit / self.std
+        self.means.sub_(self.mean[: self.means.shape[1]])
 
     def at(self, step: int) -> Tensor:
         """Features (B, R, m), standardised as those of the whole training set."""
@@ -110,10 +99,7 @@ class FixedFeatures(Features):
         draws, gain = stream.normal(expected.shape[-1]), stream.part(self.gain)
         if self.totals is not None:
             draws = draws * stream.products(self.totals, step)
-            if self.alone:
-                return expected.add_(draws)
-        scaled = expected if self.alone else expected * stream.part(self.ratio)
-        return torch.addcmul(scaled, draws, gain)
+        return torch.addcmul(expected / stream.part(self.std), draws, gain)
 
 
 @dataclass

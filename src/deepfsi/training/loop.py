@@ -42,6 +42,12 @@ EARLY_LOOKS_WEIGHT = 0.2
 CHOOSER_LR = 0.2
 """Learning rate of the network that chooses dwells, over that of the classifier."""
 
+VECTOR = 16
+"""Numbers that a processor takes at once, at most; exponentials of the rest are rounded otherwise."""
+
+NO_CLASS = -100
+"""Label of scenes that torch's cross entropy leaves out."""
+
 THREADED_ELEMENTS = 2**15
 """Elements below which torch itself does not share an operation among threads."""
 
@@ -86,9 +92,13 @@ def optimise(
         groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
     if isinstance(masks, LearnedMasks):
         groups.append(parameter_group(masks, settings.mask_lr))
+        if not stacked:
+            groups[-1]["params"] = [
+                part for each in groups[-1]["params"] for part in _each_replica(each)
+            ]
     draws = seeded(job.seed) if settings.own else nullcontext()
     tokens = exposures[0].tokens(training_set.data.image_shape)
-    elements = batch * len(jobs) * tokens * max(job.masks, *settings.hidden, 1)
+    elements = batch * tokens * max(job.masks, *settings.hidden, 1)
     with _threads(elements), draws:
         descend(groups, settings.epochs, len(labels) // batch, shuffle, loss, report)
     for trained in (classify, choose):
@@ -98,6 +108,23 @@ def optimise(
             network.generator = None
         network.eval()
     return classifiers
+
+
+def _each_replica(parameter: nn.Parameter) -> list[nn.Parameter]:
+    """Parameters (…) that are those of each replica in one (R, …), and get its gradients.
+
+    The fused optimiser rounds the last elements of a tensor otherwise.
+    """
+    parts = [nn.Parameter(each) for each in parameter.detach()]
+
+    def hand_on(whole: Tensor) -> None:
+        assert whole.grad is not None
+        for part, gradient in zip(parts, whole.grad, strict=True):
+            part.grad = gradient
+        whole.grad = None
+
+    parameter.register_post_accumulate_grad_hook(hand_on)
+    return parts
 
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
@@ -158,14 +185,20 @@ def _loss(logits: Tensor, labels: Tensor, weights: Tensor | None, rows: bool) ->
     Scenes have the weights (C,) of their classes, if there are any. Classes are along the last
     axis in memory with `rows`, else along the first: that is rounded otherwise.
     """
-    answers = len(logits) // len(labels)
-    by_class, truth = logits.flatten(0, 1), labels.repeat(answers, 1).flatten()
-    if not rows:  # sums over few classes are many times faster along a leading axis
-        by_class, truth = by_class.T.contiguous()[None], truth[None]
+    # Scenes of a replica lie side by side in memory, and end where a vector of the processor does:
+    # so what is made of them is rounded alike whoever trains beside it
+    answers, count = len(logits) // len(labels), len(logits)
+    by_class, truth = logits.transpose(0, 1), labels.repeat(answers, 1).T
+    if rows:
+        by_class, truth = by_class.flatten(0, 1), truth.flatten()
+    else:  # sums over few classes are many times faster along a leading axis
+        beyond = (0, -count % VECTOR)
+        by_class = functional.pad(by_class.permute(2, 0, 1), beyond).contiguous().flatten(1)[None]
+        truth = functional.pad(truth, beyond, value=NO_CLASS).flatten()[None]
     if answers == 1:
         return functional.cross_entropy(by_class, truth, weights, reduction="sum")
     each = functional.cross_entropy(by_class, truth, weights, reduction="none")
-    *early, last = each.view(answers, -1).sum(dim=1)
+    *early, last = each.view(labels.shape[1], -1)[:, :count].unflatten(1, (answers, -1)).sum((0, 2))
     return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 
 
