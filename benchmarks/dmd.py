@@ -34,7 +34,7 @@ from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
 from deepfsi.devices import DEVICES
-from deepfsi.grid import Layout, find_grid
+from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
 from deepfsi.hardware.patterns.sequence import Format, FrameSettings
@@ -42,8 +42,7 @@ from deepfsi.optics import codes
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)
-LAYOUT = Layout(stretch=True)
-GRID = find_grid(DEVICE, SHAPE, LAYOUT)
+GRID = find_grid(DEVICE, SHAPE)
 ORDER = order_mirrors(GRID.height, GRID.width)
 
 
@@ -97,7 +96,7 @@ def export(rails: np.ndarray, form: Format) -> int:
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
             DesignRails(rails, "equal-dwell", SHAPE, summed_reflectance=1.0),
-            FrameSettings(DEVICE, 1e-3, format=form, layout=LAYOUT),
+            FrameSettings(DEVICE, 1e-3, format=form),
             Path(folder) / "patterns",
         )
     return len(patterns.manifest.frames)

@@ -45,10 +45,10 @@ def show(dwell):
     return rng.poisson(scene * dwell)
 
 
-def note(look, probabilities, photons):
+def note(look, probabilities):
     """Keep the probabilities after each look, and go on."""
     chances.append(probabilities)
-    return False
+    return probabilities, False
 
 
 design.classify_live(show, PHOTONS, note)

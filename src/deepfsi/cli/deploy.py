@@ -20,7 +20,6 @@ def export(
         Path | None, typer.Option("--out", "-o", help="the design's name with .onnx unless given")
     ] = None,
     trust: options.Trust = False,
-    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Write the classifier of a design as an ONNX graph, which runs without this package.
@@ -32,7 +31,7 @@ def export(
     """
     paths.check_design(file)
     target = out or file.with_suffix(".onnx")
-    paths.check_file(target, (".onnx",), force)
+    paths.check_file(target, (".onnx",))
     from deepfsi.design.onnx_graph import to_onnx
     from deepfsi.files import write_atomically
 
@@ -69,7 +68,6 @@ def plan(
     trials: options.Trials = None,
     device: options.Device = "auto",
     workers: options.Workers = None,
-    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Find how many photons, masks and detectors each design needs for a target accuracy.
@@ -85,7 +83,6 @@ def plan(
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.results import write_results
-    from deepfsi.sweeps.run import check_kept
     from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
@@ -93,8 +90,6 @@ def plan(
     recipe, scenes = check_recipe(options.recipe_settings(settings, fields, PLANNED))
     options.check_sigma(settings, recipe.noises)
     check_plan(recipe, scenes, accuracy)
-    if not force:
-        check_kept(out, recipe, scenes)
     with common.progress("plan", quiet=as_json) as report:
         found, results = photons_needed(
             recipe,

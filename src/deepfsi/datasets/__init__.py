@@ -17,7 +17,6 @@ from deepfsi.datasets.load import (
     as_dataset,
     check_source,
     load_dataset,
-    prepared,
     takes,
 )
 from deepfsi.datasets.spectra import SpectralImage
@@ -37,7 +36,6 @@ __all__ = [
     "jitter",
     "list_datasets",
     "load_dataset",
-    "prepared",
     "read_display",
     "takes",
     "write_display",

@@ -1,1 +1,0 @@
-"""Fuzzing of all readers of what users give."""
