@@ -34,7 +34,7 @@ from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
 from deepfsi.devices import DEVICES
-from deepfsi.grid import find_grid
+from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.mirrors import count_mirrors, make_frames, order_mirrors
 from deepfsi.hardware.patterns.sequence import Format, FrameSettings
@@ -42,7 +42,8 @@ from deepfsi.optics import codes
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)
-GRID = find_grid(DEVICE, SHAPE)
+LAYOUT = Layout(stretch=True)
+GRID = find_grid(DEVICE, SHAPE, LAYOUT)
 ORDER = order_mirrors(GRID.height, GRID.width)
 
 
@@ -96,7 +97,7 @@ def export(rails: np.ndarray, form: Format) -> int:
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
             DesignRails(rails, "equal-dwell", SHAPE, summed_reflectance=1.0),
-            FrameSettings(DEVICE, 1e-3, format=form),
+            FrameSettings(DEVICE, 1e-3, format=form, layout=LAYOUT),
             Path(folder) / "patterns",
         )
     return len(patterns.manifest.frames)

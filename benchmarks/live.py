@@ -45,11 +45,11 @@ from deepfsi.hardware.ptu.header import read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.acquisition import Scene
-from deepfsi.hardware.recording.streaming import FrameGates, StreamCounter
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates, StreamCounter
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.laboratory.live.decisions import FrameList, Observer
-from deepfsi.laboratory.live.loop import Loop, LoopHeader, judge
+from deepfsi.laboratory.live.loop import Loop, LoopHeader
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
@@ -194,15 +194,15 @@ def made_loop(masks: int, hidden: Sequence[int]) -> Loop:
 
     mean = np.full(masks, 0.5 / masks, np.float32)
     inputs = header.features + header.frames
-    return Loop(
-        header, mean, mean / 5, layers(inputs, *hidden, 10), layers(inputs + 1, *hidden, masks)
-    )
+    networks = layers(inputs, *hidden, 10), layers(inputs + 1, *hidden, masks)
+    temperatures = np.zeros((header.looks, 9)), np.geomspace(1e2, 1e6, 9)
+    return Loop(header, mean, mean / 5, *networks, temperatures)
 
 
 def decide(loop: Loop, features: np.ndarray, dwell: np.ndarray) -> None:
     """Probabilities of the classes, and the dwells of the next look."""
     inputs = loop.inputs(features, dwell)
-    judge(loop.classify(inputs), 1, None)
+    loop.classify(inputs, 1e4)
     loop.choose(inputs, 1, 0.003)
 
 
@@ -265,7 +265,6 @@ def marker_to_decision(
     found = []
     for k in range(len(scenes)):
         found += [each.chances for each in observer.observe(k, stream)]
-        stream.ended()
     assert np.array_equal(found, wanted)
     return stream.seconds
 
@@ -283,16 +282,12 @@ class _Replayed:
         self.began: np.ndarray | None = None
         self.at = self.markers = self.rests = 0
 
-    def ended(self) -> None:
-        """The last look of a scene is decided."""
-        self.seconds.append(now() - self.began)
-        self.began = None
-
-    def __call__(self, asked: FrameList) -> np.ndarray:
+    def __call__(self, asked: FrameList) -> FrameCounts:
         gates = np.append(asked.gate_ns, 0) * 1e-9
         self.counter.expect(FrameGates.of(SETTLE_S, gates))
-        if self.began is not None:
-            self.ended()
+        if self.began is not None:  # all-ON frames follow the last look
+            self.seconds.append(now() - self.began)
+            self.began = None
         self.markers += len(gates)
         end = int(self.ends[self.markers - 1])
         parts = []
@@ -300,10 +295,10 @@ class _Replayed:
             size = min(self.block, end - self.at)
             if self.at + size == end and asked.look >= 0:
                 self.began = now()
-            parts.append(self.counter.feed(self.content[self.at : self.at + size]).counts)
+            parts.append(self.counter.feed(self.content[self.at : self.at + size]))
             self.at += size
-        found = np.concatenate(parts)[self.rests :]
-        self.rests = len(gates) - len(found)
+        found = FrameCounts.join(parts, 1)[self.rests :]
+        self.rests = len(gates) - len(found.starts_s)
         return found[: len(asked.frames)]
 
 

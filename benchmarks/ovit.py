@@ -23,7 +23,7 @@ from torch.utils.data import DataLoader, TensorDataset
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.design.classifiers import Vit
 from deepfsi.design.exposure import Patches
-from deepfsi.optics.codes import sensing_matrix
+from deepfsi.optics.tiles import sensing_matrix
 from deepfsi.progress import Moments, Report
 from deepfsi.training.job import Job
 from deepfsi.training.learning import train

@@ -21,6 +21,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.rails import Rails
 from shared.jobs import learn
+from shared.pictures import save_images
 
 PHOTONS = 1e4
 FLOAT32 = 2e-6
@@ -209,3 +210,23 @@ def assert_moments(
     variance_error = 5 * ((fourth - variance**2) / n) ** 0.5 + rounding**2
     assert abs(samples.mean() - mean) <= mean_error
     assert abs(samples.var() - variance) <= variance_error
+
+
+@pytest.fixture
+def images(tmp_path):
+    """A folder with two classes of ten 6x8 grey images: dark cats, bright dogs."""
+    rng = np.random.default_rng(2)
+    save_images(tmp_path / "pets" / "cat", rng.integers(0, 100, (10, 6, 8), dtype=np.uint8))
+    save_images(tmp_path / "pets" / "dog", rng.integers(150, 256, (10, 6, 8), dtype=np.uint8))
+    return tmp_path / "pets"
+
+
+@pytest.fixture
+def split(images, tmp_path):
+    """A folder with its own split: 10 cats and 10 dogs to train on, one and three to test."""
+    split = tmp_path / "split"
+    split.mkdir()
+    images.rename(split / "train")
+    save_images(split / "test" / "dog", np.full((3, 6, 8), 200, np.uint8))
+    save_images(split / "test" / "cat", np.full((1, 6, 8), 20, np.uint8))
+    return split

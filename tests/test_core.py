@@ -32,7 +32,7 @@ def check(design, digits, photons=1e5):
 @pytest.mark.parametrize("name", [name for name in codes.DESIGNS if name != "custom"])
 def test_each_design_learns_digits_and_counts_no_more_light_than_there_is(digits, name):
     code = codes.DESIGNS[name]
-    masks = codes.count_allowed(name, digits.image_shape, 10)[1] if code.fixed_count else 8
+    masks = code.counts(digits.image_shape, 10)[1] if code.fixed_count else 8
     check(
         deepfsi.learn(digits, design=name, masks=masks, photons=1e5, camera="paper", training=FEW),
         digits,

@@ -45,10 +45,10 @@ def show(dwell):
     return rng.poisson(scene * dwell)
 
 
-def note(look, probabilities):
+def note(look, probabilities, photons):
     """Keep the probabilities after each look, and go on."""
     chances.append(probabilities)
-    return probabilities, False
+    return False
 
 
 design.classify_live(show, PHOTONS, note)

@@ -42,7 +42,7 @@ run = commands_in(work)
 light = "free-dwell"    # one device, one detector
 device = "dlp7000"
 exposure = "1ms"
-flux = 1e7              # counts/s, all mirrors ON
+flux = 1e7              # counts/s, all mirrors of the region ON
 dead_time = "28.5ns"
 """)
 run("deepfsi camera describe my-lab.toml")

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from deepfsi.errors import InputError as InputError
     from deepfsi.laboratory.classify import classify_run as classify_run
     from deepfsi.laboratory.classify import classify_table as classify_table
+    from deepfsi.laboratory.prediction import predict as predict
     from deepfsi.optics.budget import photons_per_pixel as photons_per_pixel
     from deepfsi.optics.camera import Camera as Camera
     from deepfsi.optics.scanner import Scanner as Scanner
@@ -67,6 +68,7 @@ _HOMES = {
     "learn": "training.learning",
     "load_dataset": "datasets",
     "photons_per_pixel": "optics.budget",
+    "predict": "laboratory.prediction",
 }
 
 __all__ = [
@@ -95,6 +97,7 @@ __all__ = [
     "learn",
     "load_dataset",
     "photons_per_pixel",
+    "predict",
 ]
 
 
@@ -107,4 +110,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return [*__all__, "__version__"]

@@ -15,6 +15,9 @@ from deepfsi.errors import InputError, closest
 MOST_MIRRORS = 2**14
 """Mirrors of a device in each direction at most."""
 
+MOST_TOGETHER = 2**25
+"""Mirrors of a device in all at most."""
+
 LONGEST_PICTURE_S = 1e3
 """Longest picture time that is exported, seconds."""
 
@@ -79,6 +82,8 @@ class Device(BaseModel):
     def _consistent(self) -> Self:
         if self.shortest_us > self.longest_us:
             raise ValueError("shortest_us is above longest_us")
+        if self.columns * self.rows > MOST_TOGETHER:
+            raise ValueError(f"columns and rows make more than {MOST_TOGETHER} mirrors")
         if sorted(self.planes) != sorted("BGR"):
             raise ValueError("planes has to name B, G and R, in the order of bit positions")
         return self
@@ -148,7 +153,8 @@ def _device_of_size(name: str) -> Device:
     sides = name.lower().split("x")
     if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
         columns, rows = map(int, sides)
-        if 1 <= columns <= MOST_MIRRORS and 1 <= rows <= MOST_MIRRORS:
+        known = 1 <= columns <= MOST_MIRRORS and 1 <= rows <= MOST_MIRRORS
+        if known and columns * rows <= MOST_TOGETHER:
             return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
     raise InputError(
         f"unknown device {name!r}: {closest(name, DEVICES)}; or COLUMNSxROWS, such as 1920x1080, "

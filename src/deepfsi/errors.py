@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 LONGEST_GIVEN = 120
 """Characters of what was given that a message repeats, at most."""
 
+LONGEST = 4000
+"""Characters of a message at most; one that repeats more is cut in its middle."""
+
 __all__ = ["InputError", "as_input_error", "check_known", "closest", "faults"]
 
 
@@ -30,6 +33,13 @@ class InputError(ValueError):
     ...     print(str(error).partition(" Known")[0])
     unknown data set 'mnits': did you mean 'mnist'?
     """
+
+    def __str__(self) -> str:
+        """The message, without what a terminal would take for a command."""
+        words = "".join(each if each.isprintable() else " " for each in super().__str__())
+        if len(words) <= LONGEST:
+            return words
+        return f"{words[: LONGEST // 2]} ... {words[-LONGEST // 2 :]}"
 
 
 def closest(name: str, allowed: Iterable[str]) -> str:

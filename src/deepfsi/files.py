@@ -1,4 +1,7 @@
-"""Writing files so that a stopped program leaves none half written.
+"""Reading what users give, and writing so that a stopped program leaves nothing half written.
+
+Every reader opens files by `open_regular`: regular ones alone, up to its own limit. What unpacks
+to far more than the file is refused by `check_unpacked`.
 
 What is being written is a draft beside its target, `.NAME.OWNER.draft`, which takes the target's
 place when it is whole. A killed process leaves its draft behind; the next one that writes to the
@@ -8,19 +11,91 @@ folder removes it.
 import os
 import re
 import shutil
+import stat
+import sys
 import time
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from hashlib import file_digest
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from deepfsi.errors import InputError
 from deepfsi.owners import PATTERN, owner_of, this_process
 
+DESIGNS = (".safetensors",)
+"""Ends of the names of design files."""
+
 DRAFT_SECONDS = 86400.0
 """Age from which a draft of another host is left over: its process cannot be asked for."""
+
+
+LARGEST_TOML = 2**18
+"""Bytes of a TOML file at most."""
+
+MOST_DOTS = 500
+"""Dots of a key of a TOML file at most: to read a key takes time in the square of its parts."""
+
+SPARE, RATIO = 2**24, 32
+"""Values, or bytes, that any file may unpack to, and those for each of its bytes beyond."""
+
+
+@contextmanager
+def open_regular(
+    path: str | os.PathLike[str],
+    largest: int = sys.maxsize,
+    advice: str = "give a file that can be read",
+    buffering: int = -1,
+) -> Iterator[BufferedReader]:
+    """Open a regular file of so many bytes at most to read; `InputError` for anything else."""
+    try:
+        file = open(path, "rb", buffering, opener=_open_at_once)  # noqa: SIM115 - errors of what follows are not ours
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: {advice}") from None
+    except (OSError, ValueError) as error:  # a name with a null character is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read ({reason}): {advice}") from None
+    with file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InputError(f"{path} cannot be read (it is no regular file): {advice}")
+        if found.st_size > largest:
+            raise InputError(f"{path} has more than {largest} bytes: {advice}")
+        yield file  # type: ignore[misc]  # a FileIO without a buffer, which reads alike
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file without waiting, were it a pipe that nobody writes to."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> bytes:
+    """Content of a file, by the rules of `open_regular`."""
+    with open_regular(path, largest, advice) as file:
+        return file.read()
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Tables of a TOML file."""
+    content = read_regular(path, LARGEST_TOML, "give a TOML file")
+    if max(part.count(b".") for part in re.split(rb"[\n,={}\[\]]", content)) > MOST_DOTS:
+        raise InputError(f"{path} has a key of more than {MOST_DOTS} dots: break it up")
+    try:
+        return tomllib.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is no TOML file: {error}") from None
+
+
+def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:
+    """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains."""
+    if unpacked > SPARE + RATIO * packed:
+        raise InputError(
+            f"{what} would unpack {packed} bytes to {unpacked:.3g}, and {SPARE + RATIO * packed} "
+            f"are allowed: {advice}"
+        )
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
@@ -30,9 +105,15 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
     return Path(path)
 
 
+def check_ending(path: str | os.PathLike[str], ends: Sequence[str]) -> None:
+    """Raise `InputError` unless a name ends as files of its kind do."""
+    if Path(path).suffix.lower() not in ends:
+        raise InputError(f"cannot write to {path}: end the name in {' or '.join(ends)}")
+
+
 def hash_file(path: Path) -> str:
     """SHA-256 of a file's content."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return file_digest(file, "sha256").hexdigest()
 
 

@@ -1,9 +1,30 @@
 """Base of the models of settings and of what files hold."""
 
+from typing import TYPE_CHECKING, Any
+
 from pydantic import BaseModel, ConfigDict
+
+from deepfsi.errors import as_input_error
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
 
 
 class Frozen(BaseModel):
     """Model that is never changed once it is made, and knows no other fields than its own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class _InOneLine(ModelMetaclass):
+    """Makes models, or raises `InputError`: pydantic's own error has several lines."""
+
+    def __call__(cls, *args: Any, **fields: Any) -> Any:
+        with as_input_error():
+            return super().__call__(*args, **fields)
+
+
+class Settings(Frozen, metaclass=_InOneLine):
+    """Model of what a user writes in Python."""

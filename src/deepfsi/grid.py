@@ -6,14 +6,65 @@ whole pairs of rows: its mirrors are those whose centres lie in a rectangle that
 columns, and all cells have mirrors at the same places in theirs.
 """
 
+import math
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import AfterValidator
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
+from deepfsi.frozen import Frozen
 
 if TYPE_CHECKING:
     import numpy as np
+
+
+def _region(text: str) -> str:
+    if not re.fullmatch(r"[1-9]\d{0,4}x[1-9]\d{0,4}(\+\d{1,5}\+\d{1,5})?", text):
+        raise ValueError(
+            "give COLUMNSxROWS of mirrors, in the middle, or COLUMNSxROWS+LEFT+TOP, such as "
+            "768x768 or 768x768+256+0"
+        )
+    return text
+
+
+Region = Annotated[str, AfterValidator(_region)]
+"""Part of a device: COLUMNSxROWS of mirrors, in its middle, or COLUMNSxROWS+LEFT+TOP."""
+
+
+class Layout(Frozen):
+    """Place of the cells of masks on a device."""
+
+    region: Region | None = None  # that holds the cells; the whole device unless given
+    stretch: bool = False  # True where cells fill the region, and need not be square
+    flip: bool = False  # left and right of the masks exchanged, before they are turned
+    rotate: Literal[0, 90, 180, 270] = 0  # by how many degrees masks are turned, clockwise
+    invert: bool = False  # True where a mirror that sends light to the detector is a 0 in the files
+
+    @property
+    def orientation(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Matrix from (across, down) of a mask to (across, down) of the device, about the middle.
+
+        Of whole numbers: a rotation by quarter turns, after a flip.
+        """
+        cos, sin = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self.rotate]
+        side = -1 if self.flip else 1
+        return (cos * side, -sin), (sin * side, cos)
+
+    def orientations(self) -> "tuple[Layout, ...]":
+        """The layout in each of the eight orientations, that as exported first."""
+        return tuple(
+            self.model_copy(update={"flip": flip, "rotate": turn})
+            for flip in (False, True)
+            for turn in (0, 90, 180, 270)
+        )
+
+
+USUAL = Layout()
+"""Square cells in the middle, as they are."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +78,17 @@ class Grid:
     top: int  # rows and columns of mirrors before the first cell
     left: int
     diamond: bool = False  # true where odd rows lie half a column to the right
+    layout: Layout = USUAL
 
     @property
     def mirrors(self) -> int:
         """K, mirrors of a cell."""
         return self.height * self.width
+
+    @property
+    def aspect(self) -> float:
+        """Width of a cell over its height."""
+        return (2 if self.diamond else 1) * self.width / self.height
 
     @property
     def window(self) -> tuple[slice, slice]:
@@ -59,19 +116,55 @@ class Grid:
         out[1::2] = values[1::2, 1::2]
         return out
 
+    @cached_property
+    def pixels(self) -> "np.ndarray":
+        """Pixel of a mask that each cell of the device shows, int (down, across)."""
+        import numpy as np
 
-def find_grid(device: Device, image_shape: tuple[int, ...]) -> Grid:
+        turned = self.layout.rotate in (90, 270)
+        shape = (self.across, self.down) if turned else (self.down, self.across)
+        places = np.arange(math.prod(shape)).reshape(shape)
+        if self.layout.flip:
+            places = places[:, ::-1]
+        return np.rot90(places, -self.layout.rotate // 90)
+
+
+def find_grid(device: Device, image_shape: tuple[int, ...], layout: Layout = USUAL) -> Grid:
     """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
+    # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
+    # as tall as the region
     if len(image_shape) not in (1, 2) or min(image_shape) < 1:
         raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
+    columns, rows, left, top = _find_region(device, layout.region)
     down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)
+    if layout.rotate in (90, 270):
+        down, across = across, down
     diamond = device.lattice == "diamond"
-    together = 2 if diamond else 1  # rows that differ in where they lie
-    height, width = device.rows // (down * together) * together, device.columns // across
+    together = 2 if diamond else 1  # rows that are as high as a column is wide
+    height, width = rows // (down * together) * together, columns // across
     if not (height and width):
+        where = device.name if layout.region is None else f"the region {layout.region}"
         raise InputError(
-            f"{down} x {across} cells do not fit {device.name} with {device.rows} x "
-            f"{device.columns} mirrors: use a larger device or fewer pixels"
+            f"{down} x {across} cells do not fit {where} with {rows} x {columns} mirrors: use a "
+            "larger device or region, or fewer pixels"
         )
-    top, left = (device.rows - down * height) // 2, (device.columns - across * width) // 2
-    return Grid(down, across, height, width, top - top % together, left, diamond)
+    if len(image_shape) == 2 and not layout.stretch:
+        width = min(width, height // together)
+        height = width * together
+    top += (rows - down * height) // 2
+    left += (columns - across * width) // 2
+    return Grid(down, across, height, width, top - top % together, left, diamond, layout)
+
+
+def _find_region(device: Device, region: Region | None) -> tuple[int, int, int, int]:
+    """Columns and rows of a region, and those before it; of the whole device where it is None."""
+    if region is None:
+        return device.columns, device.rows, 0, 0
+    columns, rows, *first = map(int, re.findall(r"\d+", region))
+    left, top = first or ((device.columns - columns) // 2, (device.rows - rows) // 2)
+    if min(left, top) < 0 or left + columns > device.columns or top + rows > device.rows:
+        raise InputError(
+            f"the region {region} does not lie on {device.name} with {device.columns} x "
+            f"{device.rows} mirrors: give COLUMNSxROWS, or COLUMNSxROWS+LEFT+TOP, that do"
+        )
+    return columns, rows, left, top

@@ -1,7 +1,9 @@
-"""Names of light laws, rails, readouts, noises and scales, shared by optics, hardware and files."""
+"""Names of light laws, rails, readouts, noises and scales, and limits, shared by all parts."""
 
 import re
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field
 
 from deepfsi import imports
 from deepfsi.errors import check_known
@@ -20,6 +22,15 @@ Scale = Literal["each", "common"]
 
 Noise = Literal["none", "gaussian", "poisson", "ml_gauss", "camera"]
 """Name of a detector noise, see `optics.noise`."""
+
+MOST_LAYERS = 64
+"""Hidden layers of a network at most."""
+
+Widths = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(max_length=MOST_LAYERS)]
+"""Widths of the hidden layers of a network."""
+
+SummedReflectance = Annotated[float, Field(ge=1e-6, allow_inf_nan=False)]
+"""Mean summed reflectance of training scenes, s."""
 
 
 def check_noise(name: str) -> str:

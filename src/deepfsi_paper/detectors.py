@@ -63,7 +63,7 @@ Chosen = Mapping[tuple[int, float], Point]
 
 def detectors_of(point: Point) -> int:
     """Number of detectors: of impulse imaging one for each pixel."""
-    if point.design == "impulse":
+    if point.every_pixel:
         return round(point.masks / point.ratio)
     return prod(map(int, point.detectors.split("x")))
 
@@ -129,7 +129,7 @@ def _target_claims(fixed: Chosen, targets: Targets) -> list[Claim]:
     claims = []
     for (detectors, photons), target in targets.items():
         point = points.get((detectors, photons))
-        if point is None or point.design == "impulse":
+        if point is None or point.every_pixel:
             continue
         holds = True if point.low >= target else False if point.high < target else None
         claims.append(
@@ -290,7 +290,7 @@ def _rows(
 ) -> Iterable[tuple[int | str | None, ...]]:
     for detectors in _numbers(chosen):
         at = [chosen.get((detectors, photons)) for photons in lights]
-        alone = any(point and point.design == "impulse" for point in at)
+        alone = any(point and point.every_pixel for point in at)
         cells = (
             f"{point.accuracy:.3f}" + ("" if alone else f" ({point.masks})") if point else None
             for point in at

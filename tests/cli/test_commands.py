@@ -230,7 +230,7 @@ def test_a_design_for_a_budget_of_counts(done, refuse, tmp_path):
     [test] = made["tests"]
     assert test["photons"] * test["throughput"] == pytest.approx(30, rel=1e-4)
     assert test["counts"] == pytest.approx(30, rel=0.05), "test scenes are no brighter"
-    assert " counts (a share of 0." in done(*words, "--counts", 30)
+    assert " counts (a share of 0." in done(*words, "--counts", 30, "--force")
     file.unlink()
     assert "told once" in refuse(*words)
     assert "--counts" in refuse(*words, "--counts", 30, "--photons", "1e3")

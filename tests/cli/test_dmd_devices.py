@@ -13,7 +13,8 @@ def test_free_dwells_go_to_a_dlpc900_and_are_checked(done, tmp_path):
     out = done(*SCAN, "--device", "dlp6500", "-o", tmp_path / "p")
     assert "131 frames of 400, pictures of 1000 to 1000 µs (105 to 16777215 allowed)" in out
     assert {path.name for path in (tmp_path / "p").iterdir()} == {
-        "images", "manifest.json", "mirrors.npy", "patterns.csv", "sequence.txt",
+        "images", "manifest.json", "mirrors.npy", "patterns.csv", "reference.csv",
+        "reference.png", "sequence.txt",
     }  # fmt: skip
     said = json.loads(done("dmd", "check", tmp_path / "p", "--json"))
     assert (said["device"], said["frames"], said["most_frames"]) == (
@@ -62,7 +63,7 @@ def test_a_device_of_ones_own_is_a_toml_file(done, tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "no file"),
+        (None, "is missing: give a TOML file"),
         ("columns = 40\nrows = ", "is no TOML file"),
         ("columns = 40\n", "rows"),
         ("columns = 40\nrows = 0\n", "rows"),

@@ -31,7 +31,7 @@ def test_a_sweep_by_name(done, tmp_path, monkeypatch):
         "photons": 1e3,
         "training": {"epochs": 1},
     }
-    monkeypatch.setattr(recipes.common, "read_toml", lambda name, file: {**tiny, "draws": 1})
+    monkeypatch.setattr(recipes, "read_toml", lambda file: {**tiny, "draws": 1})
     monkeypatch.chdir(tmp_path)
     assert json.loads(done("sweep", "baseline", "--dry-run", "--json"))["trials"] == 1
 
@@ -42,7 +42,7 @@ def test_a_sweep_by_name(done, tmp_path, monkeypatch):
         ("mnst", "did you mean 'mnist'"),
         ("recipes/mnist.toml", "no recipe at recipes/mnist.toml"),
         ("nothing.toml", "nothing.toml is empty"),
-        ("words.toml", "words.toml is not TOML"),
+        ("words.toml", "words.toml is no TOML file"),
     ],
 )
 def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, words):

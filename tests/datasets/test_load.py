@@ -40,7 +40,7 @@ def test_closest():
 def test_size_is_for_folders_only(tmp_path):
     np.savez(tmp_path / "a.npz", x=X, y=Y)
     for source in ("digits", "mnist", tmp_path / "a.npz", (X, Y)):
-        with refused("only images of a folder, a zip file or CIFAR-10"):
+        with refused("only images of a folder, a zip file, a .csv file or CIFAR-10"):
             load_dataset(source, size=8)
 
 

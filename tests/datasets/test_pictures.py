@@ -12,32 +12,7 @@ from dataset_samples import refused
 from PIL import Image
 
 from deepfsi.datasets import load_dataset, pictures
-
-
-def save_images(folder, images, suffix=".png"):
-    folder.mkdir(parents=True, exist_ok=True)
-    for i, image in enumerate(images):
-        Image.fromarray(image).save(folder / f"{i:03}{suffix}")
-
-
-@pytest.fixture
-def images(tmp_path):
-    """A folder with two classes of ten 6x8 grey images: dark cats, bright dogs."""
-    rng = np.random.default_rng(2)
-    save_images(tmp_path / "pets" / "cat", rng.integers(0, 100, (10, 6, 8), dtype=np.uint8))
-    save_images(tmp_path / "pets" / "dog", rng.integers(150, 256, (10, 6, 8), dtype=np.uint8))
-    return tmp_path / "pets"
-
-
-@pytest.fixture
-def split(images, tmp_path):
-    """A folder with its own split: 10 cats and 10 dogs to train on, one and three to test."""
-    split = tmp_path / "split"
-    split.mkdir()
-    images.rename(split / "train")
-    save_images(split / "test" / "dog", np.full((3, 6, 8), 200, np.uint8))
-    save_images(split / "test" / "cat", np.full((1, 6, 8), 20, np.uint8))
-    return split
+from shared.pictures import save_images
 
 
 def test_image_folder(images):
@@ -120,7 +95,7 @@ def test_other_files_are_left_alone(images):
 
 
 def test_empty_folder(tmp_path):
-    with refused(str(tmp_path), "no sub-folders"):
+    with refused(str(tmp_path), "no sub-folders", ".csv file of file names and labels"):
         load_dataset(tmp_path)
 
 
@@ -220,38 +195,58 @@ def test_a_tiff_whose_zero_is_white_is_refused(images):
         load_dataset(path.parent.parent)
 
 
-def deep_colours(levels):
-    """A PNG file of 16-bit colours, whose three values of a pixel are the same."""
-    height, width = levels.shape
-    rows = [b"\0" + np.repeat(row, 3).astype(">u2").tobytes() for row in levels]
-    head = b"".join(side.to_bytes(4, "big") for side in (width, height)) + bytes([16, 2, 0, 0, 0])
-    parts = (b"IHDR", head), (b"IDAT", zlib.compress(b"".join(rows))), (b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*part) for part in parts)
-
-
 def test_what_was_done_to_images_is_said(images):
     green = np.zeros((2, 6, 8, 3), np.uint8)
     green[..., 1] = 200
     save_images(images / "cat", green[:1])
     Image.fromarray(np.full((6, 8, 4), 90, np.uint8)).save(images / "cat" / "001.png")
-    (images / "dog" / "000.png").write_bytes(deep_colours(np.full((6, 8), 40_000)))
     pages = [Image.fromarray(np.full((6, 8), 9, np.uint8)) for _ in range(3)]
     pages[0].save(images / "dog" / "001.tif", save_all=True, append_images=pages[1:])
     said = load_dataset(images).preprocessing
     for part in (
         "21 images of 6x8 pixels",
-        "3 in colour, turned to grey",
-        "1 in 16-bit colours, read by their upper 8 bits",
+        "2 in colour, turned to grey",
         "1 with transparency, left out",
         "1 the first of several in a file",
     ):
         assert part in said
 
 
-def test_dim_16_bit_colours_are_refused(images):
+def test_all_damaged_images_are_named_at_once(images):
+    bad = [images / "cat" / "003.png", images / "dog" / "001.png", images / "dog" / "002.png"]
+    for path, content in zip(bad, (b"", b"no image", bad[2].read_bytes()[:60]), strict=True):
+        path.write_bytes(content)
+    with refused("cannot read 3 images: ", *map(str, bad), "leave them out with `skip_bad`"):
+        load_dataset(images)
+    data = load_dataset(images, skip_bad=True)
+    assert "3 that cannot be read left out (cat/003.png, dog/001.png, dog/002.png)" in (
+        data.preprocessing
+    )
+    assert data.origin.skip_bad
+    assert len(data.x_train) + len(data.x_test) == 17
+    for path in bad:
+        path.unlink()
+    assert data.hash == load_dataset(images).hash, "as if they were not there"
+
+
+def test_damaged_images_of_a_training_part_do_not_move_the_test_part(split):
+    whole = load_dataset(split)
+    for place in range(3):
+        (split / "train" / "cat" / f"00{place}.png").write_bytes(b"")
+    data = load_dataset(split, skip_bad=True)
+    assert len(data.x_train) == 17
+    assert np.array_equal(data.x_test, whole.x_test)
+    assert np.array_equal(data.y_test, whole.y_test)
+
+
+def test_images_that_are_all_damaged_are_never_left_out(images):
     for path in images.rglob("*.png"):
-        path.write_bytes(deep_colours(np.full((6, 8), 4095)))
-    with refused("upper 8 bits, which reach 15 of 255"):
+        path.write_bytes(b"")
+    with refused("cannot read 20 images", "001.png"):
+        load_dataset(images, skip_bad=True)
+    for place in range(30):
+        (images / "cat" / f"1{place:02}.png").write_bytes(b"")
+    with refused("cannot read 50 images", "and 30 more"):
         load_dataset(images)
 
 
@@ -403,7 +398,7 @@ def test_bombs_in_a_zip_file_cost_no_memory(images, tmp_path):
     huge = pack(images, tmp_path / "huge.zip")
     with zipfile.ZipFile(huge, "a") as file:
         file.writestr("cat/huge.png", HUGE_PNG)
-    bombs = (declared, "unpacks to 315 MB", lying, "cannot read", huge, "bomb")
+    bombs = (declared, "would unpack", lying, "cannot read", huge, "bomb")
     words = [sys.executable, "-c", ATTEMPTS, *map(str, (honest, *bombs))]
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

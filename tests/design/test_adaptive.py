@@ -343,9 +343,7 @@ def test_what_a_fixed_sequence_is_for_is_refused(digits, design):
     with pytest.raises(InputError, match="was to take"):
         design.classify_live(lambda dwell: (np.zeros(6), 2 * dwell), 1e3)
     with pytest.raises(InputError, match="not judged after 1"):
-        design.classify_live(
-            lambda dwell: np.zeros(6), 1e3, StoppingRule((3, 4), (1.0, 1.0), 0.5).decide
-        )
+        design.classify_live(lambda dwell: np.zeros(6), 1e3, StoppingRule((3, 4), 0.5, 1e3).decide)
     with pytest.raises(InputError, match="finite"):
         design.classify_live(lambda dwell: np.full(6, np.nan), 1e3)
     fixed = seeing(digits, looks=1)

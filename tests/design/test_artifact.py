@@ -340,7 +340,8 @@ def test_classify_is_the_softmax_of_logits_of_the_difference(made):
     design = made("deepfsi", "column", "dual")
     counts = some_counts(design, 5)
     features = torch.from_numpy(counts[:, 0] - counts[:, 1]).float()
-    chances = design.logits(features, 1e4).softmax(dim=-1).detach().numpy()
+    [temperature] = design.temperatures.of_stops(1e4)
+    chances = (design.logits(features, 1e4) / temperature).softmax(dim=-1).detach().numpy()
     assert design.classify(counts, 1e4) == pytest.approx(chances, abs=1e-6)
 
 

@@ -90,7 +90,7 @@ def test_looks_of_a_training_have_the_same_law(optics, dark, sigma):
     )
     masks = initial_masks(scenes, [one], exposure)
     noise = FeatureNoise.of(one.noise, [gain], [sigma], [0], scenes.device, [dark])
-    streams = seed_streams([one], noise, scenes.labels, count)
+    streams = seed_streams([one.seed], noise, scenes.labels, count)
     streams[0].shuffle()
     choose = Replicas([exposure.network], stacked=False)
     with torch.no_grad():

@@ -10,9 +10,12 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.datasets import read_display, write_pictures
+from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
+from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.tables import TableSettings
+from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, arrival_rates, record
 from deepfsi.laboratory.live.replay import count_live
 from deepfsi.laboratory.scenes import listed, scenes_of
 from shared.live_samples import live, make_patterns
@@ -25,7 +28,7 @@ DESIGN, RUN = "small-dmd.safetensors", "run_0001"
 def lab(tmp_path_factory, digits):
     """A folder in which the lines of the page on the camera were run, and what they printed."""
     folder = tmp_path_factory.mktemp("lab")
-    light = {"light": "free-dwell", "rails": "single"}
+    light = {"light": "free-dwell", "rails": "single", "photons": 1e5}
     quick(digits, masks=20, epochs=15, hidden=(40, 128), **light).save(folder / DESIGN)
     pictures = {
         f"{digits.classes[digits.y_test[k]]}/{k}.png": digits.x_test[k].reshape(8, 8)
@@ -111,3 +114,32 @@ def test_scenes_are_a_list_or_pictures(lab, tmp_path):
     assert listed(lab / "images") == scenes_of(read_display(lab / "images"))
     with pytest.raises(deepfsi.InputError, match="there is nothing at"):
         listed(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize("share", [0.02, 1e-2, 1e-3])
+def test_a_run_with_far_less_light_than_the_training_is_refused_unless_forced(lab, tmp_path, share):
+    """Nothing compared the two: at 2 % of the light 15 of 40 digits were right, in silence."""
+    shown = read_display(lab / "images")
+    settings = RecordingSettings(CAMERAS["ideal"], flux=share * 1e7, exposure_s=10e-3)
+    record(lab / "frames", shown.x, shown.names, shown.labels, tmp_path / "run", settings)
+    count(tmp_path / "run")
+    with pytest.raises(deepfsi.InputError, match=r"too little light for this design.*`force`"):
+        deepfsi.classify_run(lab / DESIGN, tmp_path / "run")
+    found = deepfsi.classify_run(lab / DESIGN, tmp_path / "run", force=True)
+    assert all(scene.predicted for scene in found.scenes)
+
+
+def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
+    """A table of two exposures at the training's light, and two at 2 % of it."""
+    manifest = read_patterns(lab / "frames").manifest
+    x = read_display(lab / "images").x[:2]
+    rates = arrival_rates(lab / "frames", x, CAMERAS["ideal"], 1e7)[..., 0]
+    gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.shown))
+    gate_s[manifest.shown] = manifest.shares * 10e-3
+    bright = np.random.default_rng(0).poisson(rates * gate_s)
+    dim = np.random.default_rng(1).poisson(0.02 * rates * gate_s)
+    np.save(tmp_path / "table.npy", np.concatenate([bright, dim]))
+    found = deepfsi.classify_table(lab / "frames", tmp_path / "table.npy", force=False)
+    assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True]
+    for scene in found.scenes[2:]:
+        assert "budget" in {fault.kind for fault in scene.faults}

@@ -74,8 +74,27 @@ def test_a_device_gives_the_levels_of_its_cells():
     assert Camera(device="1024x1024", levels=2).mask_levels((64, 64)) == 2
     assert Camera(device="1024x1024", levels=0).mask_levels((64, 64)) == 0
     assert Camera().mask_levels((64, 64)) == 0
-    with pytest.raises(InputError, match="use a larger device or fewer pixels"):
+    with pytest.raises(InputError, match="use a larger device or region, or fewer pixels"):
         Camera(device="32x32").mask_levels((64, 64))
+
+
+def test_levels_are_of_square_cells_unless_they_are_stretched():
+    given = {}, {"stretch": True}, {"region": "640x384"}
+    levels = [Camera(device="dlp7000", **each).mask_levels((32, 32)) for each in given]
+    assert levels == [24 * 24 + 1, 24 * 32 + 1, 12 * 12 + 1]
+    with pytest.raises(InputError, match=r"region = '640': give COLUMNSxROWS"):
+        Camera.load(region="640")
+
+
+def test_a_camera_of_an_older_file_keeps_its_stretched_cells_and_levels():
+    """Designs of 0.2.0 know no layout: their levels are of cells that fill the device."""
+    known = Camera(device="dlp7000").model_dump(mode="json")
+    del known["region"], known["stretch"]
+    assert Camera.restored(known).mask_levels((32, 32)) == 769
+    assert Camera.load(Camera.restored(known), region="768x768").layout.stretch
+    plain = Camera().model_dump(mode="json")
+    del plain["region"], plain["stretch"]
+    assert not Camera.restored(plain).stretch  # no device, no levels: exports are square
 
 
 @pytest.mark.parametrize(
@@ -205,7 +224,7 @@ def test_files_that_a_camera_file_names_are_beside_it(tmp_path, monkeypatch):
     ("given", "match"),
     [
         ("dmd-3x3", "unknown camera 'dmd-3x3': did you mean 'dmd-2x2'|'dmd-4x4'"),
-        ("none.toml", r"no file none.toml: give a TOML file that is there"),
+        ("none.toml", "none.toml is missing: give a TOML file"),
         (5, "a camera cannot be 5: give a preset's name, a TOML file or its fields"),
         ({"ligth": "column"}, "unknown key 'ligth': did you mean 'light'"),
         ({"light": "colum"}, "light = 'colum': .*'column'"),
@@ -215,10 +234,10 @@ def test_files_that_a_camera_file_names_are_beside_it(tmp_path, monkeypatch):
         ({"light": "column", "device": "dlp7000"}, "device = 'dlp7000': .*or leave device out"),
         ({"detectors": "2by2"}, "detectors = '2by2': give ROWSxCOLUMNS such as 2x2"),
         ({"detectors": "0x2"}, "detectors = '0x2': give ROWSxCOLUMNS such as 2x2"),
-        ({"detectors": "no.npy"}, "detectors = 'no.npy': .*write it with numpy.save"),
+        ({"detectors": "no.npy"}, "detectors = 'no.npy': no.npy is missing: give a .npy file"),
         ({"readout": "sum"}, "readout = 'sum': .*'both'"),
         ({"device": "dlp7001"}, "device = 'dlp7001': .*did you mean 'dlp7000'"),
-        ({"device": "no.toml"}, "device = 'no.toml': no file no.toml"),
+        ({"device": "no.toml"}, "device = 'no.toml': no.toml is missing: give a TOML file"),
         ({"exposure": "10 minutes"}, "exposure = '10 minutes': .*give seconds, or such as 10ms"),
         ({"exposure": "10mm"}, "exposure = '10mm': .*is not a time"),
         ({"exposure": 0}, "exposure = 0: .*greater than 0"),
@@ -273,9 +292,9 @@ def test_words_say_optics_frames_and_light():
     assert lines == [
         "one DMD with a detector on each arm (light law two-arm); signed masks of two rails",
         "2x2 detectors on each arm",
-        "device dlp7000: 1024 x 768 mirrors",
+        "device dlp7000: 1024 x 768 mirrors, square cells in the middle of the device",
         "frames are counted for 32 µs or longer: up to 312 in an exposure of 0.01 s",
-        "budget 1e+04 counts in 0.01 s, at 1e+06 counts/s with all mirrors ON",
+        "budget 1e+04 counts in 0.01 s, at 1e+06 counts/s with all mirrors of the region ON",
         "2 dark counts of a detector in an exposure",
         "read noise of 0.5 counts rms a readout",
         "dead time 20 ns, paralysable",

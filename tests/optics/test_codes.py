@@ -11,7 +11,8 @@ import torch
 from conftest import FIXED, synthetic
 from deepfsi.errors import InputError
 from deepfsi.optics import codes, constraints, tiles
-from deepfsi.optics.codes import hadamard_masks, mask_count, sensing_matrix
+from deepfsi.optics.codes import hadamard_masks, mask_count
+from deepfsi.optics.tiles import sensing_matrix
 from deepfsi.training.training_set import TrainingSet
 
 

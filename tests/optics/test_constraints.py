@@ -12,7 +12,7 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, quick, two_valued
 from deepfsi.errors import InputError
-from deepfsi.optics import codes, constraints, tiles
+from deepfsi.optics import constraints, tiles
 from deepfsi.optics.constraints import SLACK, check, excess, fit, frames
 from deepfsi.optics.grey_levels import quantise
 from deepfsi.optics.masks import LearnedMasks
@@ -25,7 +25,7 @@ def rails_of(masks: torch.nn.Module, rails: str) -> Tensor:
 
 def fixed_matrix(design: str, digits) -> Tensor:
     low, high = tiles.count_allowed(design, digits)
-    return torch.from_numpy(codes.sensing_matrix(design, min(max(low, 9), high), digits)).float()
+    return torch.from_numpy(tiles.sensing_matrix(design, min(max(low, 9), high), digits)).float()
 
 
 def limits(rails: Tensor, light: str) -> Tensor:

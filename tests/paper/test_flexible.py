@@ -28,7 +28,7 @@ def stopped_trials(used, lost):
     return [
         Stopped(
             photons=1e5,
-            rule=StoppingRule((1, 2), (1.0, 1.0), 0.9),
+            rule=StoppingRule((1, 2), 0.9, 1e5),
             used=rate(used + change),
             whole=rate(0.9),
             stopped=rate(0.9 - lost),

@@ -8,8 +8,8 @@ import torch
 
 from deepfsi.errors import InputError
 from deepfsi.optics.budget import photons_per_pixel, summed_reflectance
-from deepfsi.optics.codes import sensing_matrix
 from deepfsi.optics.noise import readout
+from deepfsi.optics.tiles import sensing_matrix
 from deepfsi_paper.measures import (
     effective_directions,
     impulse_imaging_error,

@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from markupsafe import escape
 
@@ -326,3 +327,27 @@ def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(
     heights = {line.get_ydata()[0] for line in accuracy_figure(equal).axes[0].lines}
     assert 0.891 in heights
     assert 0.1 not in heights
+
+
+def test_confusion_matrices_are_those_of_the_chosen_mask_counts(tmp_path):
+    results = make_results(tmp_path)
+    assert "taken for which" not in page_of(tmp_path), "results of before have none"
+    counts = np.eye(len(results.data.classes), dtype=int)
+    counts[0, :2] = 7, 1
+    matrix = tuple(map(tuple, counts.tolist()))
+    points = [
+        point.model_copy(update={"confusion": matrix if point.best else ()})
+        for point in results.points
+    ]
+    write_results(tmp_path / "results.json", results.with_points(points))
+    page = page_of(tmp_path)
+    chosen = [point for point in points if point.best]
+    assert page.count("<table class='confusion'>") == len(chosen) > 1
+    assert page.count("<details open>") == 1
+    assert words_of(page).count("87.5 12.5") == len(chosen)
+    assert_whole(page)
+    assert_headed(page)
+    points[0] = points[0].model_copy(update={"confusion": ((1, 2),), "best": True})
+    write_results(tmp_path / "results.json", results.with_points(points))
+    with pytest.raises(InputError, match="not of the data's classes"):
+        page_of(tmp_path)

@@ -38,6 +38,25 @@ def test_records_of_another_schema_are_tested_anew_and_not_trained(digits, tmp_p
 
 
 @pytest.mark.parametrize(
+    "damage",
+    [
+        {"test": [{}]},
+        {"test": 1},
+        {"info": {}},
+        {"validation": [None]},
+        {"design": None},
+    ],
+)
+def test_a_record_without_its_numbers_is_none(digits, tmp_path, damage):
+    trials = plan(small(designs="pca", masks=3, photons=1e3), digits)
+    [first] = train_trials(trials, digits, tmp_path)
+    [path] = (tmp_path / "trials").iterdir()
+    path.write_text(json.dumps({**first, **damage}))
+    [again] = train_trials(trials, digits, tmp_path)
+    assert again["test"] == first["test"]
+
+
+@pytest.mark.parametrize(
     ("folder", "left"),
     [("trials", None), ("designs", None), ("trials", '{"key":'), ("trials", "null")],
 )

@@ -146,3 +146,11 @@ def test_a_design_that_answers_one_class_only_is_known_and_chance_is_that_class(
     assert [point.one_class for point in results.points] == [one]
     shares = [np.mean(digits.y_test == k) for k in range(10)]
     assert results.data.commonest == pytest.approx(max(shares))
+
+
+def test_confusions_are_the_sum_over_trials_at_chosen_mask_counts(digits):
+    records = [record(1e3, m, k, v, 0.5) for m, v in ((3, 0.8), (6, 0.7)) for k in range(2)]
+    found = {point.masks: point for point in summary(digits, records)}
+    assert found[3].best
+    assert np.array_equal(found[3].confusion, np.full((10, 10), 2))
+    assert found[6].confusion == ()

@@ -11,7 +11,7 @@ from conftest import PHOTONS, RECIPE, quick, same
 from deepfsi import Camera, Looks, Range
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import Report
 from deepfsi.training.job import (
@@ -178,7 +178,7 @@ def test_networks_are_in_bfloat16_where_they_are_wide_and_not_a_users_own(fast_p
 
 def rounding(digits, masks: int, photons: float) -> float:
     """RMS error of bfloat16 products over photon noise, for the worst mask."""
-    matrix = torch.from_numpy(codes.sensing_matrix("pca", masks, digits)).float()
+    matrix = torch.from_numpy(tiles.sensing_matrix("pca", masks, digits)).float()
     rails = Rails.of(constraints.fit(matrix, "column"))
     difference, total = rails.difference, rails.total
     x = torch.from_numpy(digits.x_train)

@@ -24,7 +24,7 @@ from conftest import (
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.errors import InputError
-from deepfsi.optics import codes, constraints
+from deepfsi.optics import codes, constraints, tiles
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet
 from shared.jobs import job as job_of
@@ -48,7 +48,7 @@ def test_fixed_designs_keep_their_masks(made, digits, design):
     if design == "raster":
         assert torch.equal(found[0], torch.eye(64) / 64)
         return
-    matrix = torch.from_numpy(codes.sensing_matrix(design, found.shape[1], digits, 0)).float()
+    matrix = torch.from_numpy(tiles.sensing_matrix(design, found.shape[1], digits, 0)).float()
     single = codes.DESIGNS[design].single_rail
     wanted = constraints.fit(matrix, "column", "single" if single else "dual")
     assert torch.allclose(found, wanted, atol=1e-8)

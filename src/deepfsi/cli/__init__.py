@@ -12,6 +12,7 @@ from deepfsi.cli import acquisitions, calibrations, camera, classify, common, da
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
+from deepfsi.cli.predict import predict
 from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
@@ -42,7 +43,7 @@ def _start(
 
 
 _HEADINGS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Design": (design, show, page, evaluate, stop, export),
+    "Design": (design, show, page, evaluate, predict, stop, export),
     "Study": (compare, plan, sweep, reproduce, report),
 }
 for _heading, _commands in _HEADINGS.items():
@@ -69,6 +70,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
     "Calibrate the camera": {
         "spots": calibrations.camera_spots,
         "calibrate": calibrations.camera_calibrate,
+        "check": calibrations.camera_check,
     },
 }
 for _heading, _named in _OF_CAMERA.items():

@@ -78,7 +78,7 @@ def camera_import(
     marker: Annotated[
         int, typer.Option("--marker-channel", help="channel of the device's trigger")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="photon file, .ptu, new")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="photon file, .ptu")],
     channels: Annotated[
         list[int] | None,
         typer.Option(
@@ -88,14 +88,14 @@ def camera_import(
     unit: Annotated[
         str | None, typer.Option(help="unit of the times, such as 1ps; the file's own unless given")
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Write the time stamps of another make of counter as a photon file, its trigger as marker 0.
 
     Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
     """
-    paths.check_file(out, (".ptu",))
-    paths.check_absent(out)
+    paths.check_file(out, (".ptu",), force)
     from deepfsi.hardware.ptu.reader import inspect
     from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
 

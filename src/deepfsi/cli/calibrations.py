@@ -33,6 +33,7 @@ def camera_calibrate(
     folder: options.Run,
     spots: Annotated[Path, typer.Option(help="the pictures that were shown")],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for calibration.json")],
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Fit the camera's view to a run of the spots: position, blur, flat field, dark counts.
@@ -43,6 +44,7 @@ def camera_calibrate(
     Example: deepfsi camera calibrate run_spots --spots spots -o calibration
     """
     paths.check_folder(out)
+    paths.check_free(out / "calibration.json", force)
     from deepfsi.laboratory.calibration import calibrate
 
     found, path, where = calibrate(folder, spots, out)
@@ -67,3 +69,42 @@ def camera_calibrate(
         print(f"cells of each detector: {where}")
     for doubt in found.doubts:
         print(f"deepfsi: warning: {doubt}", file=sys.stderr)
+
+
+def camera_check(folder: options.Run, as_json: options.Json = False) -> None:
+    """Say how scenes lie on the device, from a run of the reference target: before data are taken.
+
+    Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
+    record a pass and count it. Where orientation, scale, shift or rotation are not those of the
+    masks, or the counts do not tell, the exit code is 1.
+
+    Example: deepfsi camera check run_reference
+    """
+    paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
+    from deepfsi.laboratory.calibration import check_view
+
+    with common.progress("reference", quiet=as_json) as report:
+        found = check_view(folder, report)
+    if as_json:
+        common.print_json(
+            "camera.check",
+            {
+                "fits": found.fits,
+                "doubt": found.doubt,
+                "orientation": {
+                    name: {"flip": each.flip, "rotate": each.rotate}
+                    for name, each in (("exported", found.exported), ("found", found.layout))
+                },
+                "scale": found.scale,
+                "shift": list(found.shift),
+                "rotation": found.rotation,
+                "errors": list(found.errors),
+            },
+        )
+    else:
+        for what, words, departs in found.findings:
+            print(f"{what}: {words}{': too far' if departs and what != 'orientation' else ''}")
+        fits = "the scenes lie as the masks do" if found.fits else "the scenes do not fit the masks"
+        print(found.doubt or fits)
+    if not found.fits:
+        raise typer.Exit(1)

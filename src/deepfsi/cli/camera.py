@@ -11,7 +11,7 @@ from deepfsi.cli import common, options, paths
 from deepfsi.cli.groups import Group
 from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, closest
-from deepfsi.files import write_atomically
+from deepfsi.files import read_toml, write_atomically
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,6 +55,7 @@ def camera_describe(
     template: Annotated[
         Path | None, typer.Option(help="write a camera file, .toml, with a comment on each field")
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Say in words what a camera is, what it can show and what light it has.
@@ -66,8 +67,7 @@ def camera_describe(
     from deepfsi.optics.camera import template as commented
 
     if template is not None:
-        paths.check_file(template, (".toml",))
-        paths.check_absent(template)
+        paths.check_file(template, (".toml",), force)
         write_atomically(template, commented().encode())
         print(f"camera file: {template}; then: deepfsi camera describe {template}")
         return
@@ -157,6 +157,13 @@ def camera_count(
     ] = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
+    flat: Annotated[
+        Path | None,
+        typer.Option(
+            help="several detectors: counted run of a uniform white scene with the same patterns, "
+            "by which their efficiencies are corrected"
+        ),
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Count the photons in each frame's gate; name missing, doubled and late markers.
@@ -169,10 +176,13 @@ def camera_count(
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
     from deepfsi.hardware.recording.counting import count
+    from deepfsi.laboratory.calibration import gains_of
+    from deepfsi.laboratory.camera import camera_of, dead_time_of
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if is_live(folder):
-        check_as_it_was((exposure, settle, repeats, tolerance, inputs, marker, *settings.values()))
+        given = (exposure, settle, repeats, tolerance, inputs, marker, flat)
+        check_as_it_was((*given, *settings.values()))
         with common.progress("counting", quiet=as_json) as report:
             _print_live_counts(count_live(folder, report), folder, as_json)
         return
@@ -184,7 +194,8 @@ def camera_count(
             repeats=repeats,
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
-            dead_time=options.dead_time(folder, settings),
+            dead_time=dead_time_of(camera_of(folder, **settings), settings),
+            gains=() if flat is None else gains_of(flat),
             report=report,
         )
     _print_counts(counts, folder, as_json)
@@ -209,6 +220,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         "dead_time_s": counts.dead_time.seconds,
         "paralysable": counts.dead_time.paralysable,
         "arrivals": float(counts.arrivals.sum()),
+        "gains": list(counts.gains),
         "problems": list(problems),
     }
     if as_json:
@@ -228,6 +240,8 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         print(
             f"dead time of {counts.dead_time}: {lost:.1%} of the photons were lost, and are added"
         )
+    if counts.gains:
+        print(f"efficiencies corrected: {', '.join(f'{gain:.3f}' for gain in counts.gains)}")
     print(
         f"{summary['scenes']} scenes, {summary['exposures']} exposures of {counts.exposure_s:g} s, "
         f"{summary['whole']} of them whole\n"
@@ -243,12 +257,12 @@ def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> Non
     summary = {
         "scenes": len(counts.scenes),
         "looks": sum(each.looks for each in counts.scenes),
-        "frames": len(counts.counts),
-        "photons_counted": int(counts.counts.sum()),
+        "frames": len(counts.found.starts_s),
+        "photons_counted": int(counts.found.parts.sum()),
     }
     if as_json:
         rows = [
-            [{"look": part.look, "frames": part.frames, "counts": found.tolist()}
+            [{"look": part.look, "frames": part.frames, "counts": found.counts.tolist()}
              for part, found in zip(scene.lists, lists, strict=True)]
             for scene, lists in counts.by_scene
         ]  # fmt: skip
@@ -274,6 +288,7 @@ def camera_image(
         Path | None,
         typer.Option("--out", "-o", help="picture; picture.png in the folder unless given"),
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Draw the least-squares reconstruction of each scene from its counts, to align the camera.
@@ -282,7 +297,7 @@ def camera_image(
     """
     target = out or folder / "picture.png"
     if out is not None:
-        paths.check_file(out, paths.PICTURES)
+        paths.check_file(out, paths.PICTURES, force)
     paths.check_there(folder, "an acquisition folder, with photons.ptu in it")
     from deepfsi.hardware.recording.acquisition import read_acquisition
     from deepfsi.hardware.recording.picture import reconstruct
@@ -363,7 +378,7 @@ def find_camera(name: str | None, source: Path, settings: dict[str, Any]) -> "Vi
     if not name.endswith(".toml"):
         raise InputError(f"unknown camera {name!r}: {closest(name, CAMERAS)}; or give a TOML file")
     with as_input_error():
-        return VirtualCamera.model_validate(common.read_toml(name, Path(name)))
+        return VirtualCamera.model_validate(read_toml(name))
 
 
 def _span(values: "np.ndarray") -> str:

@@ -94,16 +94,11 @@ def camera_classify(
                 count_live(counted, report)
         found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
-        from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
         from deepfsi.hardware.recording.tables import TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
-        dead = options.dead_time(file, settings) if settings else None
-        table = TableSettings(
-            *(photons, background, settle_s, exposures, repeats, gain, read_noise),
-            dead or NO_DEAD_TIME,
-        )
-        found = classify_table(file, counted, table, force=force, trust=trust)
+        table = TableSettings(photons, background, settle_s, exposures, repeats, gain, read_noise)
+        found = classify_table(file, counted, table, camera=settings, force=force, trust=trust)
     else:
         raise InputError(
             f"{counted} is nothing that was counted: give an acquisition folder, with photons.ptu "
@@ -151,7 +146,9 @@ def _print_classes(found: "ClassifiedRun") -> None:
 
 
 def _print_replay(found: "ReplayedRun") -> None:
-    heads = ("scene", "class", "confidence", "looks", "light", "labelled")
+    from deepfsi.cli import as_options
+
+    heads = ("scene", "class", "confidence", "looks", "light", "labelled", "remarks")
     rows = [
         (
             scene.name,
@@ -160,18 +157,25 @@ def _print_replay(found: "ReplayedRun") -> None:
             str(scene.looks),
             f"{scene.light_s / found.exposure_s:.0%}",
             scene.label or "",
+            ", ".join(sorted({fault.kind for fault in scene.faults})),
         )
         for scene in found.scenes
     ]
     common.print_table("a live run, replayed from its counts", heads, rows)
+    names = [scene.name for scene in found.scenes]
+    for fault in (fault for scene in found.scenes for fault in scene.faults):
+        print(as_options(fault.words(names)))
     print_right(found.scenes)
     agree = sum(bool(scene.agrees) for scene in found.scenes)
     print(f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes")
 
 
 def print_right(scenes: "Sequence[LiveScene]") -> None:
-    """Say how many of the labelled scenes of a live run are right."""
-    known = [scene for scene in scenes if scene.label is not None]
+    """Say how many scenes of a live run have no class, and how many of the labelled are right."""
+    told = [scene for scene in scenes if scene.predicted is not None]
+    if none := len(scenes) - len(told):
+        print(f"no class: {none} of {len(scenes)} scenes")
+    known = [scene for scene in told if scene.label is not None]
     if known:
         right = sum(scene.predicted == scene.label for scene in known)
         print(f"right: {right} of {len(known)} scenes")

@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from deepfsi.cli import paths
-from deepfsi.errors import InputError
 from deepfsi.progress import Report, terminal_bar
 
 if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
     import numpy as np
     from matplotlib.figure import Figure
 
@@ -102,18 +99,6 @@ def read_matrix(source: str | None) -> "np.ndarray | None":
     return None if source is None else mask_files.read_matrix(source)
 
 
-def read_toml(name: str, file: "Traversable") -> dict[str, Any]:
-    """Settings in a TOML file that the user calls by a name."""
-    import tomllib
-
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no file at {name}: give a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{name} is not TOML: {error}") from None
-
-
 def command_line() -> str:
     """Command as it was typed, for records and pages."""
     return shlex.join(["deepfsi", *sys.argv[1:]])
@@ -194,7 +179,9 @@ def size(made: "Design") -> str:
 
 def detectors_text(design: str, detectors: str) -> str:
     """Detectors in a table, also of a design that has one for each pixel."""
-    return "each pixel" if design == "impulse" else detectors
+    from deepfsi.optics.codes import EVERY_PIXEL
+
+    return "each pixel" if design in EVERY_PIXEL else detectors
 
 
 def print_designs(names: Iterable[str]) -> None:

@@ -20,6 +20,7 @@ def export(
         Path | None, typer.Option("--out", "-o", help="the design's name with .onnx unless given")
     ] = None,
     trust: options.Trust = False,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Write the classifier of a design as an ONNX graph, which runs without this package.
@@ -31,7 +32,7 @@ def export(
     """
     paths.check_design(file)
     target = out or file.with_suffix(".onnx")
-    paths.check_file(target, (".onnx",))
+    paths.check_file(target, (".onnx",), force)
     from deepfsi.design.onnx_graph import to_onnx
     from deepfsi.files import write_atomically
 
@@ -68,6 +69,7 @@ def plan(
     trials: options.Trials = None,
     device: options.Device = "auto",
     workers: options.Workers = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Find how many photons, masks and detectors each design needs for a target accuracy.
@@ -83,6 +85,7 @@ def plan(
     from deepfsi.files import write_atomically
     from deepfsi.sweeps.planning import check_plan, photons_needed
     from deepfsi.sweeps.results import write_results
+    from deepfsi.sweeps.run import check_kept
     from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
@@ -90,6 +93,8 @@ def plan(
     recipe, scenes = check_recipe(options.recipe_settings(settings, fields, PLANNED))
     options.check_sigma(settings, recipe.noises)
     check_plan(recipe, scenes, accuracy)
+    if not force:
+        check_kept(out, recipe, scenes)
     with common.progress("plan", quiet=as_json) as report:
         found, results = photons_needed(
             recipe,

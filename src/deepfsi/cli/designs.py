@@ -1,6 +1,7 @@
 """Commands of one design: design, evaluate, stop, show, page."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,9 +12,13 @@ from deepfsi.cli.settings import job_fields, with_settings
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from deepfsi.datasets import Dataset
     from deepfsi.design.artifact import Design
     from deepfsi.design.evaluation import Result
     from deepfsi.design.stopping import Stopped
+    from deepfsi.training.job import Job
 
 
 @with_settings(job_fields)
@@ -23,6 +28,7 @@ def design(
     counts: options.Counts = None,
     data: options.Data = "digits",
     size: options.Size = None,
+    skip_bad: options.SkipBad = False,
     hold_out: Annotated[
         int,
         typer.Option(
@@ -32,13 +38,14 @@ def design(
     matrix: options.Matrix = None,
     view: options.View = None,
     device: options.Device = "auto",
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Learn masks and their classifier, for one photon budget or a range, saved as one file.
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
-    paths.check_file(out, paths.DESIGNS)
+    paths.check_file(out, paths.DESIGNS, force=True)  # one of the same settings may be replaced
     common.check_data(data, view)
     from deepfsi.design.evaluation import evaluate as test
     from deepfsi.training.job import find_job
@@ -46,12 +53,14 @@ def design(
 
     own = common.read_matrix(matrix)
     counted = None if counts is None else options.number("counts", counts)
-    scenes = common.load(data, options.size_of(size), view)
+    scenes = common.load(data, options.size_of(size), view, skip_bad=skip_bad)
     asked = options.job_settings(settings, scenes, own)
     job = find_job(asked, counted)
     options.check_sigma(settings, (job.camera.noise_name, job.noise))
     options.check_test(job)
     shown = scenes.hold_out(hold_out) if hold_out else scenes
+    if out.exists() and not force:
+        _check_same(out, job, shown, own)
     with common.progress(f"{job.design}, {job.masks} masks", as_json) as report:
         made = learn(shown, counts=counted, matrix=own, device=device, report=report, **asked)
     lowest = made.info["job"]["photons"]
@@ -171,6 +180,7 @@ def stop(
     seed: options.NoiseSeed = 0,
     trust: options.Trust = False,
     device: options.Device = "auto",
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Stop each exposure once the classifier is confident enough, and say what light this saves.
@@ -181,7 +191,7 @@ def stop(
     """
     paths.check_design(file)
     if out is not None:
-        paths.check_file(out, paths.DESIGNS)
+        paths.check_file(out, paths.DESIGNS, force)
     common.check_data(data)
     from deepfsi.design.artifact import Design
     from deepfsi.design.stopping import looks_of, with_rule
@@ -209,6 +219,22 @@ def stop(
         print(f"saved with this rule: {out}")
 
 
+def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | None") -> None:
+    """Raise `InputError` unless a design file is what training this job would write again."""
+    from deepfsi.design.artifact import Design
+    from deepfsi.design.memory import memory_of
+
+    with suppress(InputError):
+        there = Design.load(file)
+        memory = memory_of(there)
+        of_data = memory is not None and memory.hash == data.hash
+        if of_data and matrix is None and there.info["job"] == job.model_dump(mode="json"):
+            return
+    raise InputError(
+        f"{file} exists already, of other settings: give another name, or --force to replace it"
+    )
+
+
 def _print_results(
     made: "Design", noise: str, results: "list[Result]", bounds: "list[Result]"
 ) -> None:
@@ -220,11 +246,14 @@ def _print_results(
             _worst(r, made.classes),
             common.budget(r.counts),
             f"{r.throughput:.3f}",
+            f"{r.calibration_error:.3f}",
         )
         for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted")
+    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted", "calibration")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
+    for result in sorted(results, key=lambda r: r.photons):
+        _print_confusion(result, made.classes)
     if bounds:
         common.print_table(
             "ideal observer of these counts, training scenes as prior",
@@ -237,6 +266,27 @@ def _print_results(
     print(f"± half of the 95 % interval: {results[0].covers}")
     print("counts: photons that detectors count, in the mean over test scenes")
     print("counted: share of the budget that they count, in the mean over training scenes")
+    print("calibration: mean distance of an answer's probability and how often such are right")
+
+
+def _print_confusion(result: "Result", classes: Sequence[str]) -> None:
+    """Print which classes are taken for which; of many, the most frequent mistakes."""
+    from deepfsi.statistics.confusion import MOST_CLASSES, frequent, shares
+
+    where = f"at {common.budget(result.photons)} photons, % of the true class"
+    if len(classes) > MOST_CLASSES:
+        told = [
+            (classes[i], classes[j], f"{100 * x:.1f}") for i, j, x in frequent(result.confusion)
+        ]
+        common.print_table(f"most frequent mistakes {where}", ("true", "answered", "share"), told)
+        return
+    found = shares(result.confusion)
+    rows = [
+        (common.short(name), *(f"{100 * x:.0f}" if x else "" for x in row))
+        for name, row in zip(classes, found, strict=True)
+    ]
+    heads = ("true \\ answered", *(common.short(name, 5) for name in classes))
+    common.print_table(f"answers {where}", heads, rows)
 
 
 def _print_stopped(found: "Stopped", size: str) -> None:
@@ -267,6 +317,7 @@ def show(
     file: Annotated[Path, typer.Argument(help="design file")],
     out: Annotated[Path, typer.Option("--out", "-o", help="picture: .png, .svg or .pdf")],
     count: Annotated[int, typer.Option(help="at most this many masks")] = 24,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Draw the masks of a design, each with its number and its dwell.
@@ -274,7 +325,7 @@ def show(
     Example: deepfsi show digits.safetensors -o masks.png
     """
     paths.check_design(file)
-    paths.check_file(out, paths.PICTURES)
+    paths.check_file(out, paths.PICTURES, force)
     from deepfsi.design.artifact import Design
     from deepfsi.design.memory import memory_of
     from deepfsi.report.masks import masks_figure
@@ -315,6 +366,7 @@ def page(
     data: options.TestData = None,
     size: options.Size = None,
     seed: options.NoiseSeed = 0,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Write a page on which anyone can expose a scene to a design and watch it answer.
@@ -325,7 +377,7 @@ def page(
     Example: deepfsi page digits.safetensors -o digits.html
     """
     paths.check_design(file)
-    paths.check_file(out, (".html",))
+    paths.check_file(out, (".html",), force)
     common.check_data(data)
     from deepfsi.design.payload import check_playable, playable
     from deepfsi.laboratory.data import data_of

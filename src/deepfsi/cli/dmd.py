@@ -11,6 +11,7 @@ from deepfsi.cli.settings import SettingsCommand, laboratory_fields, with_settin
 from deepfsi.errors import InputError
 
 if TYPE_CHECKING:
+    from deepfsi.grid import Grid, Layout
     from deepfsi.hardware.patterns.folder import DesignRails
     from deepfsi.hardware.patterns.sequence import Manifest, Patterns
     from deepfsi.hardware.patterns.timing import Cost
@@ -25,7 +26,7 @@ dmd = typer.Typer(
 
 
 @dmd.command("export", cls=SettingsCommand)
-@with_settings(laboratory_fields, "device", "exposure")
+@with_settings(laboratory_fields, "device", "exposure", "region", "stretch")
 def dmd_export(
     file: Annotated[
         Path, typer.Argument(help="design file; or raster or hadamard, to calibrate with")
@@ -62,6 +63,18 @@ def dmd_export(
         str, typer.Option(help="mirrors of a grey cell: ordered (low discrepancy) or random")
     ] = "ordered",
     seed: Annotated[int, typer.Option(min=0, help="seed of a random selection")] = 0,
+    flip: Annotated[
+        bool, typer.Option("--flip", help="exchange left and right of the masks, before --rotate")
+    ] = False,
+    rotate: Annotated[
+        int, typer.Option(help="turn the masks on the device, degrees clockwise: 0, 90, 180, 270")
+    ] = 0,
+    invert: Annotated[
+        bool,
+        typer.Option(
+            "--invert", help="write 0 for a mirror that sends light to the detector, and 1 for OFF"
+        ),
+    ] = False,
     kind: Annotated[
         str | None,
         typer.Option(
@@ -74,7 +87,9 @@ def dmd_export(
 ) -> None:
     """Write the frames of a design for a micromirror device, with a manifest.
 
-    Device and exposure are those of the design's camera unless given; a DLP7000 where it has none.
+    Device, region and exposure are those of the design's camera unless given; a DLP7000 where it
+    has none. Cells are square. Where `camera check` finds that your camera shows scenes turned or
+    flipped, export again with the --flip and --rotate that it names.
 
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
 
@@ -82,6 +97,7 @@ def dmd_export(
     """
     paths.check_new_folder(out)
     from deepfsi.devices import find_device
+    from deepfsi.hardware.calibration.reference import write_reference
     from deepfsi.hardware.patterns.folder import export_patterns
     from deepfsi.hardware.patterns.sequence import FrameSettings
     from deepfsi.laboratory.camera import camera_of, picture_time
@@ -98,15 +114,26 @@ def dmd_export(
         selection,  # type: ignore[arg-type]
         seed,
         kind or ("planes" if shown_by.packed else "npy"),  # type: ignore[arg-type]
+        _layout(known.layout, flip=flip, rotate=rotate, invert=invert),
     )
     with common.progress("patterns", quiet=as_json) as report:
         patterns = export_patterns(rails, frames, out, report)
+    write_reference(patterns, out)
     if frames.raised and not as_json:
         print(
             f"the mean picture time was raised to {frames.device.shortest_us} µs: "
             f"{frames.device.name} shows no shorter picture (--shortest)"
         )
     _print_patterns("dmd.export", patterns, out, as_json)
+
+
+def _layout(known: "Layout", **options: Any) -> "Layout":
+    """Layout of a camera, with the orientation of options."""
+    from deepfsi.errors import as_input_error
+    from deepfsi.grid import Layout
+
+    with as_input_error():
+        return Layout.model_validate(known.model_dump() | options)
 
 
 def _rails(file: Path, size: str | None, detectors: int | None) -> "DesignRails":
@@ -181,7 +208,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
     from deepfsi.hardware.patterns.limits import departures
     from deepfsi.hardware.patterns.timing import find_cost, find_gates, longest_exposure
 
-    manifest, device = patterns.manifest, patterns.manifest.device
+    manifest, device, grid = patterns.manifest, patterns.manifest.device, patterns.manifest.grid
     times = [frame.picture_us for frame in manifest.frames]
     longest = cost = None
     if manifest.looks is None:
@@ -201,6 +228,10 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
                 "dimmed": manifest.dimmed,
                 "looks": manifest.looks.count if manifest.looks else 1,
                 "device": device.name,
+                "cell": [grid.height, grid.width],
+                "aspect": grid.aspect,
+                "used": manifest.used,
+                "layout": manifest.layout.model_dump(),
                 "most_frames": device.patterns,
                 "picture_us": [min(times), max(times)],
                 "departures": departures(device),
@@ -208,7 +239,7 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
         )
         return
     print(
-        f"{_counted(manifest, longest, cost)}\n"
+        f"{_counted(manifest, longest, cost)}\n{_placed(manifest, grid)}\n"
         f"limits of {device.name}: {len(manifest.frames)} frames"
         f"{'' if device.patterns is None else f' of {device.patterns}'}, pictures of "
         f"{min(times)} to {max(times)} µs ({device.shortest_us} to {device.longest_us} allowed)"
@@ -222,6 +253,23 @@ def _print_patterns(command: str, patterns: "Patterns", folder: Path, as_json: b
             "equal-dwell instead"
         )
     print(f"patterns: {folder}")
+
+
+def _placed(manifest: "Manifest", grid: "Grid") -> str:
+    """Cells on the device, in words."""
+    device, layout = manifest.device, manifest.layout
+    columns, rows = grid.across * grid.width, grid.down * grid.height
+    shape = "square" if abs(grid.aspect - 1) < 1e-9 else f"{grid.aspect:.3g} times as wide as high"
+    turned = [
+        *(["flipped"] if layout.flip else []),
+        *([f"turned by {layout.rotate} degrees clockwise"] if layout.rotate else []),
+        *(["1 is OFF in the files"] if layout.invert else []),
+    ]
+    return (
+        f"cells of {grid.width} x {grid.height} mirrors, {shape}, on {columns} x {rows} of "
+        f"{device.columns} x {device.rows} mirrors: {manifest.used:.1%} of the device's light is "
+        f"used{''.join(f'; {each}' for each in turned)}"
+    )
 
 
 def _counted(manifest: "Manifest", longest: float | None, cost: "Cost | None") -> str:

@@ -84,7 +84,7 @@ def camera_live(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times = _latencies(latency or [])
-    from deepfsi.laboratory.camera import camera_of, exposure_of, flux_of
+    from deepfsi.laboratory.camera import camera_of, dead_time_of, exposure_of, flux_of
     from deepfsi.laboratory.live.bench import most_events, virtual_bench
     from deepfsi.laboratory.live.run import plan_live, run_live
     from deepfsi.laboratory.scenes import displayed, scenes_of
@@ -92,7 +92,7 @@ def camera_live(
     known = camera_of(source, **settings)
     exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
     told: dict[str, Any] = {"flux": known.flux, **options.wiring(inputs, marker)}
-    if dead := options.dead_time(source, settings):
+    if dead := dead_time_of(known, settings):
         told["dead_time"] = dead
     if simulated:
         flux_of(known)
@@ -200,12 +200,17 @@ def _print_run(
     scenes: "list[LiveScene]", folder: Path, preprocessing: str, exposure_s: float, as_json: bool
 ) -> None:
     """Print the sum of all scenes, or all as JSON; `InputError` if none has light."""
-    if all(scene.predicted is None for scene in scenes):
+    if not any(scene.looks for scene in scenes):
         raise InputError(
             f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
             "ones; check the lamp, the inputs and the counter's trigger levels, or export "
             "with a longer --dwell"
         )
+    if all(scene.predicted is None for scene in scenes):
+        from deepfsi.cli import as_options
+
+        first = next(fault for scene in scenes for fault in scene.faults)
+        raise InputError(f"no scene of {folder} has a class: {as_options(str(first))}")
     if as_json:
         about = {"folder": str(folder), "preprocessing": preprocessing, "exposure_s": exposure_s}
         common.print_json("camera.live", {**about, "scenes": [each.as_dict() for each in scenes]})
@@ -221,12 +226,17 @@ def _print_run(
 
 
 def _line(scene: "LiveScene", exposure_s: float) -> str:
-    """Answer for a scene in one line."""
-    if scene.predicted is None:
+    """Answer for a scene in one line, and one more for each of its faults."""
+    from deepfsi.cli import as_options
+
+    if not scene.looks:
         return f"{scene.name}: no light"
+    faults = "".join(f"\n  {as_options(str(fault))}" for fault in scene.faults)
+    if scene.predicted is None:
+        return f"{scene.name}: no class{faults}"
     looks = f"{scene.looks} look{'s' if scene.looks > 1 else ''}"
     return (
         f"{scene.name}: {scene.predicted}, confidence {scene.probability:.3f}, {looks}, light "
         f"{scene.light_s * 1e3:.4g} ms ({scene.light_s / exposure_s:.0%}), clock "
-        f"{scene.clock_s * 1e3:.4g} ms"
+        f"{scene.clock_s * 1e3:.4g} ms{faults}"
     )

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from deepfsi.datasets import Dataset
-    from deepfsi.hardware.recording.dead_time import DeadTime as CounterDeadTime
     from deepfsi.training.job import Job
 
 MOST_PIXELS = 10_000
@@ -23,7 +22,9 @@ MOST_PIXELS = 10_000
 Data = Annotated[
     str,
     typer.Option(
-        "--data", help="name (deepfsi data list), folder or .zip of images, cube, or .npz"
+        "--data",
+        help="name (deepfsi data list), folder or .zip of images, .csv of file names and labels, "
+        "cube, or .npz",
     ),
 ]
 TestData = Annotated[
@@ -32,6 +33,9 @@ TestData = Annotated[
 ]
 Size = Annotated[
     str | None, typer.Option(help="resize images to HEIGHTxWIDTH, or one number for both")
+]
+SkipBad = Annotated[
+    bool, typer.Option("--skip-bad", help="leave pictures that cannot be read out, and name them")
 ]
 View = Annotated[
     Path | None,
@@ -44,6 +48,7 @@ Workers = Annotated[
     int | None, typer.Option(min=1, help="processes; one for each core unless given")
 ]
 Ray = Annotated[str | None, typer.Option(help="work on a Ray cluster: its address, or auto")]
+Force = Annotated[bool, typer.Option("--force", help="replace what is at --out")]
 Json = Annotated[bool, typer.Option("--json", help="print JSON and nothing else")]
 Folder = Annotated[Path, typer.Option("--out", "-o", help="output folder")]
 Matrix = Annotated[
@@ -124,16 +129,6 @@ Marker = Annotated[
         min=0, max=3, help="marker input of the trigger, 0 for the first, as `inspect` numbers them"
     ),
 ]
-
-
-def dead_time(source: Path, settings: Mapping[str, Any]) -> "CounterDeadTime | None":
-    """Dead time of a design's, a run's or another camera, or None where it has none."""
-    from deepfsi.laboratory.camera import camera_of, dead_time_of
-
-    camera = camera_of(source, **settings)
-    if "dead_time_model" in settings and not camera.dead_time:
-        raise InputError("--dead-time-model is of a dead time: give --dead-time, such as 20ns")
-    return dead_time_of(camera)
 
 
 def words(text: str | None) -> list[str] | None:

@@ -4,8 +4,9 @@ import tempfile
 from pathlib import Path
 
 from deepfsi.errors import InputError
+from deepfsi.files import DESIGNS as DESIGNS
+from deepfsi.files import check_ending
 
-DESIGNS = (".safetensors",)
 PICTURES = (".png", ".svg", ".pdf")
 TABLES = (".csv", ".parquet")
 """Ends of the names of files."""
@@ -26,22 +27,21 @@ def check_there(path: Path, what: str) -> None:
         raise InputError(f"there is nothing at {path}: give {what}")
 
 
-def check_file(path: Path, ends: tuple[str, ...], made: Path | None = None) -> None:
-    """Raise `InputError` unless a file can be written to a path."""
-    allowed = " or ".join(ends)
+def check_file(path: Path, ends: tuple[str, ...], force: bool, made: Path | None = None) -> None:
+    """Raise `InputError` unless a file can be written to a path; `force` lets it replace one."""
     if path.is_dir():
-        raise InputError(f"{path} is a folder: give a file name ending in {allowed}")
-    if path.suffix.lower() not in ends:
-        raise InputError(f"cannot write to {path}: end the name in {allowed}")
+        raise InputError(f"{path} is a folder: give a file name ending in {' or '.join(ends)}")
+    check_ending(path, ends)
+    check_free(path, force)
     if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
         raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
     _check_writable(path, path.parent)
 
 
-def check_absent(path: Path) -> None:
-    """Raise `InputError` if there is something at the path."""
-    if path.exists():
-        raise InputError(f"{path} exists already: give a new file")
+def check_free(path: Path, force: bool) -> None:
+    """Raise `InputError` if there is something at the path that may not be replaced."""
+    if path.exists() and not force:
+        raise InputError(f"{path} exists already: give another name, or --force to replace it")
 
 
 def check_folder(path: Path) -> None:

@@ -1,12 +1,14 @@
 """Recipes: by the name of one that comes with the package, or a TOML file of one's own."""
 
 from collections.abc import Mapping
-from importlib.resources import files
+from contextlib import nullcontext
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepfsi.cli import common, paper
 from deepfsi.errors import InputError, closest
+from deepfsi.files import read_toml
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -29,7 +31,8 @@ def read_recipe(source: str) -> dict[str, Any]:
     if source not in named and not path.exists():
         known = closest(source, sorted(named))
         raise InputError(f"no recipe at {source}: {known}; or give a TOML file")
-    file = common.read_toml(source, named.get(source, path))
+    with as_file(named[source]) if source in named else nullcontext(path) as there:
+        file = read_toml(there)
     if not file:
         raise InputError(f"{source} is empty: give a recipe at least one setting, such as designs")
     return file
@@ -42,6 +45,7 @@ def check_recipe(
     from deepfsi.sweeps import recipe_check
 
     def load(recipe: "Recipe") -> "Dataset":
-        return common.load(recipe.data, recipe.size, split=recipe.split, images=recipe.images)
+        told = {name: getattr(recipe, name) for name in ("split", "images", "skip_bad")}
+        return common.load(recipe.data, recipe.size, **told)
 
     return recipe_check.check_recipe(settings, load, matrix)

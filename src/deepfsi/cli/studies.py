@@ -25,6 +25,7 @@ def compare(
     out: options.Folder = Path("runs/compare"),
     data: options.Data = "digits",
     size: options.Size = None,
+    skip_bad: options.SkipBad = False,
     designs: options.Designs = None,
     ratios: options.Ratios = None,
     trials: options.Trials = None,
@@ -35,6 +36,7 @@ def compare(
     ] = None,
     device: options.Device = "auto",
     workers: options.Workers = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Train every design at every photon budget, and report the accuracy of each.
@@ -53,6 +55,7 @@ def compare(
     if recipe:
         base = read_recipe(recipe)
     from deepfsi.sweeps.recipe import only
+    from deepfsi.sweeps.run import check_kept
 
     own = common.read_matrix(matrix)
     if recipe:
@@ -63,9 +66,11 @@ def compare(
             base |= QUICK
     fields = options.recipe_fields(
         data if data != "digits" else None, size, designs, ratios, trials
-    )
+    ) | ({"skip_bad": True} if skip_bad else {})
     chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
     options.check_sigma(settings, (*chosen[0].noises, *chosen[0].test_noise))
+    if not force:
+        check_kept(out, *chosen, own)
     results, _ = _run(chosen, out, "compare", as_json, matrix=own, device=device, workers=workers)
     _finish("compare", results, out, as_json)
 
@@ -91,28 +96,33 @@ def sweep(
     table: Annotated[
         Path | None, typer.Option(help="write all records as one table, .csv or .parquet")
     ] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
     """Run all trials of a recipe, on all cores, a GPU or a Ray cluster.
 
-    It may be stopped at any moment: run again with the same output folder it goes on where it was,
-    also after a change of the recipe. Several may work on one folder.
+    It may be stopped at any moment: run again with the same output folder it goes on where it was.
+    After a change of the recipe what it still shares is used; --force where results would be lost.
+    Several may work on one folder.
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
     if not dry_run:
         paths.check_folder(out)
     if table is not None:
-        paths.check_file(table, paths.TABLES, made=out)
+        paths.check_file(table, paths.TABLES, force, made=out)
     file = read_recipe(recipe)
     from deepfsi.sweeps.recipe import only
     from deepfsi.sweeps.records import write_table
+    from deepfsi.sweeps.run import check_kept
 
     base = only(file, part, quick)
     chosen = check_recipe(base if camera is None else {**base, "camera": camera})
     if dry_run:
         _forecast(chosen, out, device, workers, as_json)
         return
+    if not force:
+        check_kept(out, *chosen)
     results, records = _run(chosen, out, "sweep", as_json, device=device, workers=workers, ray=ray)
     _finish("sweep", results, out, as_json)
     if table is not None:

@@ -17,6 +17,7 @@ from deepfsi.datasets.load import (
     as_dataset,
     check_source,
     load_dataset,
+    prepared,
     takes,
 )
 from deepfsi.datasets.spectra import SpectralImage
@@ -36,6 +37,7 @@ __all__ = [
     "jitter",
     "list_datasets",
     "load_dataset",
+    "prepared",
     "read_display",
     "takes",
     "write_display",

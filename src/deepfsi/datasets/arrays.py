@@ -28,6 +28,7 @@ class Options(NamedTuple):
     images: int | None
     split: str | None
     white: float | None
+    skip_bad: bool = False
 
 
 SPLIT_MINIMUM = 5

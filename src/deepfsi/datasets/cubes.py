@@ -1,6 +1,7 @@
 """Hyperspectral images and their label maps from ``.mat``, ``.npy`` or ENVI files."""
 
 from collections.abc import Sequence
+from glob import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.errors import InputError
+from deepfsi.files import open_regular
 from deepfsi.tables.array_files import read_array
 
 SUFFIXES = (".mat", ".npy", ".hdr")
@@ -74,7 +76,7 @@ def _find_labels(path: Path) -> Path:
 def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path} is no {', '.join(SUFFIXES)} file; save it as one of them")
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"there is no file {path}")
     if path.suffix == ".hdr":
         array = _read_envi(path)
@@ -95,6 +97,10 @@ def _read_envi(path: Path) -> _Array:
         raise InputError(
             f"{path} is an ENVI header, read by the package spectral: pip install spectral"
         ) from error
+    for beside in path.parent.glob(f"{escape(path.stem)}*"):  # its data file is one of them
+        if not beside.is_dir():
+            with open_regular(beside):
+                pass
     try:
         image = envi.open(str(path))
         if not image.using_memmap:

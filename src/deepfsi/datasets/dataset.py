@@ -29,6 +29,7 @@ class Origin(BaseModel):
     images: int | None = None
     split: str | None = None
     white: float | None = None
+    skip_bad: bool = False
     # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
 
@@ -40,7 +41,7 @@ class Origin(BaseModel):
         return f"{self.data}{size}{view}"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Labelled scenes in a training and a test part.
 
@@ -90,6 +91,13 @@ class Dataset:
     white: float | None = None
     origin: Origin | None = None
     held_out: int = 0
+
+    def __repr__(self) -> str:
+        shape = "x".join(map(str, self.image_shape))
+        return (
+            f"<Dataset {self.name}: {len(self.x_train)} training and {len(self.x_test)} test "
+            f"scenes of {shape}, {len(self.classes)} classes>"
+        )
 
     @property
     def pixels(self) -> int:

@@ -1,12 +1,15 @@
 """Images that Pillow opens as grey levels of their own depth, and a tally of what they were."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.datasets.deep_colours import deep_values, is_deep
 from deepfsi.datasets.values import Family, Levels, levels_of
 from deepfsi.errors import InputError
 
@@ -18,14 +21,11 @@ Shape = tuple[int, int]
 GREY_MODES = ("1", "L", "LA", "I", "F")
 """Pillow's modes of grey images, besides those that begin with I;16."""
 
-BITS_TAG = 258
-"""Tag of a TIFF file for the bits of each sample."""
-
 PHOTOMETRIC_TAG = 262
 """Tag of a TIFF file that is 0 where 0 is white."""
 
-DIM_COLOURS = 64
-"""Largest upper byte of 16-bit colours below which too few levels would be left."""
+WRITTEN = "deepfsi"
+"""Word in the head of a PNG file that holds reflectance as a data set had it."""
 
 DEPTHS: dict[Family, str] = {"byte": "8 bits", "integer": "more than 8 bits", "float": "floats"}
 """For messages."""
@@ -35,26 +35,30 @@ DEPTHS: dict[Family, str] = {"byte": "8 bits", "integer": "more than 8 bits", "f
 class Tally:
     """Count of pictures that were read, and their range."""
 
-    # Pictures; of them those in colour, with transparency, the first of several in one file, and
-    # those in colours of 16 bits
+    # Pictures; of them those in colour, with transparency, and the first of several in one file
     count: int = 0
     coloured: int = 0
     transparent: int = 0
     several: int = 0
-    deep_colours: int = 0
+    packed: int = 0  # bytes of their files
+    written: int = 0  # by `display.write_pictures`, as reflectance
     sizes: set[Shape] = field(default_factory=set)  # heights and widths
     family: Family | None = None  # "byte", "integer" or "float"; None before the first
     first: str = ""  # name of the first, for messages
+    bad: tuple[str, ...] = ()  # names of those that could not be read, and were left out
     low: float = math.inf  # smallest and largest value, before any averaging
     high: float = -math.inf
 
-    def grey(self, image: "PillowImage", where: str) -> "PillowImage":
+    def grey(
+        self, image: "PillowImage", where: str, again: Callable[[], "PillowImage"]
+    ) -> "PillowImage":
         """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
+        # `again` opens it a second time
         from PIL import Image
 
         coloured = image.mode not in GREY_MODES and not image.mode.startswith("I;16")
-        deep_colours = coloured and _deep(image)  # before it is decoded
-        values = _values(image, where)
+        deep = coloured and is_deep(image)
+        values = deep_values(image, where, again) if deep else _values(image, where)
         family: Family = {"u": "byte", "i": "integer", "f": "float"}[values.dtype.kind]  # type: ignore[assignment]
         if self.family not in (None, family):
             raise InputError(
@@ -66,7 +70,7 @@ class Tally:
         self.coloured += coloured
         self.transparent += image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
         self.several += getattr(image, "n_frames", 1) > 1
-        self.deep_colours += deep_colours
+        self.written += WRITTEN in image.info
         self.sizes.add((image.height, image.width))
         self.low = min(self.low, float(values.min()))
         self.high = max(self.high, float(values.max()))
@@ -75,11 +79,6 @@ class Tally:
     def levels(self, white: float | None) -> Levels:
         """Range of all pictures and their white; parameters as of `levels_of`."""
         assert self.family is not None
-        if self.deep_colours and self.high < DIM_COLOURS:
-            raise InputError(
-                f"{self.first}: colours of 16 bits are read by their upper 8 bits, which reach "
-                f"{self.high:g} of 255 here; save the images in grey, or brighter"
-            )
         name = f"{self.first} and {self.count - 1} others" if self.count > 1 else self.first
         kind = {"byte": "8-bit", "float": "float"}.get(self.family, "16-bit")
         if self.family == "integer" and self.high >= 2**16:
@@ -93,12 +92,14 @@ class Tally:
         size = sizes[0] if len(sizes) == 1 else "several sizes"
         counted = {
             "in colour, turned to grey": self.coloured,
-            "in 16-bit colours, read by their upper 8 bits": self.deep_colours,
             "with transparency, left out": self.transparent,
             "the first of several in a file": self.several,
         }
         parts = [f"{self.count} images of {size}"]
         parts += [f"{count} {what}" for what, count in counted.items() if count]
+        if self.bad:
+            named = ", ".join(f"{Path(name).parent.name}/{Path(name).name}" for name in self.bad)
+            parts.append(f"{len(self.bad)} that cannot be read left out ({named})")
         return ", ".join(parts)
 
 
@@ -111,9 +112,3 @@ def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
     if getattr(image, "tag_v2", {}).get(PHOTOMETRIC_TAG) == 0:  # Pillow inverts bytes alone
         raise InputError(f"{where} has 0 for white; save it with 0 for black")
     return np.asarray(image).astype(np.int64)
-
-
-def _deep(image: "PillowImage") -> bool:
-    """True for an image of 16 bits a colour, of which Pillow reads the upper 8."""
-    bits, tiles = getattr(image, "tag_v2", {}).get(BITS_TAG, ()), getattr(image, "tile", ())
-    return max(bits, default=8) > 8 or any(";16" in str(tile[3]) for tile in tiles)

@@ -12,7 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.datasets.pictures import is_image, list_folder, picture_file, read_all
+from deepfsi.datasets.decoding import WRITTEN, Shape
+from deepfsi.datasets.pictures import (
+    is_image,
+    list_folder,
+    list_labels,
+    picture_file,
+    read_all,
+    sized_text,
+)
 from deepfsi.datasets.values import Levels, reflectance
 from deepfsi.errors import InputError
 from deepfsi.files import new_folder
@@ -26,15 +34,24 @@ class Display(NamedTuple):
     x: Reflectance  # (S, H, W): Reflectance in [0, 1]
     levels: Levels  # range of the values, and their white
     preprocessing: str  # what was done to the pictures, in words
+    written: int  # how many `write_pictures` wrote
 
 
-def read_display(path: str | os.PathLike[str], white: float | None = None) -> Display:
-    """Read one picture, a folder of them, or a folder with one sub-folder for each class."""
+def read_display(
+    path: str | os.PathLike[str],
+    white: float | None = None,
+    shape: Shape | None = None,
+    bilinear: bool = False,
+    skip_bad: bool | None = None,
+) -> Display:
+    """Read a picture, a folder or ``.csv`` file of some, or a folder with one for each class."""
     # Pictures have one size and one depth, or raise `InputError`; colours are turned to grey. Those
     # of more than 8 bits have reflectance 1 at `white`, found as for `load_dataset` unless given
     source = Path(path)
     labels: tuple[str, ...] | None = None
-    if source.is_file():
+    if source.is_file() and source.suffix.lower() == ".csv":
+        pictures = list_labels(source)
+    elif source.is_file():
         pictures = [picture_file(source)]
     elif not source.is_dir():
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
@@ -42,13 +59,15 @@ def read_display(path: str | os.PathLike[str], white: float | None = None) -> Di
         pictures = [picture_file(file) for file in found]
     else:
         pictures = [picture for part in list_folder(source) for picture in part]
-        labels = tuple(picture.label for picture in pictures)
     folder = source.parent if source.is_file() else source
-    names = tuple(Path(picture.where).relative_to(folder).as_posix() for picture in pictures)
-    pixels, tally = read_all(pictures, None, False)
-    levels = tally.levels(white)
-    said = f"{tally.words}; {levels.words}"
-    return Display(names, labels, reflectance(pixels, levels), levels, said)
+    pixels, tally, kept = read_all(pictures, shape, bilinear, skip_bad)
+    names = tuple(Path(pictures[place].where).relative_to(folder).as_posix() for place in kept)
+    if pictures[0].label:
+        labels = tuple(pictures[place].label for place in kept)
+    levels, sized = tally.levels(white), sized_text(shape, bilinear)
+    said = f"{tally.words}{sized}; {levels.words}"
+    x = reflectance(pixels, levels)
+    return Display(names, labels, x, levels, said, tally.written)
 
 
 def write_display(
@@ -80,12 +99,16 @@ def write_pictures(
 ) -> list[Path]:
     """Write reflectances (H, W) in [0, 1] as grey pictures, by their names in a new folder."""
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
+    said = PngInfo()
+    said.add_text(WRITTEN, "reflectance")
     with new_folder(folder) as draft:
         for name, picture in pictures.items():
             path = draft / name
             path.parent.mkdir(parents=True, exist_ok=True)
             drawn = io.BytesIO()  # a full disk is then an error of the file, not of its format
-            Image.fromarray(np.rint(picture * 255).astype(np.uint8)).save(drawn, format="PNG")
+            grey = Image.fromarray(np.rint(picture * 255).astype(np.uint8))
+            grey.save(drawn, format="PNG", pnginfo=said)
             path.write_bytes(drawn.getvalue())
     return [Path(folder) / name for name in pictures]

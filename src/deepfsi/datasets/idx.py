@@ -22,6 +22,10 @@ IDX_FILES = (
 """Names of the files: training images and labels, test images and labels."""
 
 
+UNFRAMED, FRAME = (28, 28), ((0, 0), (2, 2), (2, 2))
+"""Pixels of an image as published, and those that are added in front of and behind each axis."""
+
+
 class Original(NamedTuple):
     """A data set in MNIST's idx format, as its authors publish it."""
 
@@ -55,7 +59,7 @@ def load_idx(name: str, rescale: Range) -> Dataset:
 
 def _framed(images: npt.NDArray[np.uint8]) -> Reflectance:
     """Images (n, 28, 28) as reflectance (n, 32, 32)."""
-    return np.divide(np.pad(images, ((0, 0), (2, 2), (2, 2))), 255, dtype=np.float32)
+    return np.divide(np.pad(images, FRAME), 255, dtype=np.float32)
 
 
 def _read_idx(path: Path) -> npt.NDArray[np.uint8]:

@@ -5,22 +5,29 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from deepfsi.datasets import cifar, idx, indian_pines, pictures
 from deepfsi.datasets.arrays import Options, Range, load_npz, split_arrays
 from deepfsi.datasets.catalog import CIFAR, NAMES
 from deepfsi.datasets.cubes import SUFFIXES, read_cube
 from deepfsi.datasets.dataset import Dataset, Origin
+from deepfsi.datasets.display import Display, read_display
 from deepfsi.datasets.pictures import load_pictures
 from deepfsi.errors import InputError, closest
 
 DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""
 
+DIM = ("digits", "mnist", "fashion-mnist")
+"""Names of those."""
+
 TAKERS = {
-    "size": ("a size", "images of a folder, a zip file or CIFAR-10 take"),
+    "size": ("a size", "images of a folder, a zip file, a .csv file or CIFAR-10 take"),
     "images": ("a number of images", "a folder, a zip file or CIFAR-10 takes"),
     "split": ("a split", "a hyperspectral image takes"),
-    "white": ("a white", "a folder or zip file of images or arrays take"),
+    "white": ("a white", "a folder, zip file or .csv file of images or arrays take"),
+    "skip_bad": ("`skip_bad`", "a folder, zip file or .csv file of images takes"),
 }
 """For messages, each option that only some sources take, and the sources."""
 
@@ -34,6 +41,7 @@ def load_dataset(
     images: int | None = None,
     split: str | None = None,
     white: float | None = None,
+    skip_bad: bool = False,
 ) -> Dataset:
     """Load a data set by its name, from a path, or from arrays.
 
@@ -48,6 +56,8 @@ def load_dataset(
           each is and where its files are found. ``./mnist`` is a folder of that name;
         - a folder or ``.zip`` file with a sub-folder of images for each class, or with such folders
           within its own ``train/`` and ``test/``. Images of one depth; colours turn grey;
+        - a ``.csv`` file with the file name and the label of an image in each line, whose names
+          begin in the folder of its own name beside it, ``pets/`` of ``pets.csv``, or in its own;
         - a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map lies beside
           it under the same name with ``_gt`` added, as in `cubes.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or
@@ -69,6 +79,8 @@ def load_dataset(
     white : float, optional
         Value that is reflectance 1, of images and arrays of integers wider than a byte; by default
         that of the fewest bits that hold the largest value, as `deepfsi.datasets.values` says.
+    skip_bad : bool
+        Leave images that cannot be read out, which `Dataset.preprocessing` then names.
 
     Examples
     --------
@@ -76,9 +88,15 @@ def load_dataset(
     >>> deepfsi.load_dataset("digits").image_shape
     (8, 8)
     """
-    options = Options(size, seed, rescale, images, split, white)
+    options = Options(size, seed, rescale, images, split, white, skip_bad)
     if isinstance(source, tuple):
         return _load_arrays(source, options)
+    if not isinstance(source, str | os.PathLike):
+        raise InputError(
+            f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
+            "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
+            "and labels of a torch data set make two such arrays"
+        )
     name = os.fspath(source)
     _refuse(options, name if name in NAMES else _existing(name).name, takes(name))
     data = _load_name(name, options) if name in NAMES else _load_path(_existing(name), options)
@@ -98,7 +116,9 @@ def takes(source: str) -> tuple[str, ...]:
         return taken.get(source, ("split",) if source in indian_pines.SOURCES else ())
     path = _existing(source)
     if path.is_dir() or path.suffix.lower() == ".zip":
-        return ("size", "images", "white")
+        return ("size", "images", "white", "skip_bad")
+    if path.suffix.lower() == ".csv":
+        return ("size", "white", "skip_bad")
     return ("split",) if path.suffix in SUFFIXES else ("white",)
 
 
@@ -108,14 +128,7 @@ Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
 
 def as_dataset(data: Source) -> Dataset:
     """A data set as it is, or the one of a name, a path or a tuple of arrays, as `load_dataset`."""
-    if isinstance(data, Dataset):
-        return data
-    if not isinstance(data, str | os.PathLike | tuple):
-        raise InputError(
-            f"scenes were given as {type(data).__name__}: give a Dataset, a name such as 'digits', "
-            "a path, or a tuple (x, y) or (x, y, x_test, y_test)"
-        )
-    return load_dataset(data)
+    return data if isinstance(data, Dataset) else load_dataset(data)
 
 
 def check_source(source: str) -> None:
@@ -130,12 +143,13 @@ def _existing(name: str) -> Path:
         return path
     if path.suffix or len(path.parts) > 1:
         raise InputError(
-            f"there is no folder and no file at '{name}': give a folder or .zip of images, a cube "
-            f"({', '.join(SUFFIXES)}) or an .npz file"
+            f"there is no folder and no file at '{name}': give a folder or .zip of images, a .csv "
+            f"of their names and labels, a cube ({', '.join(SUFFIXES)}) or an .npz file"
         )
     raise InputError(
         f"unknown data set '{name}': {closest(name, NAMES)}; "
-        "or the path of a folder of images, a .zip of them, a cube or an .npz file"
+        "or the path of a folder or .zip of images, a .csv of their names and labels, a cube or an "
+        ".npz file"
     )
 
 
@@ -171,8 +185,30 @@ def _load_name(name: str, options: Options) -> Dataset:
     return idx.load_idx(name, rescale or DIM_BLACK)
 
 
+def prepared(pictures: Path, origin: Origin, skip_bad: bool = False) -> Display:
+    """Pictures made scenes as those of a data set of that origin were."""
+    # But for the view of a camera. Pictures that `write_pictures` wrote are mapped already
+    bilinear = origin.data in CIFAR
+    shape = origin.size or ((cifar.SIDE, cifar.SIDE) if bilinear else None)
+    shown = read_display(pictures, origin.white, shape, bilinear, skip_bad)
+    x, said = shown.x, shown.preprocessing
+    if origin.data in idx.ORIGINALS and x.shape[1:] == idx.UNFRAMED:
+        x, said = np.pad(x, idx.FRAME), f"{said}, padded as {origin.data}"
+    ends = origin.rescale or (DIM_BLACK if origin.data in DIM else (0, 1))
+    if ends == (0, 1) or shown.written == len(x):
+        return shown._replace(x=x, preprocessing=said)
+    if shown.written:
+        raise InputError(
+            f"{shown.written} of {len(x)} pictures at {pictures} are reflectance that `deepfsi "
+            "data export` wrote, and the others are not: give them apart"
+        )
+    low, high = ends
+    said = f"{said}, then mapped from [0, 1] to [{low:g}, {high:g}]"
+    return shown._replace(x=low + (high - low) * x, preprocessing=said)
+
+
 def _load_path(path: Path, options: Options) -> Dataset:
-    if path.is_dir() or path.suffix.lower() == ".zip":
+    if path.is_dir() or path.suffix.lower() in (".zip", ".csv"):
         return load_pictures(path, options)
     if path.suffix in SUFFIXES:
         split = options.split or "random"
@@ -183,5 +219,5 @@ def _load_path(path: Path, options: Options) -> Dataset:
 def _refuse(options: Options, name: str, taken: tuple[str, ...]) -> None:
     """Raise `InputError` for an option that is given but not among those that a source takes."""
     for option, (what, who) in TAKERS.items():
-        if option not in taken and getattr(options, option) is not None:
+        if option not in taken and getattr(options, option) not in (None, False):
             raise InputError(f"{name}: {what} was given; only {who} one, leave it out")

@@ -1,13 +1,16 @@
-"""Images in folders and zip files.
+"""Images in folders and zip files, and those that a ``.csv`` file names.
 
-Both hold one folder for each class, or such folders within their own ``train/`` and ``test/``. A
-zip file is read in place, never unpacked. It may come from anywhere, so that its names, the sizes
-it declares and the images' own sizes are all checked before memory is spent on them.
+Folders and zip files hold one folder for each class, or such folders within their own ``train/``
+and ``test/``. A ``.csv`` file has the name and the label of an image in each line. A zip file is
+read in place, never unpacked. It may come from anywhere, so that its names, the sizes it declares
+and the images' own sizes are all checked before memory is spent on them.
 """
 
+import csv
 import io
 import warnings
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,6 +26,8 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.decoding import Shape, Tally
 from deepfsi.datasets.values import reflectance
 from deepfsi.errors import InputError
+from deepfsi.files import check_unpacked, read_regular
+from deepfsi.tables.zip_files import open_zip, read_entry
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
 """Ends of the names of image files."""
@@ -31,10 +36,17 @@ FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 """Formats that are decoded, by Pillow's names."""
 
 MAX_FILE = 2**28
-"""Bytes at most of one image in a zip file."""
+"""Bytes at most of one image."""
 
 MAX_PIXELS = 2**30
 """Pixels at most of all images together: 4.3 GB as float32."""
+
+
+MOST_NAMES = 20
+"""Images that one line names at most."""
+
+LIST_ADVICE = "give a line of text for each image, its file name and its label"
+"""What to do about a list of images that cannot be used."""
 
 
 class Picture(NamedTuple):
@@ -46,7 +58,7 @@ class Picture(NamedTuple):
 
 
 def load_pictures(path: Path, options: Options) -> Dataset:
-    """Load a folder or a zip file of images."""
+    """Load the images of a folder, a zip file or a ``.csv`` file."""
     name = path.resolve().stem if path.is_file() else path.resolve().name
     with open_listings(path) as listings:
         return from_listings(listings, name, options)
@@ -68,13 +80,12 @@ def from_listings(
         kept = draw_stratified([p.label for p in train], images, options.seed, name)
         train = [train[i] for i in kept]
     wanted = [*train, *(test[0] if test else [])]
-    pixels, tally = read_all(wanted, shape, bilinear)
+    pixels, tally, kept_places = read_all(wanted, shape, bilinear, options.skip_bad)
     levels = tally.levels(options.white)
-    x, labels = reflectance(pixels, levels), np.array([picture.label for picture in wanted])
-    n = len(train)
+    labels = np.array([wanted[place].label for place in kept_places])
+    x, n = reflectance(pixels, levels), sum(place < len(train) for place in kept_places)
     drawn = "" if images is None else f"{images} training images drawn by class; "
-    how = "resized bilinearly" if bilinear else "averaged"
-    sized = f", {how} to {shape[0]}x{shape[1]} pixels" if shape else ""
+    sized = sized_text(shape, bilinear)
     data = split_arrays(
         (x[:n], labels[:n]),
         (x[n:], labels[n:]) if test else (None, None),
@@ -84,6 +95,12 @@ def from_listings(
         values=f"{drawn}{tally.words}{sized}; {levels.words}",
     )
     return replace(data, white=levels.white if levels.chosen else None)
+
+
+def sized_text(shape: Shape | None, bilinear: bool) -> str:
+    """Say to what size images were brought, as the end of a phrase."""
+    how = "resized bilinearly" if bilinear else "averaged"
+    return f", {how} to {shape[0]}x{shape[1]} pixels" if shape else ""
 
 
 def as_shape(size: int | tuple[int, ...] | None) -> Shape | None:
@@ -111,15 +128,14 @@ def _check_total(images: int, shape: tuple[int, ...]) -> None:
 
 @contextmanager
 def open_listings(path: Path) -> Iterator[list[list[Picture]]]:
-    """Images of a folder or zip file: of one part, or of its training and test part."""
+    """Images of a source: of one part, or of its training and test part."""
     if path.is_dir():
         yield list_folder(path)
         return
-    try:
-        archive = zipfile.ZipFile(path)
-    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read {path} as a zip file ({error}); pack it again") from error
-    with archive:
+    if path.suffix.lower() == ".csv":
+        yield [list_labels(path)]
+        return
+    with open_zip(path, "pack it again") as archive:
         yield _list_zip(archive, path)
 
 
@@ -129,6 +145,41 @@ def list_folder(folder: Path) -> list[list[Picture]]:
     if not (all(part.is_dir() for part in parts) and any(p.is_dir() for p in parts[0].iterdir())):
         parts = [folder]
     return [_group(_walk(part), str(part)) for part in parts]
+
+
+def list_labels(path: Path) -> list[Picture]:
+    """Images that a ``.csv`` file names, with their labels, in its order."""
+    # Names are from the folder beside it that has its name, `pets/` of `pets.csv`, or else from its
+    # own folder. A first line that names no image is a heading
+    try:
+        lines = read_regular(path, MAX_FILE, LIST_ADVICE).decode("utf-8-sig").splitlines()
+        rows = list(csv.reader(lines, delimiter=next((d for d in ";\t" if d in lines[0]), ",")))
+    except (OSError, UnicodeDecodeError, csv.Error, IndexError) as error:
+        raise InputError(f"cannot read {path} ({error}): {LIST_ADVICE}") from error
+    folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
+    pictures = []
+    for number, row in enumerate(rows, 1):
+        if not row or (number == 1 and not is_image(Path(row[0].strip()).name)):
+            continue
+        name, *label = map(str.strip, row)
+        if not (is_image(Path(name).name) and len(label) == 1 and label[0]):
+            raise InputError(
+                f"{path}, line {number}: {', '.join(row)!r} is not an image "
+                f"and its label: {LIST_ADVICE}"
+            )
+        pictures.append(picture_file(folder / name, label[0]))
+    if not pictures:
+        raise InputError(f"{path} names no image: {LIST_ADVICE}")
+    missing = [picture.where for picture in pictures if not Path(picture.where).is_file()]
+    if missing:
+        raise InputError(
+            f"{path} names {len(missing)} images that are not there, {_listed(missing)}: names are "
+            f"from the folder {folder} on"
+        )
+    lines_of = Counter(picture.where for picture in pictures)
+    if twice := [where for where, count in lines_of.items() if count > 1]:
+        raise InputError(f"{path} names {_listed(twice)} twice: give each image one line")
+    return pictures
 
 
 def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
@@ -141,7 +192,11 @@ def _walk(folder: Path) -> Iterator[tuple[tuple[str, ...], Picture | None]]:
 
 def picture_file(path: Path, label: str = "") -> Picture:
     """Picture of a file."""
-    return Picture(label, str(path), lambda: path.open("rb"))
+
+    def read() -> IO[bytes]:
+        return io.BytesIO(read_regular(path, MAX_FILE, "replace or remove it"))
+
+    return Picture(label, str(path), read)
 
 
 def _list_zip(archive: zipfile.ZipFile, path: Path) -> list[list[Picture]]:
@@ -185,18 +240,7 @@ def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
 
 
 def _open_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-    if info.flag_bits & 1:
-        raise InputError(f"{where} is encrypted; pack it again without a password")
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise InputError(f"{where} is compressed in an unusual way; pack it with deflate or none")
-    if info.file_size > MAX_FILE:
-        raise InputError(
-            f"{where} unpacks to {info.file_size / 1e6:.0f} MB; an image has {MAX_FILE / 1e6:.0f} "
-            "MB or less, remove it"
-        )
-    with archive.open(info) as entry:
-        # asked for no more than is declared, zipfile unpacks no more
-        return io.BytesIO(entry.read(info.file_size + 1))
+    return io.BytesIO(read_entry(archive, info, where, MAX_FILE, "remove it"))
 
 
 def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str) -> list[Picture]:
@@ -210,7 +254,10 @@ def _group(entries: Iterable[tuple[tuple[str, ...], Picture | None]], where: str
         if len(names) == 2 and picture and is_image(names[1]):
             found.append((names[1], picture))
     if not classes:
-        raise InputError(f"{where} has no sub-folders; put the images of each class into its own")
+        raise InputError(
+            f"{where} has no sub-folders; put the images of each class into its own, or give a "
+            ".csv file of file names and labels"
+        )
     for label, found in classes.items():
         if not found:
             raise InputError(
@@ -228,46 +275,89 @@ def is_image(name: str) -> bool:
 # ---------------------------------------------------------------- reading
 
 
+class _Unreadable(InputError):
+    """An image that is damaged."""
+
+
 def read_all(
-    pictures: list[Picture], shape: Shape | None, bilinear: bool
-) -> tuple[npt.NDArray[Any], Tally]:
+    pictures: list[Picture],
+    shape: Shape | None,
+    bilinear: bool = False,
+    skip_bad: bool | None = None,
+) -> tuple[npt.NDArray[Any], Tally, list[int]]:
     """Grey images (n, H, W), all of one shape: uint8, or else float32 in their own values."""
+    # And the places of those that were read. Damaged ones are left out, or named, all at once;
+    # with None the message offers no way to leave them out
     from PIL import Image
 
     if shape is not None:
         _check_total(len(pictures), shape)
     tally = Tally()
+    kept: list[int] = []
+    bad: list[tuple[str, str]] = []
+    grey: npt.NDArray[Any] = np.empty(0)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        first = _read(pictures[0], tally, shape, bilinear)
-        _check_total(len(pictures), first.shape)
-        grey = np.empty((len(pictures), *first.shape), first.dtype)
-        grey[0] = first
-        for i, picture in enumerate(pictures[1:], 1):
-            image = _read(picture, tally, shape, bilinear)
-            if image.shape != first.shape:
+        for place, picture in enumerate(pictures):
+            try:
+                image = _read(picture, tally, shape, bilinear)
+            except _Unreadable as error:
+                bad.append((picture.where, str(error)))
+                continue
+            if not kept:
+                _check_total(len(pictures), image.shape)
+                grey = np.empty((len(pictures), *image.shape), image.dtype)
+            if image.shape != grey.shape[1:]:
                 raise InputError(
-                    f"images differ in size: {pictures[0].where} is "
-                    f"{first.shape[0]}x{first.shape[1]}, {picture.where} is "
-                    f"{image.shape[0]}x{image.shape[1]}; give a size to bring them to one"
+                    f"images differ in size: {tally.first} is {grey.shape[1]}x{grey.shape[2]}, "
+                    f"{picture.where} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
+                    "them to one"
                 )
-            grey[i] = image
-    return grey, tally
+            grey[len(kept)] = image
+            kept.append(place)
+            filled = len(kept) * image.size
+            check_unpacked(filled, tally.packed, "these images", "give a smaller size, or fewer")
+    if bad and not (skip_bad and kept):
+        raise InputError(_bad_text(bad, skip_bad is False))
+    tally.bad = tuple(where for where, _ in bad)
+    return grey[: len(kept)], tally, kept
+
+
+def _listed(names: list[str]) -> str:
+    """Names for a message, the first of many."""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + more
+
+
+def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
+    """Name damaged images, each with what is wrong, and say what to do."""
+    named = _listed([f"{where} ({reason})" for where, reason in bad])
+    what, them = ("the image", "it") if len(bad) == 1 else (f"{len(bad)} images:", "them")
+    advice = f", or leave {them} out with `skip_bad`" if may_skip else ""
+    return f"cannot read {what} {named}; replace or remove {them}{advice}"
 
 
 def _read(picture: Picture, tally: Tally, shape: Shape | None, bilinear: bool) -> npt.NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with picture.open() as stream, Image.open(stream, formats=FORMATS) as image:
-            grey = tally.grey(image, picture.where)
+        with picture.open() as stream:
+            size = stream.seek(0, io.SEEK_END)
+
+            def again() -> Image.Image:
+                stream.seek(0)
+                return Image.open(stream, formats=FORMATS)
+
+            with again() as image:
+                pixels, advice = image.width * image.height, "replace or remove it"
+                check_unpacked(pixels, size, picture.where, advice)
+                grey = tally.grey(image, picture.where, again)
+        tally.packed += size
     except InputError:
         raise
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
-        reason = "no image" if isinstance(error, UnidentifiedImageError) else error
-        raise InputError(
-            f"cannot read the image {picture.where} ({reason}); replace or remove it"
-        ) from error
+        no_image = isinstance(error, UnidentifiedImageError)
+        raise _Unreadable("no image" if no_image else str(error)) from error
     if shape is not None:
         how = Image.Resampling.BILINEAR if bilinear else Image.Resampling.BOX
         grey = grey.resize(shape[::-1], how)

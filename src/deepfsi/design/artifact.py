@@ -12,15 +12,16 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
-from deepfsi.design.calibration import find_distribution, sample_scenes
 from deepfsi.design.classifiers import Mlp, Vit
+from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
+from deepfsi.design.display import design_html, design_text
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import write_atomically
+from deepfsi.files import DESIGNS, check_ending, write_atomically
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
@@ -63,6 +64,8 @@ class Design:
         Provenance: how it was trained, on which data, with which versions. JSON types only.
     distribution : ReadoutDistribution, optional
         Of the readouts of training scenes: what `consistency` tests counts against.
+    temperatures : Temperatures, optional
+        What divides the logits at each budget, so that probabilities are those of being right.
 
     Examples
     --------
@@ -89,16 +92,13 @@ class Design:
     detection: Detection = ONE
     info: dict[str, Any] = field(default_factory=dict)
     distribution: ReadoutDistribution | None = None
+    temperatures: Temperatures | None = None
 
     def __repr__(self) -> str:
-        budget = self.info.get("job", {}).get("photons")
-        trained = f", learned at {budget:g} photons" if budget else ""
-        shape = "x".join(map(str, self.mask_shape))
-        network = getattr(self.classifier, "title", type(self.classifier).__name__)
-        return (
-            f"<Design {self.name}: {self.masks} masks of {shape}, {self.light}, "
-            f"{self.rails.kind} rails, {network}, {len(self.classes)} classes{trained}>"
-        )
+        return design_text(self)
+
+    def _repr_html_(self) -> str:
+        return design_html(self)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -162,23 +162,24 @@ class Design:
     def logits(
         self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
     ) -> Tensor:
-        """Logits (..., C) of features.
-
-        Parameters
-        ----------
-        features : tensor, shape (..., k)
-            What is read of the counts, in counts.
-        photons : float or tensor, shape (..., 1)
-            Budget Φ.
-        dwell : tensor, shape (..., q), optional
-            Share of the exposure of each frame.
-        """
+        """Logits (..., C) of features (..., k) in counts; other parameters as of `classify`."""
         return self.logits_of(Observation(features / photons, dwell), photons)
 
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
         inputs = seen.inputs(self.mean, self.std)
         return self.classifier(self.exposure.condition(inputs, photons))
+
+    def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:
+        """Calibrated probabilities (..., C) of an exposure so far; parameters of `logits_of`."""
+        return (self.logits_of(seen, photons) / self.temperature(seen, photons)).softmax(dim=-1)
+
+    def temperature(self, seen: Observation, photons: Tensor | float) -> Tensor | float:
+        """Temperature (..., 1) of the logits of an exposure so far; 1 where none is known."""
+        if self.temperatures is None:
+            return 1.0
+        budget = self.exposure.budget(torch.as_tensor(photons).to(seen.features))
+        return self.temperatures.at(self.exposure.stop_place(seen), budget)
 
     def expose(
         self, scanner: Scanner, rates: Tensor, generator: torch.Generator, photons: float
@@ -204,7 +205,7 @@ class Design:
         self,
         read: Callable[[np.ndarray], Any],
         photons: float,
-        until: Callable[[int, np.ndarray], tuple[np.ndarray, bool]] | None = None,
+        until: Callable[[int, np.ndarray, float], bool] | None = None,
     ) -> np.ndarray:
         """Class probabilities (C,) of an exposure whose dwells are chosen while it runs.
 
@@ -219,8 +220,8 @@ class Design:
         photons : float
             Budget Φ of the whole exposure, or an estimate of it.
         until : callable, optional
-            Given the looks so far and the probabilities (C,) after them; returns probabilities, and
-            whether the exposure ends there. `stopping.StoppingRule.decide` is one.
+            Given the looks so far, the probabilities (C,) after them and the budget; true if the
+            exposure ends there. `stopping.StoppingRule.decide` is one.
 
         Raises
         ------
@@ -243,10 +244,9 @@ class Design:
             for look, seen in enumerate(looks, start=1):
                 if until is None and look < self.exposure.looks:
                     continue
-                logits = self.logits(counted, budget, seen.dwell)
-                chances = logits.softmax(dim=-1).cpu().numpy()
-                chances, enough = until(look, chances) if until else (chances, False)
-                if enough:
+                so_far = Observation(counted / budget, seen.dwell)
+                chances = self.chances(so_far, budget).cpu().numpy()
+                if until is not None and until(look, chances, budget):
                     break
         return chances
 
@@ -277,8 +277,9 @@ class Design:
         with torch.no_grad():
             if shown is not None:
                 shown = self._dwells.by_mask(shown).to(device)
-            logits = self.logits(self.features_of(read.to(device)), budget.to(device), shown)
-        return logits.softmax(dim=-1).cpu().numpy()
+            budget = budget.to(device)
+            seen = Observation(self.features_of(read.to(device)) / budget, shown)
+            return self.chances(seen, budget).cpu().numpy()
 
     @property
     def _dwells(self) -> Dwells:
@@ -290,14 +291,6 @@ class Design:
         """Features (..., k) of counts in the shape that `classify` takes."""
         every = counts.flatten(-2) if self.detection.count > 1 else counts
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
-
-    def calibrated(self, scenes: Tensor, labels: Tensor) -> "Design":
-        """The design with the distribution of readouts of scenes (n, N) of classes (n,)."""
-        rows = sample_scenes(len(scenes), prod(self.counts_shape))
-        with torch.no_grad():
-            rates = self.rates(self.scanner(), scenes[rows])
-        found = find_distribution(rates, labels[rows].cpu().numpy(), len(self.classes))
-        return replace(self, distribution=found)
 
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> Consistency:
         """Consistency of exposures with the training, each of another scene.
@@ -314,14 +307,12 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if the design has no `distribution`: one of patches, of several
-            looks, of less than 100 training scenes or 50 of a class, or not learned here.
+            As for `classify`, or if it is of several looks, which live runs test, or has no
+            `distribution`: one of patches, less than 100 training scenes or 50 of a class.
         """
+        self.exposure.check_alone()
         if self.distribution is None:
-            raise InputError(
-                "this design holds no distribution of its training scenes' readouts: counts are "
-                "tested for designs of fixed dwells, learned from 100 scenes or more, 50 a class"
-            )
+            raise InputError("this design holds no distribution: it takes 100 scenes, 50 a class")
         read, budget, _ = check_readouts(counts, photons, None, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
@@ -372,6 +363,7 @@ class Design:
             shares=self.shares[:kept] / share,
             exposure=self.exposure.using(self.exposure.used * share),
             distribution=None,
+            temperatures=self.temperatures and self.temperatures.scaled(share, masks - fewest + 1),
         )
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
@@ -410,10 +402,12 @@ class Design:
             shares=self.shares * dimmed,
             exposure=self.exposure.using(self.exposure.used / dimmed),
             distribution=self.distribution and self.distribution.dimmed(dimmed),
+            temperatures=self.temperatures and self.temperatures.scaled(1 / dimmed),
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one safetensors file, all or nothing."""
+        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
+        check_ending(path, DESIGNS)
         return write_atomically(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:
@@ -428,6 +422,7 @@ class Design:
             "classifier": self.classifier.weights if own else self.classifier.state_dict(),  # type: ignore[dict-item]
             "exposure": network.state_dict() if network is not None else {},
             "distribution": self.distribution.tensors if self.distribution else {},
+            "temperatures": self.temperatures.tensors if self.temperatures else {},
         }
         header = artifact_file.Header(
             exposure=self.exposure.header(),
@@ -435,8 +430,8 @@ class Design:
             readout=self.detection.readout,
             **{name: getattr(self, name) for name in artifact_file.WORDS},
         )
-        statistics = {name: getattr(self, name) for name in artifact_file.STATISTICS}
-        tensors = {"rails": self.rails.stacked, **statistics}
+        tensors = {name: getattr(self, name) for name in artifact_file.STATISTICS}
+        tensors["rails"] = self.rails.stacked
         if self.detection.labels is not None:
             tensors["detectors"] = self.detection.labels
         return artifact_file.pack(header, tensors, weights)

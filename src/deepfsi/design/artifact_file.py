@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-from safetensors import SafetensorError, safe_open
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
 from deepfsi.design.classifiers import Mlp, Vit, restored
+from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
@@ -22,10 +22,12 @@ from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.own import OwnClassifier
 from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
-from deepfsi.laws import Light, Readout
+from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
+from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -53,7 +55,7 @@ class MlpSize(BaseModel):
     model_config = STRICT
 
     kind: Literal["mlp"]
-    hidden: tuple[Count, ...]
+    hidden: Widths
     dropout: float = Field(ge=0, lt=1)
     patches: ClassVar = 1
 
@@ -80,7 +82,7 @@ class VitSize(BaseModel):
     kind: Literal["vit"]
     patches: Count
     width: Count
-    depth: Count
+    depth: int = Field(ge=1, le=MOST_LAYERS)
     heads: Count
     hidden: Count
 
@@ -135,10 +137,10 @@ class Header(BaseModel):
 
     schema_number: Literal[1] = Field(SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")
-    name: str
+    name: Annotated[str, AfterValidator(check_design)]
     light: Light
     readout: Readout
-    summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
+    summed_reflectance: SummedReflectance
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     exposure: Annotated[
@@ -172,15 +174,14 @@ def pack(
 
 def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Fields of `artifact.Design` that a file holds, or `InputError` as for `Design.load`."""
-    if not Path(path).is_file():
+    if not Path(path).exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
     try:
-        with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {})["deepfsi"]
-            tensors = {k: torch.from_numpy(file.get_tensor(k)) for k in file.keys()}  # noqa: SIM118
+        text, arrays = read_tensors(path, "deepfsi", "give a design file")
+        tensors = {name: torch.from_numpy(held) for name, held in arrays.items()}
         schema = int(json.loads(text)["schema"])
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
-        raise _damaged(path) from error
+    except (DamagedError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise error if isinstance(error, InputError) else _damaged(path) from error
     if schema > SCHEMA:
         raise InputError(
             f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"
@@ -195,8 +196,12 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     """Fields of `artifact.Design`, or an error where header and tensors do not fit together."""
     own = header.classifier.kind == "own"
     ours = [key for key in tensors if not (own and key.startswith("classifier."))]
-    if not all(bool(torch.isfinite(tensors[key]).all()) for key in ours):
-        raise ValueError("tensors are not finite")
+    for key in ours:
+        computed = key in ("rails", *STATISTICS) or key.startswith(("classifier.", "exposure."))
+        if computed and tensors[key].dtype != torch.float32:
+            raise ValueError(f"{key} holds numbers of another type")
+        if not bool(torch.isfinite(tensors[key]).all()):
+            raise ValueError("tensors are not finite")
     statistics = {name: tensors[name] for name in STATISTICS}
     rails, (_, masks, pixels) = Rails.of(tensors["rails"]), tensors["rails"].shape
     detection = _detection(header, tensors.get("detectors"))
@@ -227,15 +232,17 @@ def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
         )
     words = {name: getattr(header, name) for name in WORDS}
     known = _weights(tensors, "distribution.")
-    distribution = (
-        ReadoutDistribution.restored(known, rails.count, masks * detection.count) if known else None
-    )
+    shape = exposure.compared(rails.count, masks * detection.count)
+    arrays = {name: each.numpy() for name, each in known.items()}
+    distribution = ReadoutDistribution.restored(arrays, *shape) if known else None
+    held = _weights(tensors, "temperatures.")
     parts = {
         "rails": rails,
         "exposure": exposure,
         "detection": detection,
         "classifier": classifier,
         "distribution": distribution,
+        "temperatures": Temperatures.restored(held, exposure.count_stops(masks)) if held else None,
     }
     return {**words, **statistics, **parts}
 

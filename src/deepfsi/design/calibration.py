@@ -1,6 +1,8 @@
 """Calibration of the test of counts: simulated exposures of scenes that a model has not seen."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -8,6 +10,9 @@ from torch import Tensor
 
 from deepfsi.design.consistency import CHANCES, COUNTS, ReadoutDistribution
 from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+
+if TYPE_CHECKING:  # a design holds a distribution
+    from deepfsi.design.artifact import Design
 
 FEWEST_SCENES = 100
 """Scenes from which on a tail is calibrated."""
@@ -27,6 +32,9 @@ LEAST_SCENES = 512
 FOLDS = 4
 """Parts of the scenes, each calibrated with the covariance of the others."""
 
+Expose = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
+"""Exposures (n, R) of all scenes at a budget: their counts and weights after each look."""
+
 IN_TAIL = 10
 """Scenes to which a tail's power law is fitted, at least."""
 
@@ -37,12 +45,25 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).permutation(count)[:most]
 
 
+def distribution_of(design: "Design", scenes: Tensor, labels: Tensor) -> ReadoutDistribution | None:
+    """Distribution of a design's readouts of scenes (n, N) of classes (n,)."""
+    rows = sample_scenes(len(scenes), prod(design.counts_shape))
+    x, several = scenes[rows], (labels[rows].cpu().numpy(), len(design.classes), design.detection)
+    with torch.no_grad():
+        rates, lit = design.rates(design.scanner(), x), x.sum(dim=-1) / design.summed_reflectance
+        return design.exposure.distribution(rates, lit, *several, design.mean, design.std)
+
+
 def find_distribution(
-    rates: Tensor, labels: Sequence[int] | np.ndarray, classes: int, seed: int = 0
+    rates: Tensor,
+    labels: Sequence[int] | np.ndarray,
+    classes: int,
+    seed: int = 0,
+    expose: Expose | None = None,
 ) -> ReadoutDistribution | None:
     """Distribution of the readouts of training scenes, or None where there are too few scenes."""
     # Too few of one class are too few: they do not tell how others of it look. rates (n, rails, m);
-    # labels (n,)
+    # labels (n,). `expose` is of looks: each readout is counted for its usual time without it
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([seed, 12])
     folds = np.array_split(rng.permutation(len(every)), FOLDS)
@@ -52,48 +73,62 @@ def find_distribution(
     if len(every) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
         return None
     held = every[:, lit]
-    tails, pairs = _calibrate(held, np.asarray(labels), folds, rng)
+    total, live = held.mean(axis=0).sum(), expose is not None
+
+    def exposed(expected: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        if expose is None:
+            return [(rng.poisson(held * (expected / total)).astype(float), np.ones_like(held))]
+        seen = expose(expected / total, rng)
+        return [tuple(each[:, lit.ravel()] for each in pair) for pair in seen]  # type: ignore[misc]
+
+    tails, pairs = _calibrate(held, np.asarray(labels), folds, exposed)
     model = ReadoutModel.fit(held)
 
-    def spread_out(part: np.ndarray) -> Tensor:
-        whole = np.zeros((*part.shape[:-1], *lit.shape))
+    def spread_out(part: np.ndarray) -> np.ndarray:
+        whole = np.zeros((*part.shape[:-1], *lit.shape), np.float32)
         whole[..., lit] = part
-        return torch.from_numpy(whole).float()
+        return whole
 
     return ReadoutDistribution(
         mean=spread_out(model.share * model.total),
-        spread=torch.tensor(model.spread),
+        spread=np.array(model.spread, np.float32),
         directions=spread_out(model.directions),
         rest=spread_out(model.rest),
-        tails=torch.from_numpy(tails).float(),
-        pairs=torch.from_numpy(pairs).float(),
+        tails=(tails if live else tails[0]).astype(np.float32),
+        pairs=pairs[: 0 if live else None].astype(np.float32),
     )
 
 
 def _calibrate(
-    rates: np.ndarray, labels: np.ndarray, folds: list[np.ndarray], rng: np.random.Generator
+    rates: np.ndarray,
+    labels: np.ndarray,
+    folds: list[np.ndarray],
+    exposed: Callable[[float], list[tuple[np.ndarray, np.ndarray]]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
+    """Tails (K, 2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
-    values = np.empty((2, len(COUNTS), len(rates)))
     whole = ReadoutModel.fit(rates)
     models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
     pairs = np.empty((len(couples), len(COUNTS), len(CHANCES)))
+    levels = []
     for place, counts in enumerate(COUNTS):
         expected = np.full(len(rates), counts * rates.shape[1])
-        read = rng.poisson(rates * (expected[0] / whole.total)).astype(float)
-        seen = read, expected, np.zeros_like(read)
-        for fold, model in zip(folds, models, strict=True):
-            values[:, place, fold] = model.statistics(*(each[fold] for each in seen))
+        looks = exposed(float(expected[0]))
+        values = np.empty((len(looks), 2, len(rates)))
+        for look, (read, weights) in enumerate(looks):
+            seen = read, expected, np.zeros_like(read), weights
+            for fold, model in zip(folds, models, strict=True):
+                values[look, :, fold] = np.transpose(model.statistics(*(k[fold] for k in seen)))
         for k, couple in enumerate(couples):
-            likeness = whole.likeness(*([each[part] for each in seen] for part in couple))
+            likeness = whole.likeness(*([each[part] for each in seen[:3]] for part in couple))
             pairs[k, place] = _tail(np.log(likeness))
-    logs = np.log(np.maximum(values, SMALLEST))
+        levels.append(values)
+    logs = np.log(np.maximum(np.stack(levels, axis=2), SMALLEST))
     every = _tail(logs)
     worst = np.max([every, *(_tail(logs[..., each]) for each in members)], axis=0)
-    return np.stack([every, worst]), pairs.max(axis=0)
+    return np.stack([every, worst], axis=1), pairs.max(axis=0)
 
 
 def _tail(logs: np.ndarray) -> np.ndarray:

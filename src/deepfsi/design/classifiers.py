@@ -46,7 +46,7 @@ class Mlp(nn.Module):
     ) -> None:
         super().__init__()
         self.hidden, self.dropout, self.generator = tuple(hidden), dropout, generator
-        device = "cpu" if generator is None else generator.device
+        device = torch.get_default_device() if generator is None else generator.device
         self.layers = nn.ModuleList()
         for fan_in, fan_out in itertools.pairwise((inputs, *hidden, classes)):
             layer = nn.utils.skip_init(nn.Linear, fan_in, fan_out, device=device)
@@ -131,7 +131,7 @@ class Vit(nn.Module):
                 layer, depth, nn.LayerNorm(width), enable_nested_tensor=False
             )
             self.head = nn.Linear(width, classes)
-        self.to_empty(device="cpu" if generator is None else generator.device)
+        self.to_empty(device=torch.get_default_device() if generator is None else generator.device)
         for name, parameter in self.named_parameters():
             if name == "position":
                 nn.init.normal_(parameter, std=0.02, generator=generator)
@@ -156,9 +156,9 @@ Network = TypeVar("Network", Mlp, Vit)
 
 def restored(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:
     """A network of a design file, of its state and the parameters of its class."""
-    with torch.random.fork_rng(devices=[]):
+    with torch.device("meta"):  # what the sizes ask for is compared before it takes memory
         network = kind(**sizes)
-    network.load_state_dict(weights)
+    network.load_state_dict(weights, assign=True)
     return network.eval()
 
 

@@ -14,13 +14,16 @@ would, are *alike*: then they count as one.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
-from torch import Tensor
+from scipy.special import chdtrc
 
 from deepfsi.design.readout_model import SMALLEST, ReadoutModel
+
+if TYPE_CHECKING:  # live runs do without torch
+    from torch import Tensor
 
 UNSURE = 0.01
 """Rate of false alarms of a single scene: below this p-value it is unsure."""
@@ -36,6 +39,12 @@ CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
 
 OVER_DISPERSED = 3.1
 """Standard deviations of photon noise beyond which scenes differ: one in 1000 that do not."""
+
+SHARES = ("mean", "directions", "rest")
+"""Fields of a distribution that are of shares, which are at most 1."""
+
+LARGEST_SHARE = 1.001
+"""The same with what rounding may add."""
 
 ROUNDING = 1e-5
 """Error of a logarithm in the file: what is equal is no further out."""
@@ -100,49 +109,63 @@ class Consistency:
 class ReadoutDistribution:
     """Distribution of the readouts of training scenes, and the tails of the two statistics."""
 
-    # (rails, m): Share of the budget that each readout counts, in the mean over scenes
-    mean: Tensor
-    spread: Tensor  # (): Standard deviation of the brightness
+    # (rails, m): Share of the budget that each readout counts, in the mean over scenes. Where
+    # dwells are chosen, (1, R): those of equal dwells, and at the end of all mirrors ON
+    mean: np.ndarray
+    spread: np.ndarray  # (): Standard deviation of the brightness
     # (k, rails, m): Patterns of one standard deviation each, along the principal axes of their
     # covariance
-    directions: Tensor
-    rest: Tensor  # (rails, m): Variance of the patterns beyond these
-    # (2, 2, counts, chances): Of all scenes and of the class that fits worst; of brightness and
-    # pattern; at each of `COUNTS`: logarithm of the value that is exceeded with each of `CHANCES`
-    tails: Tensor
+    directions: np.ndarray
+    rest: np.ndarray  # (rails, m): Variance of the patterns beyond these
+    # ([K,] 2, 2, counts, chances): After each look; of all scenes and of the class that fits worst;
+    # of brightness and pattern; at each of `COUNTS`: logarithm of the value that is exceeded with
+    # each of `CHANCES`
+    tails: np.ndarray
     # (counts, chances): The same of the likeness of two scenes, in the class whose scenes are most
-    # alike
-    pairs: Tensor
+    # alike; (0, chances) where dwells are chosen, and it is not tested
+    pairs: np.ndarray
 
     @property
-    def tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> "dict[str, Tensor]":
+        """Fields by name, as a design file takes them."""
+        from torch import from_numpy
+
+        return {name: from_numpy(np.asarray(held)) for name, held in self.arrays.items()}
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
         """Fields by name."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @classmethod
-    def restored(cls, tensors: dict[str, Tensor], rails: int, masks: int) -> "ReadoutDistribution":
-        """Distribution from a design file, or `ValueError` if it holds none."""
-        axes = len(tensors["directions"])
+    def restored(
+        cls, arrays: dict[str, np.ndarray], readouts: tuple[int, int], looks: int
+    ) -> "ReadoutDistribution":
+        """Distribution from a file, or `ValueError` if it holds none; 0 looks of fixed dwells."""
+        axes, levels = len(arrays["directions"]), (len(COUNTS), len(CHANCES))
         shapes = {
-            "mean": (rails, masks),
+            "mean": readouts,
             "spread": (),
-            "directions": (axes, rails, masks),
-            "rest": (rails, masks),
-            "tails": (2, 2, len(COUNTS), len(CHANCES)),
-            "pairs": (len(COUNTS), len(CHANCES)),
+            "directions": (axes, *readouts),
+            "rest": readouts,
+            "tails": (*([looks] if looks else []), 2, 2, *levels),
+            "pairs": (0 if looks else len(COUNTS), len(CHANCES)),
         }
-        if {name: tuple(held.shape) for name, held in tensors.items()} != shapes:
+        if {name: held.shape for name, held in arrays.items()} != shapes:
             raise ValueError("the distribution of the readouts is not of these masks")
-        least = min(float(tensors[name].min()) for name in ("mean", "spread", "rest"))
-        falling = any(bool((tensors[name].diff() < 0).any()) for name in ("tails", "pairs"))
-        if least < 0 or falling or not bool((tensors["mean"] > 0).any()):
+        if not all(np.isfinite(held).all() for held in arrays.values()):
+            raise ValueError("the distribution of the readouts is not finite")
+        least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
+        most = max(float(np.abs(arrays[name]).max()) for name in SHARES if arrays[name].size)
+        falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
+        if least < 0 or most > LARGEST_SHARE or falling or not (arrays["mean"] > 0).any():
             raise ValueError("the distribution of the readouts is none")
-        return cls(**tensors)
+        return cls(**arrays)
 
     @property
     def _model(self) -> ReadoutModel:
         """Model of the readouts that are lit."""
-        parts = {name: part.double().cpu().numpy() for name, part in self.tensors.items()}
+        parts = {name: part.astype(float) for name, part in self.arrays.items()}
         lit, total = parts["mean"] > 0, float(parts["mean"].sum())
         return ReadoutModel(
             total=total,
@@ -154,36 +177,53 @@ class ReadoutDistribution:
 
     def dimmed(self, factor: float) -> "ReadoutDistribution":
         """Distribution of readouts that all have so much less light."""
-        return replace(self, mean=self.mean * factor)
+        return replace(self, mean=self.mean * np.float32(factor))
 
-    def test(self, counts: ArrayLike, photons: ArrayLike, background: ArrayLike) -> Consistency:
+    def after(self, look: int) -> "ReadoutDistribution":
+        """Distribution of exposures that end with a look, from 0."""
+        return replace(self, tails=self.tails[look])
+
+    def test(
+        self,
+        counts: ArrayLike,
+        photons: ArrayLike,
+        background: ArrayLike,
+        weights: ArrayLike = 1.0,
+    ) -> Consistency:
         """Consistency of exposures of different scenes."""
-        # counts (..., rails, m); photons (...)
+        # counts (..., rails, m); photons (...). Weights are how long each readout was counted, over
+        # the time that the mean has it for
         model = self._model
         read = np.asarray(counts, dtype=float)
         lead = read.shape[:-2]
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
         budget = np.broadcast_to(np.asarray(photons, dtype=float), lead).reshape(-1)
-        lit = np.asarray(self.mean.cpu() > 0).ravel()
-        read, dark = (each.reshape(len(budget), -1)[:, lit] for each in (read, dark))
-        chances, careful = self._chances(model, read, budget, dark)
-        sums = (each.sum(axis=0)[None] for each in (read, budget, dark))
-        _, together = self._chances(model, *sums)
+        often = np.broadcast_to(np.asarray(weights, dtype=float), read.shape)
+        lit = (self.mean > 0).ravel()
+        read, dark, often = (each.reshape(len(budget), -1)[:, lit] for each in (read, dark, often))
+        chances, careful = self._chances(model, read, budget, dark, often)
+        one, sums, rest = (each.sum(axis=0)[None] for each in (read, budget, dark))
+        _, together = self._chances(model, one, sums, rest, (budget @ often / sums)[None])
         alike = self._alike(model, read, budget, dark)
         apart = 1.0 if alike < REFUSED else _fisher(careful)
         whole = min(1.0, 2 * min(apart, float(together[0])))
-        brightness = float(read.sum() / (budget.sum() * model.total))
+        brightness = float(read.sum() / (budget @ often @ model.share * model.total))
         return Consistency(chances.reshape(lead), whole, alike, brightness)
 
     def _chances(
-        self, model: ReadoutModel, read: np.ndarray, budget: np.ndarray, dark: np.ndarray
+        self,
+        model: ReadoutModel,
+        read: np.ndarray,
+        budget: np.ndarray,
+        dark: np.ndarray,
+        weights: np.ndarray,
     ) -> np.ndarray:
         """p-values (2, n) of counts (n, R) of lit readouts, among all and in the worst class."""
         expected = budget * model.total
-        statistics = model.statistics(read, expected, dark)
-        noise = _mean_counts(expected, dark)
+        statistics = model.statistics(read, expected, dark, weights)
+        noise = _mean_counts(expected, dark / (weights @ model.share)[:, None])
         brightness, pattern = (
-            [_survival(statistic, noise, tail) for tail in self.tails[:, k].double().cpu().numpy()]
+            [_survival(statistic, noise, tail) for tail in self.tails[:, k].astype(float)]
             for k, statistic in enumerate(statistics)
         )
         return np.minimum(1.0, 2 * np.minimum(brightness, pattern))
@@ -192,7 +232,7 @@ class ReadoutDistribution:
         self, model: ReadoutModel, read: np.ndarray, budget: np.ndarray, dark: np.ndarray
     ) -> float:
         """p-value of the likeness of exposures, taken two by two; parameters as of `_chances`."""
-        if _dispersion(read, dark) > OVER_DISPERSED:
+        if not len(self.pairs) or _dispersion(read, dark) > OVER_DISPERSED:
             return 1.0
         expected = budget * model.total
         pairs = len(read) // 2
@@ -202,7 +242,7 @@ class ReadoutDistribution:
         )
         noise = _mean_counts(expected, dark)
         fewer = np.minimum(noise[one], noise[other])
-        return _fisher(_survival(likeness, fewer, self.pairs.double().cpu().numpy()))
+        return _fisher(_survival(likeness, fewer, self.pairs.astype(float)))
 
 
 def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
@@ -225,7 +265,7 @@ def _dispersion(read: np.ndarray, dark: np.ndarray) -> float:
 
 def _fisher(chances: np.ndarray) -> float:
     """p-value of independent ones (n,) together; 1 for none."""
-    return float(chi2.sf(-2 * np.log(chances).sum(), 2 * len(chances))) if len(chances) else 1.0
+    return float(chdtrc(2 * len(chances), -2 * np.log(chances).sum())) if len(chances) else 1.0
 
 
 def _survival(statistic: np.ndarray, noise: np.ndarray, tail: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from typing import Any, get_args
 
 import numpy as np
@@ -10,10 +11,13 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.design.confidence import calibration_error, confidence_groups
 from deepfsi.errors import InputError
+from deepfsi.inline import accuracy_curve, confusion_table
 from deepfsi.laws import Noise
 from deepfsi.optics.budget import check_budget
 from deepfsi.optics.camera import Camera, CameraSource
+from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import Report, shown
 from deepfsi.statistics.intervals import balanced, wilson, worst_of
 
@@ -46,6 +50,9 @@ class Result:
         Accuracy of each class (recall); None where the test has no scene of it.
     confusion : list of list of int
         Rows true classes, columns predicted ones, over all draws.
+    calibration_error : float
+        Mean distance of confidence, the probability of the answer, and accuracy, over 15 groups of
+        answers of like confidence, all of one size.
     counts : float
         Photons that the detectors count, in the mean over the test scenes; without dark counts.
     throughput : float
@@ -78,9 +85,18 @@ class Result:
     balanced_high: float
     rates: list[float | None]
     confusion: list[list[int]]
+    calibration_error: float
     counts: float
     throughput: float
     photons_per_mask: list[float]
+
+    def _repr_html_(self) -> str:
+        classes = [str(place) for place in range(len(self.confusion))]
+        return (
+            f"<p>accuracy {self.accuracy:.3f} ({self.low:.3f} to {self.high:.3f}) at "
+            f"{self.photons:.3g} photons, {escape(self.noise)} noise</p>"
+            f"{confusion_table(self.confusion, classes)}"
+        )
 
     @property
     def worst(self) -> int:
@@ -90,6 +106,14 @@ class Result:
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return asdict(self)
+
+
+class ResultList(list[Result]):
+    """Results at several budgets, which a notebook shows as a curve."""
+
+    def _repr_html_(self) -> str:
+        points = [(each.photons, each.accuracy, each.low, each.high) for each in self]
+        return accuracy_curve(points) if points else ""
 
 
 def evaluate(
@@ -141,18 +165,17 @@ def evaluate(
     scenes = as_dataset(data)
     check_data(design, scenes)
     check_draws(draws, seed)
-    tested = camera_for(design, camera, **settings)
-    dark = tested.dark_counts if tested.noise_name == "camera" else 0.0
-    scanner = design.scanner(tested.noise, tested.sigma, dark)
-    design.exposure.check_noise(scanner.noise)
+    scanner = scanner_for(design, camera_for(design, camera, **settings))
 
     def guess_of(x: Tensor) -> Guess:
         rates = design.rates(scanner, x)
 
-        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, float]:
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
             *_, seen = design.expose(scanner, rates, generator, budget)
-            classes = design.logits_of(seen, budget).argmax(dim=-1)
-            return classes, budget * float(design.exposure.shown(rates, seen).sum())
+            counted = budget * float(design.exposure.shown(rates, seen).sum())
+            logits = design.logits_of(seen, budget)
+            chances = (logits / design.temperature(seen, budget)).softmax(dim=-1)
+            return logits.argmax(dim=-1), chances.amax(dim=-1), counted
 
         return guess
 
@@ -173,8 +196,16 @@ def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> 
     return Camera.load(found, **settings)
 
 
-Guess = Callable[[torch.Generator, float], tuple[Tensor, float]]
-"""Exposes scenes once at a budget: their classes (b,), and the sum of their expected counts."""
+def scanner_for(design: Design, camera: Camera) -> Scanner:
+    """A design's front end with the noise, the dark counts and the read noise of a camera."""
+    dark = camera.dark_counts if camera.noise_name == "camera" else 0.0
+    scanner = design.scanner(camera.noise, camera.sigma, dark)
+    design.exposure.check_noise(scanner.noise)
+    return scanner
+
+
+Guess = Callable[[torch.Generator, float], tuple[Tensor, Tensor, float]]
+"""Exposes scenes once at a budget: classes (b,), confidences, and the sum of expected counts."""
 
 
 def test_scenes(
@@ -191,6 +222,7 @@ def test_scenes(
     # shares (m,) of the budget that each mask counts
     generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     confusions = np.zeros((len(budgets), len(data.classes), len(data.classes)), dtype=np.int64)
+    answers: list[list[np.ndarray]] = [[] for _ in budgets]  # confidence, and if it is right
     counts = np.zeros(len(budgets))
     chunks = torch.arange(len(data.x_test)).split(1024)
     with torch.no_grad():
@@ -198,15 +230,19 @@ def test_scenes(
             guess, truth = guess_of(torch.from_numpy(data.x_test[rows])), data.y_test[rows]
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
-                    classes, counted = guess(generator, budget)
-                    np.add.at(confusions[place], (truth, classes.cpu().numpy()), 1)
+                    classes, sure, counted = guess(generator, budget)
+                    found = classes.cpu().numpy()
+                    np.add.at(confusions[place], (truth, found), 1)
+                    answers[place].append(np.stack([sure.cpu().numpy(), found == truth]))
                     counts[place] += counted
             report(done / len(chunks))
     means = (counts / (draws * len(data.x_test))).tolist()
-    return [
-        _result(budget, noise, confusion, mean, draws, shares.tolist())
-        for budget, confusion, mean in zip(budgets, confusions, means, strict=True)
-    ]
+    return ResultList(
+        _result(
+            budget, noise, confusion, np.concatenate(told, axis=1), mean, draws, shares.tolist()
+        )
+        for budget, confusion, told, mean in zip(budgets, confusions, answers, means, strict=True)
+    )
 
 
 def check_data(design: Design, data: Dataset) -> None:
@@ -236,9 +272,15 @@ def check_draws(draws: object, seed: int) -> None:
 
 
 def _result(
-    budget: float, noise: str, confusion: np.ndarray, counts: float, draws: int, share: list[float]
+    budget: float,
+    noise: str,
+    confusion: np.ndarray,
+    answers: np.ndarray,
+    counts: float,
+    draws: int,
+    share: list[float],
 ) -> Result:
-    """`Result` of a confusion matrix (C, C) of all noise draws."""
+    """`Result` of a confusion matrix (C, C) and answers (2, E), sure and right, of all draws."""
     images = int(confusion.sum()) // draws
     accuracy = float(confusion.trace() / confusion.sum())
     low, high = wilson(accuracy, images)
@@ -258,6 +300,7 @@ def _result(
         balanced_high=upper,
         rates=rates,
         confusion=confusion.tolist(),
+        calibration_error=calibration_error(confidence_groups(*answers)),
         counts=counts,
         throughput=sum(share),
         photons_per_mask=[budget * part for part in share],

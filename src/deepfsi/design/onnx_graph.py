@@ -49,8 +49,9 @@ class _Fixed(nn.Module):
         return {"counts": self.design.counts_shape, "photons": ()}
 
     def forward(self, counts: Tensor, photons: Tensor) -> tuple[Tensor, ...]:
-        features = self.design.features_of(counts)
-        return (self.design.logits(features, photons.unsqueeze(-1)).softmax(dim=-1),)
+        budget = photons.unsqueeze(-1)
+        seen = Observation(self.design.features_of(counts) / budget)
+        return (self.design.chances(seen, budget),)
 
 
 class _Look(_Fixed):
@@ -76,7 +77,7 @@ class _Look(_Fixed):
         inputs = seen.inputs(design.mean, design.std)
         asked = exposure.next_dwell(self.network, inputs, left.unsqueeze(-1))
         shown = share_out(asked, shortest.clip(min=exposure.shortest).unsqueeze(-1))
-        chances = design.logits_of(seen, photons.unsqueeze(-1)).softmax(dim=-1)
+        chances = design.chances(seen, photons.unsqueeze(-1))
         return chances, exposure.dwells.by_rail(shown).reshape(-1, *exposure.dwells.shape)
 
 

@@ -58,6 +58,7 @@ def playable(
             "chooser": None if chooser is None else _layers(chooser),
         },
         "budget": trained and {"low": trained[0], "high": trained[1]},
+        "temperatures": _temperatures(design),
         "rules": rules,
         "scenes": _scenes(data, seed),
         "curve": [
@@ -137,30 +138,39 @@ def _optics(design: Design) -> dict[str, Any]:
     }
 
 
+def _temperatures(design: Design) -> dict[str, Any] | None:
+    """Calibration of the probabilities, and the lowest light that is not too little."""
+    known = design.temperatures
+    if known is None:
+        return None
+    logs, budgets = known.logs.tolist(), known.budgets.tolist()
+    return {"logs": logs, "budgets": budgets, "dimmest": known.dimmest}
+
+
 def _layers(network: Mlp) -> list[dict[str, Any]]:
     return [{"weight": pack(weight), "bias": pack(bias)} for weight, bias in network.arrays]
 
 
 def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dict[str, Any]]:
-    """Rules of when an exposure stops, each with the budget that it was calibrated at."""
-    # That which the design holds; else those of the lowest, middle and highest budget of its
-    # training, where it can stop early and its training left scenes out
+    """Rules of when an exposure stops, each with the budget that it was chosen at."""
+    # That which the design holds; else so many in its training's range that one is near each
+    # budget, where it can stop early and its training left scenes out
     try:
         design.exposure.stops(design.rails, design.light)
     except InputError:
         return []
     held = rule_of(design)
     if held is not None:
-        return [{"photons": None, **asdict(held)}]
+        return [asdict(held)]
     memory, trained = memory_of(design), _trained(design)
     if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
         return []
-    low, high = trained
-    budgets = sorted({low, (low * high) ** 0.5, high})
+    decades = np.log10(trained[1] / trained[0])
+    budgets = np.geomspace(*trained, 1 + int(np.ceil(decades - 1e-9))).tolist()
     rules = []
     for place, budget in enumerate(budgets):
         found = stop(design, data, budget, draws=1, seed=seed)
-        rules.append({"photons": budget, **asdict(found.rule)})
+        rules.append(asdict(found.rule))
         report((place + 1) / len(budgets))
     return rules
 
@@ -174,8 +184,10 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
     share = (data.x_test[rows] - low) / max(high - low, 1e-9)
     levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
-    known = data.wavelengths
+    known, sums = data.wavelengths, data.x_train.sum(axis=1, dtype=float)
     return {
+        "sums": [float(sums.min()), float(sums.max())],
+        "flattest": float(data.x_train.std(axis=1).min()),
         "low": low,
         "high": high,
         "levels": pack(levels),

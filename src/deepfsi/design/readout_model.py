@@ -4,11 +4,10 @@ The *brightness* of an exposure is all its counts over those of the mean scene. 
 readouts less their mean shares of all counts.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.utils.extmath import randomized_svd
 
 DIRECTIONS = 32
 """Directions of the scenes' covariance that are kept, at most; the rest is a diagonal."""
@@ -18,6 +17,9 @@ READOUT_ERROR = 0.02
 
 BRIGHTNESS_ERROR = 0.1
 """Relative error of a budget that is estimated well: dead time in the all-ON frame."""
+
+AT_ONCE = 256
+"""Exposures with noise of their own that are held in memory."""
 
 SMALLEST = 1e-12
 """Smallest value of a statistic that is told from 0."""
@@ -37,6 +39,8 @@ class ReadoutModel:
     @classmethod
     def fit(cls, rates: np.ndarray) -> "ReadoutModel":
         """Model of the expected readouts (n, R) of scenes for a budget of one photon."""
+        from sklearn.utils.extmath import randomized_svd
+
         mean = rates.mean(axis=0)
         total = float(mean.sum())
         share = mean / total
@@ -49,22 +53,28 @@ class ReadoutModel:
         return cls(total, share, float(sums.std()), axes * np.sqrt(share), rest * share)
 
     def statistics(
-        self, read: np.ndarray, expected: np.ndarray, dark: np.ndarray
+        self, read: np.ndarray, expected: np.ndarray, dark: np.ndarray, weights: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Brightness and pattern of counts (n, R), each a squared distance (n,) from the mean."""
-        # read (n, R); expected (n,); dark (n, R)
-        scale = expected[:, None]
-        sums = read.sum(axis=1, keepdims=True)
-        power = (1 + dark.sum(axis=1) / expected) / expected
+        # read, dark (n, R); expected (n,), of the mean scene at weights of 1; weights (n, R), how
+        # long each readout was counted over its usual time: one of 0 was not
+        whole = expected * (weights @ self.share)
+        power = (1 + dark.sum(axis=1) / whole) / whole
         power += self.spread**2 + BRIGHTNESS_ERROR**2
-        brightness = np.square(sums[:, 0] / expected - 1) / power
-        off = (read - sums * self.share) / scale
+        bright = read.sum(axis=1) / whole
+        brightness = np.square(bright - 1) / power
+        shown = weights > 0
+        scale = np.where(shown, weights, 1.0) * expected[:, None]
+        off = np.where(shown, read / scale - bright[:, None] * self.share, 0.0)
         floor = self.rest + np.square(READOUT_ERROR * self.share)
-        pattern = np.empty(len(read))
-        for level, rows in _levels(np.column_stack([expected, dark])):
-            noise = (self.share + level[1:] / level[0]) / level[0] + floor
-            pattern[rows] = _distance(off[rows], noise, self.directions)
-        return brightness, pattern
+        noise = np.where(shown, (self.share + dark / scale) / scale + floor, np.inf)
+        if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
+            return brightness, _distance(off, noise[0], self.directions)
+        parts = [
+            _distance(off[a : a + AT_ONCE, None], noise[a : a + AT_ONCE], self.directions)[:, 0]
+            for a in range(0, len(off), AT_ONCE)
+        ]
+        return brightness, np.concatenate(parts)
 
     def likeness(self, one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> np.ndarray:
         """Inverse (n,) of the mean squared distance of patterns in units of their noise."""
@@ -76,21 +86,10 @@ class ReadoutModel:
         return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST)
 
 
-def _levels(every: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Different rows (q,) of an array (n, q), each with where it is (n,)."""
-    first = every[0]
-    if (every == first).all():  # most often, and sorting long rows is slow
-        yield first, np.ones(len(every), dtype=bool)
-        return
-    levels, place = np.unique(every, axis=0, return_inverse=True)
-    for k, level in enumerate(levels):
-        yield level, place.ravel() == k
-
-
 def _distance(off: np.ndarray, noise: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Squared Mahalanobis distance (n,) of (n, R) for a diagonal (R,) and directions (k, R)."""
-    scaled = directions / noise
+    """Squared Mahalanobis distance (..., n) of (..., n, R) for a diagonal (..., R) and (k, R)."""
+    scaled = directions / noise[..., None, :]
     inner = np.eye(len(directions)) + scaled @ directions.T
-    along = off @ scaled.T
-    within = (along * np.linalg.solve(inner, along.T).T).sum(axis=1)
-    return (np.square(off) / noise).sum(axis=1) - within
+    along = off @ scaled.swapaxes(-1, -2)
+    solved = np.linalg.solve(inner, along.swapaxes(-1, -2)).swapaxes(-1, -2)
+    return (np.square(off) / noise[..., None, :]).sum(axis=-1) - (along * solved).sum(axis=-1)

@@ -6,39 +6,33 @@ the confidence, the probability of the most probable class, exceeds a threshold.
 and the whole one share their random draws: the counts of the first are the first counts of the
 second.
 
-A network is often too confident, so each number of masks or looks has a temperature
-that divides the logits. It is fitted on scenes that were held out of the training. The threshold is
-chosen on the same scenes, of which each half has the temperatures of the other; the test scenes are
-used once.
+The probabilities are calibrated (`confidence`). The threshold is chosen on scenes that were held
+out of the training, at one budget, and holds near that one only. The test scenes are used once.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax, logsumexp
+from pydantic import TypeAdapter
+from scipy.special import log_softmax
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.design.confidence import calibration_error, confidence_groups, logits_at_stops
 from deepfsi.design.evaluation import check_data, check_draws
 from deepfsi.design.exposure.looks import LooksExposure
 from deepfsi.design.memory import memory_of
-from deepfsi.errors import InputError
+from deepfsi.errors import InputError, as_input_error
 from deepfsi.optics.budget import check_budget
 from deepfsi.statistics.intervals import wilson
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""
 
-BINS = 15
-"""Groups of answers of like confidence, all of one size, in which calibration is measured."""
-
-CHUNK = 1024
-"""Scenes that are exposed at once."""
+NEAR = 10**0.5
+"""Largest ratio of a budget and the one that a threshold was chosen at, where it still holds."""
 
 ACCEPTED_SHARES = tuple(k / 20 for k in range(10, 21))
 """Shares of accepted answers at which rejection is shown."""
@@ -61,8 +55,8 @@ class StoppingRule:
 
     # Numbers of masks, or of looks, after which it may, rising; the last is all
     after: tuple[int, ...]
-    temperatures: tuple[float, ...]  # what the logits are divided by, after each
     threshold: float  # confidence above which it stops; 1 for never before the end
+    photons: float  # budget that the threshold was chosen at: it holds within a factor of `NEAR`
 
     def classify(
         self, design: Design, counts: ArrayLike, photons: float
@@ -77,21 +71,19 @@ class StoppingRule:
                 f"{self.after[-1]} masks"
             )
         part = design.first(shown)
-        return self.decide(
-            shown, part.classify(read, photons * part.exposure.used / design.exposure.used)
-        )
+        chances = part.classify(read, photons * part.exposure.used / design.exposure.used)
+        return chances, self.decide(shown, chances, photons)
 
-    def decide(self, shown: int, chances: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Calibrate probabilities (C,) after so many masks or looks, and say whether to stop."""
+    def decide(self, shown: int, chances: np.ndarray, photons: float) -> bool:
+        """True if an exposure of a budget stops, by its probabilities (C,) so far."""
         # For `Design.classify_live`; `InputError` if an exposure is not judged after so many
         if shown not in self.after:
             raise InputError(
                 f"an exposure is not judged after {shown}: this rule is for {self.after[0]} to "
                 f"{self.after[-1]} masks or looks"
             )
-        log = np.log(np.maximum(chances, np.finfo(np.float32).tiny).astype(float))
-        calibrated = np.exp(log_softmax(log / self.temperatures[self.after.index(shown)]))
-        return calibrated, bool(shown == self.after[-1] or calibrated.max() > self.threshold)
+        near = 1 / NEAR <= photons / self.photons <= NEAR
+        return shown == self.after[-1] or bool(near and chances.max() > self.threshold)
 
 
 def looks_of(design: Design) -> LooksExposure:
@@ -104,7 +96,7 @@ def looks_of(design: Design) -> LooksExposure:
 def with_rule(design: Design, rule: StoppingRule) -> Design:
     """The design with a rule of when an exposure stops, or `InputError` if it is of one look."""
     looks_of(design)
-    held = {"temperatures": list(rule.temperatures), "threshold": rule.threshold}
+    held = {"threshold": rule.threshold, "photons": rule.photons}
     return replace(design, info={**design.info, "stopping": held})
 
 
@@ -114,8 +106,8 @@ def rule_of(design: Design) -> StoppingRule | None:
     if held is None:
         return None
     after, _ = design.exposure.stops(design.rails, design.light)
-    temperatures = tuple(held["temperatures"]) or (1.0,) * len(after)
-    return StoppingRule(after, temperatures, held["threshold"])
+    with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+        return TypeAdapter(StoppingRule).validate_python({"after": after, **held})
 
 
 @dataclass(frozen=True)
@@ -131,8 +123,8 @@ class Stopped:
     difference: Estimate
     stops: list[float]  # share of exposures that end after each of `rule.after`
     confidence: float  # mean confidence of the answers given
-    # Mean distance of confidence and accuracy over `BINS` groups of the answers given, with
-    # temperatures and without
+    # Mean distance of confidence and accuracy over groups of the answers given, with temperatures
+    # and without
     calibration_error: float
     uncalibrated_error: float
     # Mean −ln of the probability of the true class, over whole exposures and all shorter ones
@@ -154,35 +146,14 @@ class Stopped:
         return asdict(self)
 
 
-def logits_at_stops(
-    design: Design, x: np.ndarray, photons: float, draws: int, seed: int
-) -> np.ndarray:
-    """Logits (K, E, C) of exposures at each of K stops; draws of a scene follow one another."""
-    # x (n, N)
-    scanner = design.scanner()
-    generator = torch.Generator(design.rails.device).manual_seed(seed)
-    chunks = []
-    with torch.no_grad():
-        for rows in torch.arange(len(x)).split(CHUNK):
-            rates = design.rates(scanner, torch.from_numpy(x[rows]))
-            several = []
-            for _ in range(draws):
-                seen = design.expose(scanner, rates, generator, photons)
-                several.append(torch.stack([design.logits_of(each, photons) for each in seen]))
-            chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
-    return torch.cat(chunks, dim=-2).cpu().numpy()
-
-
 class _Answers:
     """Answers of E exposures at K stops, right or wrong, and their confidences.
 
     Logits (K, E, C) are those of `logits_at_stops`, labels (n,) those of the scenes; temperatures
-    divide the logits at each stop.
+    (K,) divide the logits at each stop.
     """
 
-    def __init__(
-        self, logits: np.ndarray, labels: np.ndarray, temperatures: np.ndarray | Sequence[float]
-    ) -> None:
+    def __init__(self, logits: np.ndarray, labels: np.ndarray, temperatures: np.ndarray) -> None:
         draws = logits.shape[1] // len(labels)
         self.images = np.repeat(np.arange(len(labels)), draws)
         labels = labels[self.images]
@@ -231,36 +202,6 @@ def _at(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return values[np.arange(len(ends)), ends]
 
 
-def _fit_temperature(logits: np.ndarray, labels: np.ndarray) -> float:
-    """Temperature from 1/20 to 20 that gives logits (E, C) of known classes the least log loss."""
-
-    def log_loss(log: float) -> float:
-        scaled = logits / np.exp(log)
-        true = scaled[np.arange(len(labels)), labels]
-        return float((logsumexp(scaled, axis=1) - true).mean())
-
-    bounds, options = (-np.log(20), np.log(20)), {"xatol": 1e-3}
-    return float(
-        np.exp(minimize_scalar(log_loss, bounds=bounds, method="bounded", options=options).x)
-    )
-
-
-def confidence_groups(
-    confidence: np.ndarray, right: np.ndarray
-) -> list[tuple[float, float, float]]:
-    """Confidence, accuracy and weight of answers in `BINS` groups, the least sure first."""
-    order = np.argsort(confidence, kind="stable")
-    return [
-        (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
-        for part in np.array_split(order, min(BINS, len(order)))
-    ]
-
-
-def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
-    """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
-    return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
-
-
 def _surest(confidence: np.ndarray, right: np.ndarray) -> list[float]:
     """Accuracy of each of `ACCEPTED_SHARES` of the answers, the surest."""
     sorted_right = right[np.argsort(-confidence, kind="stable")]
@@ -287,14 +228,16 @@ def stop(
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
     kept = _held_out(design, scenes, held_out)
-    logits = logits_at_stops(design, kept.x_test, budget, draws, seed ^ 2**31)
-    judging, temperatures = fit_temperatures(logits, kept.y_test, seed)
-    choice = _Answers(logits, kept.y_test, judging[..., None])
+    scanner, temperatures = design.scanner(), np.ones(len(after))
+    if design.temperatures is not None:
+        temperatures = design.temperatures.of_stops(budget)
+    logits = logits_at_stops(design, scanner, kept.x_test, budget, draws, seed ^ 2**31)
+    choice = _Answers(logits, kept.y_test, temperatures)
     if threshold is None:
         threshold = choice.least_threshold(used)
-    rule = StoppingRule(after, tuple(temperatures.tolist()), float(threshold))
-    tested = logits_at_stops(design, scenes.x_test, budget, draws, seed)
-    return _stopped(rule, _Answers(tested, scenes.y_test, rule.temperatures), choice, used, budget)
+    rule = StoppingRule(after, float(threshold), budget)
+    tested = logits_at_stops(design, scanner, scenes.x_test, budget, draws, seed)
+    return _stopped(rule, _Answers(tested, scenes.y_test, temperatures), choice, used, budget)
 
 
 def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
@@ -310,24 +253,6 @@ def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
             f"`hold_out={len(kept.y_test)}`"
         )
     return kept
-
-
-def fit_temperatures(
-    logits: np.ndarray, labels: np.ndarray, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Temperatures that judge each exposure (K, E), and those of a rule (K,)."""
-    # The scenes are split at random in two halves, and the exposures of either are judged with what
-    # was fitted on the other: no scene has a say in its own confidence. A rule has the geometric
-    # means of both. logits (K, E, C); labels (n,)
-    draws = logits.shape[1] // len(labels)
-    # at random: the images of MNIST come from two sources by turns
-    half = np.random.default_rng(seed).permutation(len(labels)).repeat(draws) % 2 == 0
-    labels = labels.repeat(draws)
-    first, second = (
-        np.array([_fit_temperature(each[part].astype(float), labels[part]) for each in logits])
-        for part in (half, ~half)
-    )
-    return np.where(half, second[:, None], first[:, None]), np.sqrt(first * second)
 
 
 def _stopped(

@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.calibration.detectors import find_detectors, save_detectors
+from deepfsi.hardware.calibration.detectors import find_detectors, find_gains, save_detectors
 from deepfsi.hardware.calibration.fit import BLACK, WHITE, calibrate_run, spot_scenes
+from deepfsi.hardware.calibration.reference import ReferenceFit, find_reference
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.recording.calibration_file import Calibration, save_calibration
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
+from deepfsi.progress import SILENT, Report
 
 
 def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
@@ -35,3 +37,13 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
     labels = find_detectors(counts, patterns) if several and several.cells is None else None
     file = save_calibration(found, out)
     return found, file, None if labels is None else save_detectors(labels, out)
+
+
+def check_view(folder: Path, report: Report = SILENT) -> ReferenceFit:
+    """Place of scenes on the device, from a counted run of the reference target."""
+    return find_reference(read_counts(folder), read_acquisition(folder)[1], report)
+
+
+def gains_of(flat: Path) -> tuple[float, ...]:
+    """Relative efficiency of each detector, from a counted run of a uniform white scene."""
+    return find_gains(read_counts(flat), read_acquisition(flat)[1])

@@ -5,10 +5,9 @@ No torch: a camera's computer reads the header of a design file.
 
 import json
 import os
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
-
-from safetensors import SafetensorError, safe_open
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError, as_input_error
@@ -16,17 +15,20 @@ from deepfsi.hardware.patterns.folder import DESIGN, DesignRails
 from deepfsi.hardware.recording.dead_time import DeadTime
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.optics.camera import Camera
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SLACK = 1.01
 """Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
 
 
-def camera_of(source: str | os.PathLike[str], **settings: Any) -> Camera:
-    """Camera of a design file, of a folder of its patterns, or of a run, with other settings."""
+def camera_of(source: Camera | str | os.PathLike[str], **settings: Any) -> Camera:
+    """Camera, or that of a design file, its patterns or a run, with other settings."""
     # `camera` among the settings names another to begin with: a preset or a TOML file. Where none
     # is known it is the preset `dmd`
     given = settings.pop("camera", None)
-    found = Camera.load(_known(Path(source)) if given is None else given)
+    if given is None:
+        given = source if isinstance(source, Camera) else _known(Path(source))
+    found = Camera.load(given)
     if "device" in settings and found.light == "column":
         found = Camera.load(found, light="free-dwell")  # its masks are shown with less light
     return Camera.load(found, **settings)
@@ -38,10 +40,9 @@ def _known(path: Path) -> Camera | None:
     if file.is_dir() or not file.is_file():
         return None
     try:
-        with safe_open(file, framework="numpy") as tensors:
-            header = json.loads((tensors.metadata() or {})["deepfsi"])
+        header = json.loads(read_tensors(file, "deepfsi", "give a design file", ())[0])
         known = header["info"].get("job", {}).get("camera")
-    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError):
+    except (DamagedError, KeyError, TypeError, ValueError, AttributeError, RecursionError):
         return None  # whoever opens the design says what is wrong with it
     with as_input_error(str(file), "train it again"):
         return None if known is None else Camera.restored(known)
@@ -69,9 +70,11 @@ def flux_of(camera: Camera) -> float:
     return camera.flux
 
 
-def dead_time_of(camera: Camera) -> DeadTime | None:
-    """Dead time to be corrected; None where the camera has none."""
+def dead_time_of(camera: Camera, told: Container[str] = ()) -> DeadTime | None:
+    """Dead time to be corrected; None where the camera has none, and its model is not told."""
     if not camera.dead_time:
+        if "dead_time_model" in told:
+            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
         return None
     return DeadTime(seconds=camera.dead_time, paralysable=camera.dead_time_model == "paralysable")
 

@@ -6,9 +6,10 @@ is decided again, from its own counts, as it was.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +17,13 @@ from deepfsi.errors import InputError
 from deepfsi.files import hash_file
 from deepfsi.hardware.patterns.folder import DESIGN, LOOP, read_patterns
 from deepfsi.hardware.patterns.nominal import nominal_manifest
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
 from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
 from deepfsi.hardware.recording.counts import Counts, load_counts
+from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
+from deepfsi.laboratory.camera import camera_of, dead_time_of
+from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.live.replay import (
     check_as_it_was,
@@ -92,9 +96,7 @@ def classify_run(
         check_budget(photons)
     acquisition, patterns = read_acquisition(path)
     counts = load_counts(path, acquisition, patterns.manifest)
-    made = _open(design, trust)
-    _check_shown(design, patterns.manifest)
-    made = made.as_shown(*patterns.realised)
+    made = _opened(design, patterns, trust)
     return _classified(made, counts, acquisition.scenes, photons, force, str(folder))
 
 
@@ -102,7 +104,7 @@ def _replayed(design: str | os.PathLike[str], folder: Path, photons: float | Non
     """Classes of a live run, decided again from its counts."""
     check_as_it_was((photons,))
     run = read_live_counts(folder)
-    _check_shown(design, run.manifest)
+    _file_shown(design, run.manifest)
     replayed = replay_run(run, read_loop(folder / "patterns" / LOOP))
     return ReplayedRun(run.acquisition.exposure_s, tuple(each.answer for each in replayed))
 
@@ -112,6 +114,7 @@ def classify_table(
     table: str | os.PathLike[str],
     settings: TableSettings | None = None,
     *,
+    camera: Mapping[str, Any] | None = None,
     force: bool = False,
     trust: bool = False,
 ) -> ClassifiedRun:
@@ -126,6 +129,9 @@ def classify_table(
         (FILE:VARIABLE), an exposure a row or a column.
     settings : TableSettings, optional
         Budget and background in counts, times in seconds, and the like.
+    camera : mapping, optional
+        Fields of the camera that counted, over those of the design's, and another as ``camera``:
+        its dead time is corrected for. None, that of the settings.
     force, trust
         As for `classify_run`.
 
@@ -154,20 +160,18 @@ def classify_table(
     >>> len(found.scenes), found.scenes[0].photons
     (5, 10000.0)
     """
-    settings, path = settings or TableSettings(), Path(design)
-    made = _open(design, trust)
-    if path.is_dir():
-        patterns = read_patterns(path)
-        manifest = patterns.manifest
-        _check_shown(design, manifest)
-        made = made.as_shown(*patterns.realised)
-    else:
-        manifest = _nominal(path, settings)
+    settings = settings or TableSettings()
+    patterns = read_patterns(design) if Path(design).is_dir() else None
+    made = _opened(design, patterns, trust)
+    if camera:
+        dead = dead_time_of(camera_of(made.camera, **camera), camera)
+        settings = replace(settings, dead_time=dead or NO_DEAD_TIME)
+    manifest = _nominal(design, settings) if patterns is None else patterns.manifest
     counts, scenes = count_table(read_table(Path(table), WORDS), manifest, settings, str(table))
     return _classified(made, counts, scenes, settings.photons, force, str(table))
 
 
-def _nominal(file: Path, settings: TableSettings) -> Manifest:
+def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
     """Frames of a design file without patterns, or `InputError` if settings need their times."""
     if settings.settle_s or settings.dead_time.seconds:
         raise InputError(
@@ -176,33 +180,30 @@ def _nominal(file: Path, settings: TableSettings) -> Manifest:
         )
     from deepfsi.laboratory.rails import design_rails
 
-    return nominal_manifest(design_rails(file))
+    return nominal_manifest(design_rails(Path(file)))
 
 
-def _file(design: str | os.PathLike[str]) -> Path:
-    """Design file of a design file, or of a folder of patterns."""
-    path = Path(design)
-    return path / DESIGN if path.is_dir() else path
-
-
-def _open(design: str | os.PathLike[str], trust: bool) -> "Design":
-    """Design of a file or a folder of patterns, with dwells that are fixed."""
+def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
+    """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
     from deepfsi.design.artifact import Design
 
-    made = Design.load(_file(design), trust=trust)
+    file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)
+    made = Design.load(file, trust=trust)
     if made.exposure.chooses:
         raise InputError(f"{design} chooses dwells while the exposure runs: give a live run of it")
-    return made
+    return made if patterns is None else made.as_shown(*patterns.realised)
 
 
-def _check_shown(design: str | os.PathLike[str], manifest: Manifest) -> None:
-    """Raise `InputError` where the patterns are known to be of another design than a file's."""
-    file, known = _file(design), manifest.design_sha256
+def _file_shown(design: str | os.PathLike[str], manifest: Manifest) -> Path:
+    """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
+    path = Path(design)
+    file, known = path / DESIGN if path.is_dir() else path, manifest.design_sha256
     if (known or manifest.looks) and hash_file(file) != known:
         raise InputError(
             f"{file} is not the design whose patterns were shown: give the file that "
             "`deepfsi dmd export` was given"
         )
+    return file
 
 
 def _classified(
@@ -214,14 +215,17 @@ def _classified(
     source: str,
 ) -> ClassifiedRun:
     """Classes of counted scenes (S, R) of a design as it was shown."""
+    known = np.isfinite(counts.photons)
+    budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
+    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+    counts = replace(counts, faults=(*dim, *counts.faults))
     usable = counts.valid & ~counts.spoilt[:, None]
     if not usable.any():
+        forced = "; `force` classifies them all the same" if dim else ""
         raise InputError(
             f"{source} has no exposure that can be classified ({counts.faults[0]}): record again"
+            f"{forced}"
         )
-    budgets = np.where(
-        np.isfinite(counts.photons), counts.photons if photons is None else photons, 1.0
-    )
     found = _consistency(design, counts, usable, budgets)
     if found is not None and found.refused and not force:
         raise InputError(f"{found.refusal}; `force` classifies them all the same")

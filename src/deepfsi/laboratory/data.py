@@ -58,7 +58,11 @@ def _asked(
     if known is None or name == known.data:
         return (known or Origin(data=name)).model_copy(update=told)
     allowed = takes(name)
-    same = ["rescale", "view", *(option for option in ("size", "white") if option in allowed)]
+    same = [
+        "rescale",
+        "view",
+        *(option for option in ("size", "white", "skip_bad") if option in allowed),
+    ]
     kept = {option: getattr(known, option) for option in same}
     return Origin(data=name).model_copy(update=kept | told)
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.faults import SPOILING, Fault
 
 if TYPE_CHECKING:
     from deepfsi.design.consistency import Consistency
@@ -53,6 +53,7 @@ class ClassifiedRun:
         """JSON types only."""
         return {
             "consistency": None if self.consistency is None else self.consistency.as_dict(),
+            "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }
 
@@ -63,13 +64,14 @@ class LiveScene:
 
     name: str
     label: str | None  # class that it is known to be of
-    predicted: str | None  # none without light
+    predicted: str | None  # none without light, or with a fault that spoils it
     probability: float | None
     looks: int  # that were shown
     photons: float | None  # budget of a whole exposure
     light_s: float  # exposure that was used, seconds
     clock_s: float  # from the first command to the class, seconds
     agrees: bool | None = None  # of a replay: true if it decides as the run did, bit for bit
+    faults: tuple[Fault, ...] = ()  # of its light, its budget and its counts
 
     @classmethod
     def of(
@@ -85,14 +87,24 @@ class LiveScene:
         if decision is None:
             return cls(*known, None, None, 0, None, 0.0, *replay)
         best, looks = decision.chances.argmax(), decision.look + 1
-        found = classes[best], float(decision.chances[best])
-        return cls(*known, *found, looks, decision.photons, decision.light_s, *replay)
+        spoilt = any(fault.kind in SPOILING for fault in decision.faults)
+        return cls(
+            *known,
+            None if spoilt else classes[best],
+            None if spoilt else float(decision.chances[best]),
+            looks,
+            decision.photons,
+            decision.light_s,
+            *replay,
+            faults=decision.faults,
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        return {name: value for name, value in _in_json(self).items() if name != "agrees"} | (
-            {} if self.agrees is None else {"agrees": self.agrees}
-        )
+        known = _in_json(self) | {"faults": [str(fault) for fault in self.faults]}
+        if self.agrees is None:
+            del known["agrees"]
+        return known
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ with x the reflectance in [0, 1] and λ the expected photons of each pixel.
 """
 
 import math
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepfsi.errors import InputError
 
@@ -23,19 +23,31 @@ Array = TypeVar("Array")
 BUDGETS = (1e-12, 1e15)
 """Smallest and largest photon budget; beyond the second float32 would overflow in squares."""
 
+TOO_DIM = 10.0
+"""Lowest budget of a training over that below which a design has too little light."""
 
-def check_budget(photons: float) -> float:
+
+def check_budget(photons: Any) -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
-    try:
-        budget = float(photons)
-    except (TypeError, ValueError, OverflowError):
-        budget = math.nan
-    if not BUDGETS[0] <= budget <= BUDGETS[1]:
+    if isinstance(photons, tuple | list):
         raise InputError(
-            f"photon budget {photons!r} is not allowed: give a number from {BUDGETS[0]:g} to "
-            f"{BUDGETS[1]:g}, such as 1e4"
+            f"photon budget {photons!r} is no number: give the lowest of a range, with "
+            "`exposure=Range(span=...)`, its highest divided by its lowest"
         )
-    return budget
+    return _checked(photons, f"photon budget {photons!r} is", "1e4")
+
+
+def _checked(value: Any, what: str, example: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not BUDGETS[0] <= number <= BUDGETS[1]:
+        raise InputError(
+            f"{what} not allowed: give a number from {BUDGETS[0]:g} to {BUDGETS[1]:g}, such as "
+            f"{example}"
+        )
+    return number
 
 
 def check_one_budget(photons: float | None, counts: float | None) -> float:
@@ -47,12 +59,7 @@ def check_one_budget(photons: float | None, counts: float | None) -> float:
             "the light of a design is told once: give `photons`, the budget on the device, or "
             "`counts`, the photons that its detectors are to count, or a camera with its flux"
         )
-    if not BUDGETS[0] <= counts <= BUDGETS[1]:
-        raise InputError(
-            f"{counts!r} counts are not allowed: give a number from {BUDGETS[0]:g} to "
-            f"{BUDGETS[1]:g}, such as 30"
-        )
-    return float(counts)
+    return _checked(counts, f"{counts!r} counts are", "30")
 
 
 def summed_reflectance(x: "np.ndarray") -> float:
@@ -75,6 +82,28 @@ def brightness(x: "np.ndarray", labels: "np.ndarray") -> dict[str, float] | None
         "between": float(means.max() / means.min()),
         "within": max(float(g.std() / mean) for g, mean in zip(groups, means, strict=True)),
     }
+
+
+def detector_shares(
+    x: "np.ndarray", labels: "np.ndarray", detectors: "np.ndarray"
+) -> dict[str, list[Any]] | None:
+    """Share of each detector in the light of scenes (n, N) of each class, and its spread."""
+    # detectors (N,): of each pixel. Spread of single scenes, in the class where it is largest
+    import numpy as np
+
+    light = np.stack(
+        [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1
+    )
+    shares, spread = [], []
+    for label in np.unique(labels):
+        own = light[labels == label]
+        whole = own.sum(axis=1, keepdims=True)
+        if not whole.mean() > 0:
+            return None
+        share = own.sum(axis=0) / whole.sum()
+        shares.append(share.tolist())
+        spread.append(((own - share * whole) / whole.mean()).std(axis=0))
+    return {"shares": shares, "spread": np.max(spread, axis=0).tolist()}
 
 
 def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:

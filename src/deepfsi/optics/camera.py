@@ -9,16 +9,13 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     ValidationInfo,
@@ -28,7 +25,9 @@ from pydantic import (
 
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError, as_input_error, check_known, closest
-from deepfsi.grid import find_grid
+from deepfsi.files import read_toml
+from deepfsi.frozen import Settings
+from deepfsi.grid import Layout, Region, find_grid
 from deepfsi.imports import UNNAMED
 from deepfsi.laws import Light, RailsKind, Readout, check_noise
 from deepfsi.units import Seconds
@@ -110,10 +109,10 @@ def _device(given: Any) -> Any:
         return find_device(given)
     path = Path(given)
     with as_input_error(given):
-        return Device.model_validate({"name": path.stem, **_read_toml(path)})
+        return Device.model_validate({"name": path.stem, **read_toml(path)})
 
 
-class Camera(BaseModel):
+class Camera(Settings):
     """A single-pixel camera, in the units of a laboratory.
 
     Fields that are left out follow from the others: rails and readout from the light law, the
@@ -133,8 +132,6 @@ class Camera(BaseModel):
     >>> round(camera.shortest_share, 6)  # pictures of 44 µs, of which 32 are counted
     0.0032
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     light: Light = Field(
         "free-dwell",
@@ -163,6 +160,14 @@ class Camera(BaseModel):
         description="micromirror device: a name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a "
         "TOML file; it gives the shortest frame and the grey levels",
     )
+    region: Region | None = Field(
+        None,
+        description="part of the device that holds the masks, COLUMNSxROWS of mirrors in its "
+        "middle or COLUMNSxROWS+LEFT+TOP; the largest that its square cells fill unless given",
+    )
+    stretch: bool = Field(
+        False, description="cells fill the device or region, and need not be square"
+    )
     shortest_dwell: Seconds = Field(
         default_factory=lambda known: _shortest_frame(known.get("device")),
         description="shortest time for which a frame is counted, such as 32us; the device's "
@@ -180,7 +185,7 @@ class Camera(BaseModel):
         None,
         gt=0,
         allow_inf_nan=False,
-        description="counts/s with all mirrors ON, for the mean scene",
+        description="counts/s with all mirrors of the region ON, for the mean scene",
     )
     dark: float = Field(
         0.0,
@@ -293,6 +298,8 @@ class Camera(BaseModel):
     @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":
         """Camera of all its fields, as a file has them, of which some follow from others again."""
+        if "stretch" not in fields:  # of a version that knew no other cells than stretched ones
+            fields = {**fields, "stretch": fields.get("device") is not None}
         whole = cls.model_validate(fields)
         known, given = dict[str, Any](), dict[str, Any]()
         for name, field in cls.model_fields.items():
@@ -337,11 +344,18 @@ class Camera(BaseModel):
         """Name of the noise, or its import path."""
         return noise_name(self.noise)
 
+    @property
+    def layout(self) -> Layout:
+        """Place of the cells of its masks on the device."""
+        return Layout(region=self.region, stretch=self.stretch)
+
     def mask_levels(self, mask_shape: tuple[int, ...]) -> int:
         """Grey levels of masks of a shape, dark included; 0 for continuous ones."""
         if self.levels is not None:
             return self.levels
-        return 0 if self.device is None else find_grid(self.device, mask_shape).mirrors + 1
+        if self.device is None:
+            return 0
+        return find_grid(self.device, mask_shape, self.layout).mirrors + 1
 
     def detection(self, image_shape: tuple[int, ...]) -> "Detection":
         """Detectors of scenes of a shape, and what is read of two rails."""
@@ -361,6 +375,8 @@ class Camera(BaseModel):
         if self.device is not None:
             device = self.device
             lines.append(f"device {device.name}: {device.columns} x {device.rows} mirrors")
+            cells = "cells that fill" if self.stretch else "square cells in the middle of"
+            lines[-1] += f", {cells} {self.region or 'the device'}"
         if self.shortest_dwell:
             lines.append(f"frames are counted for {self.shortest_dwell * 1e6:.4g} µs or longer")
         if self.shortest_dwell and self.exposure is not None:
@@ -369,7 +385,7 @@ class Camera(BaseModel):
         if self.budget is not None:
             lines.append(
                 f"budget {self.budget:.4g} counts in {self.exposure_s:g} s, at {self.flux:.4g} "
-                "counts/s with all mirrors ON"
+                "counts/s with all mirrors of the region ON"
             )
         if self.dark:
             lines.append(f"{self.dark_counts:.4g} dark counts of a detector in an exposure")
@@ -398,21 +414,12 @@ def _fields(source: CameraSource) -> dict[str, Any]:
         check_known("camera", name, PRESETS)
         return dict(PRESETS[name])
     path = Path(name)
-    fields = _read_toml(path)
+    fields = read_toml(path)
     for field in ("detectors", "device"):  # files are named from where the camera's file is
         value = fields.get(field)
         if isinstance(value, str) and value.endswith((".npy", ".toml")):
             fields[field] = str(path.parent / value)
     return fields
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no file {path}: give a TOML file that is there") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path} is no TOML file: {error}") from None
 
 
 def _shortest_frame(device: Device | None) -> float:
@@ -448,6 +455,8 @@ EXAMPLES = {
     "readout": '"difference"',
     "device": '"dlp7000"',
     "exposure": '"10ms"',
+    "region": '"768x768"',
+    "stretch": "false",
     "shortest_dwell": '"32us"',
     "levels": "2",
     "flux": "1e6",

@@ -69,6 +69,11 @@ class Code:
         """True if its masks are learned, at once or before its classifier."""
         return self.learned or self.learned_under is not None
 
+    def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
+        """Smallest and largest number of masks for one detector."""
+        most = self.most(image_shape, classes)
+        return most if self.fixed_count else 1, most
+
 
 def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, data.pixels))
@@ -140,6 +145,9 @@ DESIGNS: dict[str, Code] = {
 }
 """The named designs."""
 
+EVERY_PIXEL = {name for name, code in DESIGNS.items() if code.every_pixel}
+"""Those that have a detector for each pixel: no camera of one device, whatever is compared."""
+
 
 def check_design(name: str) -> str:
     """Return the name of a design, or raise `InputError` that names the closest."""
@@ -158,13 +166,6 @@ def mask_count(ratio: float, pixels: float) -> int:
     return max(1, round(ratio * pixels))
 
 
-def count_allowed(name: str, image_shape: Shape, classes: int) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have for one detector."""
-    code = DESIGNS[name]
-    most = code.most(image_shape, classes)
-    return most if code.fixed_count else 1, most
-
-
 def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
     """Raise `InputError` unless a user's matrix has a shape, finite real numbers and any light."""
     if matrix.shape != shape:
@@ -175,14 +176,6 @@ def check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
         raise InputError("the matrix holds something else than finite real numbers")
     if not matrix.any():
         raise InputError("the matrix is zero everywhere: give at least one lit entry")
-
-
-def sensing_matrix(name: str, masks: int, data: Dataset, seed: int = 0) -> np.ndarray:
-    """Sensing matrix (m, N) of a fixed design for one detector, float64, signed."""
-    make = DESIGNS[name].make
-    if make is None:
-        raise ValueError(f"{name} has no fixed sensing matrix")
-    return make(data, masks, seed)
 
 
 def padded_shape(image_shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -23,6 +23,9 @@ from deepfsi.optics.rails import Rails
 SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `check` forgives."""
 
+BRIGHTEST = 1e30
+"""Entry beyond which sums of float32 may be infinite."""
+
 
 def check_light(light: str, rails: str) -> None:
     """Raise `InputError` unless the constraint exists and can be had with these rails."""
@@ -110,6 +113,10 @@ def check(rails: Tensor, light: Light) -> Tensor:
     if float(rails.min()) < 0:
         raise InputError(
             'the matrix has negative entries: use `rails="dual"`, or give frames of 0 or more'
+        )
+    if float(rails.max()) > BRIGHTEST:
+        raise InputError(
+            f"the matrix has entries above {BRIGHTEST:g}: give shares of each pixel's photons"
         )
     factor = 1 + excess(rails, light)
     if factor > 1 + SLACK:

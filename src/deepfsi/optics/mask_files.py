@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.errors import InputError
+from deepfsi.files import check_unpacked, open_regular
 from deepfsi.tables.array_files import read_array, split_variable
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
+
+LARGEST_FILE = 2**31
+"""Bytes of an image file at most."""
 
 LARGEST = 2**28
 """Values of a matrix at most: a small file may claim more than memory holds."""
@@ -79,7 +83,11 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(file) as image:
+            opened = open_regular(file, LARGEST_FILE, "replace it")
+            with opened as stream, Image.open(stream) as image:
+                pages = getattr(image, "n_frames", 1)
+                size, pixels = file.stat().st_size, image.width * image.height * pages
+                check_unpacked(pixels, size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
                     if page.mode == "I":
                         raise InputError(

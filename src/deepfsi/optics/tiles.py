@@ -33,7 +33,7 @@ def parts(image_shape: tuple[int, ...], detection: Detection) -> Iterator[Part]:
 def count_allowed(name: str, data: Dataset, detection: Detection = ONE) -> tuple[int, int]:
     """Smallest and largest number of masks that a design can have, that of the largest part."""
     shapes = {shape for _, shape in parts(data.image_shape, detection)}
-    each = [codes.count_allowed(name, shape, len(data.classes)) for shape in shapes]
+    each = [codes.DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in each), max(high for _, high in each)
 
 
@@ -57,16 +57,18 @@ def sensing_matrix(
 
     Where a part can have fewer masks, the others are dark there.
     """
-    masks = check_count(name, masks, data, detection)
+    masks, code = check_count(name, masks, data, detection), codes.DESIGNS[name]
+    if code.make is None:
+        raise ValueError(f"{name} has no fixed sensing matrix")
     if detection.count == 1:
-        return codes.sensing_matrix(name, masks, data, seed)
+        return code.make(data, masks, seed)
     whole = np.zeros((masks, data.pixels))
     for own, shape in parts(data.image_shape, detection):
         part = replace(
             data, x_train=data.x_train[:, own], x_test=data.x_test[:, own], image_shape=shape,
             wavelengths=None,
         )  # fmt: skip
-        low, high = codes.count_allowed(name, shape, len(data.classes))
+        low, high = code.counts(shape, len(data.classes))
         count = min(max(masks, low), high)
-        whole[:count, own] = codes.sensing_matrix(name, count, part, seed)
-    return np.where(whole > 0, 1 / masks, 0.0) if codes.DESIGNS[name].scaled else whole
+        whole[:count, own] = code.make(part, count, seed)
+    return np.where(whole > 0, 1 / masks, 0.0) if code.scaled else whole

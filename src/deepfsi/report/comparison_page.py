@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from safetensors import SafetensorError, safe_open
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
+from deepfsi.inline import confusion_table
 from deepfsi.report import accuracy
 from deepfsi.report.masks import masks_figure, peak, signed, values_figure
 from deepfsi.report.rendering import flat, render, share_text
 from deepfsi.report.style import noise_text, photons_text, svg
 from deepfsi.report.terms import DESIGNS, ONE_DETECTOR
 from deepfsi.sweeps.results import Point, Results, read_results
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
@@ -50,13 +51,15 @@ def build(folder: str | os.PathLike[str]) -> Path:
 def read_masks(path: Path) -> tuple[np.ndarray, tuple[int, ...]]:
     """Rails (2 or 1, m, N) and the shape of a mask, which may be of a patch, in a design file."""
     try:
-        with safe_open(path, framework="numpy") as file:
-            header = json.loads(file.metadata()["deepfsi"])
-            patch = header.get("exposure", {}).get("side")
-            shape = (patch, patch) if patch else tuple(header["image_shape"])
-            return file.get_tensor("rails"), shape
-    except (SafetensorError, KeyError, TypeError, ValueError, OSError, RecursionError) as error:
+        text, tensors = read_tensors(path, "deepfsi", "remove it", ("rails",))
+        header, rails = json.loads(text), tensors["rails"]
+        patch = header.get("exposure", {}).get("side")
+        shape = (patch, patch) if patch else tuple(header["image_shape"])
+        if rails.ndim != 3 or rails.shape[2] != math.prod(shape) or not np.isfinite(rails).all():
+            raise ValueError(shape)
+    except (DamagedError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{path} is not a whole deepfsi design file: remove it") from error
+    return rails, shape
 
 
 def page_text(results: Results, designs: Path) -> str:
@@ -69,7 +72,7 @@ def page_text(results: Results, designs: Path) -> str:
         results=results,
         opened=opened(results),
         camera=camera_text(points),
-        impulse=any(p.design == "impulse" for p in points),
+        impulse=any(p.every_pixel for p in points),
         summary=[summary(results, noise) for noise in accuracy.noises(results)],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),
         accuracy=list(accuracy_panels(results)),
@@ -78,6 +81,7 @@ def page_text(results: Results, designs: Path) -> str:
         designs=dict.fromkeys((p.title, p.label, DESIGNS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
         covers=list(dict.fromkeys(p.covers for p in points)),
+        confusions=list(confusions(results)),
         learned=learned,
         learned_missing=not learned and any(p.learned for p in points),
         masks_shown=MASKS_SHOWN,
@@ -106,7 +110,7 @@ def opened(results: Results) -> str:
     )
     covers = "; ".join(dict.fromkeys(p.covers for p in points))
     text += f"The bars are 95 % intervals, which cover {covers}"
-    if any(p.design == "impulse" for p in points):
+    if any(p.every_pixel for p in points):
         text += (
             "; impulse imaging, which loses no photon, is no option, because it needs a detector "
             f"for each of the {pixels} pixels"
@@ -117,13 +121,13 @@ def opened(results: Results) -> str:
 def with_one_detector(points: Iterable[Point]) -> bool:
     """True if one detector does for every design but impulse imaging."""
     return all(
-        p.light in ONE_DETECTOR and p.detectors == "1x1" for p in points if p.design != "impulse"
+        p.light in ONE_DETECTOR and p.detectors == "1x1" for p in points if not p.every_pixel
     )
 
 
 def camera_text(points: Iterable[Point]) -> str:
     """Say how the designs' masks share the light, and what counts it."""
-    rows = [p for p in points if p.design != "impulse"]
+    rows = [p for p in points if not p.every_pixel]
     if rows and {p.light for p in rows} == {"column"}:
         return (
             "Under the light law column, optics split the scene’s Φ photons among all masks at "
@@ -166,7 +170,7 @@ def ranking(points: list[Point], photons: float) -> list[Point]:
     here = [p for p in points if p.photons == photons]
     for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
         optics[accuracy.key_of(p, (*accuracy.CHOSEN, "levels", "masks"))] = p
-    single = [p for p in optics.values() if p.design != "impulse"]
+    single = [p for p in optics.values() if not p.every_pixel]
     return sorted(single or optics.values(), key=lambda p: -p.accuracy)
 
 
@@ -188,7 +192,7 @@ def summary(results: Results, noise: str) -> str:
 
     text = f"Under {noise_text(noise)}, "
     if len(names) > 1:
-        where = " apart from impulse imaging" if any(p.design == "impulse" for p in points) else ""
+        where = " apart from impulse imaging" if any(p.every_pixel for p in points) else ""
         where = " with one detector" if with_one_detector(points) else where
         text += _winners({b: [name(p) for p in leading(points, b)] for b in budgets}, where)
     text += f"chance is {share_text(results.data.commonest)}, the share of the commonest class."
@@ -207,7 +211,7 @@ def summary(results: Results, noise: str) -> str:
             )
             text += "do not overlap" if clear else "overlap"
         text += "."
-        ideal = [p for p in points if p.photons == photons and p.design == "impulse"]
+        ideal = [p for p in points if p.photons == photons and p.every_pixel]
         if ideal and first is not ideal[0]:
             text += f" Impulse imaging, with a detector for each pixel, reaches {_reach(ideal[0])}."
     for point in sorted((p for p in points if p.one_class), key=lambda p: p.photons):
@@ -287,6 +291,24 @@ def best_table(results: Results, noise: str) -> Part:
         "rows": rows,
         "leaders": {photons: leading(points, photons) for photons in budgets},
     }
+
+
+def confusions(results: Results) -> Iterator[Part]:
+    """Confusion matrices at the chosen mask counts under each noise, by series and budget."""
+    axes, classes = accuracy.series_axes(results), results.data.classes
+    for noise in accuracy.noises(results):
+        points = [p for p in chosen(results, noise) if p.confusion]
+        if any([*map(len, p.confusion)] != [len(classes)] * len(classes) for p in points):
+            raise InputError(
+                "a confusion matrix is not of the data's classes: run the comparison again"
+            )
+        names = accuracy.series_names(points, axes, "title")
+        for point in sorted(points, key=lambda p: (p.photons, -p.accuracy)):
+            where = f"{photons_text(point.photons)} photons, {noise_text(noise)}"
+            yield {
+                "heading": f"{names[accuracy.key_of(point, axes)]}, {where}",
+                "table": Markup(confusion_table(point.confusion, classes)),
+            }
 
 
 def learned_masks(results: Results, designs: Path) -> Iterator[Part]:

@@ -12,7 +12,7 @@ from deepfsi.errors import InputError, faults
 from deepfsi.sweeps.recipe import RATIOS_OR_MASKS, Recipe, Settings, axis
 from deepfsi.sweeps.trial import mask_faults, trial_faults
 
-SOURCE = {"data", "size", "images", "split"}
+SOURCE = {"data", "size", "skip_bad", "images", "split"}
 """Fields that say which data to load."""
 
 TABLES = ("camera", "exposure", "training")

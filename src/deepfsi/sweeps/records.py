@@ -13,18 +13,51 @@ whoever finds it. Files are written whole or not at all, the record after its de
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, Field, FiniteFloat
+
 from deepfsi.design.artifact import Design
+from deepfsi.design.evaluation import Result
 from deepfsi.errors import InputError
-from deepfsi.files import remove_drafts, write_atomically
+from deepfsi.files import check_ending, read_regular, remove_drafts, write_atomically
 from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 
 MEASURED = ("accuracy", "low", "high", "balanced", "counts", "throughput")
 """Numbers of a test that are columns of the table."""
+
+
+LARGEST_FILE = 2**26
+"""Bytes of a record at most."""
+
+
+@dataclass(frozen=True)
+class _Tested(Result):
+    """Test of a trial, of masks of so many grey levels."""
+
+    levels: int
+
+
+class _Info(BaseModel):
+    """Provenance of a design, as far as it is read."""
+
+    device: str
+    seconds: FiniteFloat
+
+
+class _Record(BaseModel):
+    """A record as far as it is read, but for its trial, which is that of who asks."""
+
+    revision: int = Field(alias="schema")
+    key: str
+    design: str
+    validation: list[_Tested]
+    test: list[_Tested] = Field(min_length=1)
+    info: _Info
 
 
 class Records:
@@ -40,13 +73,13 @@ class Records:
         """Record of a trial, or None if it or its design is missing, damaged or of other schema."""
         if not self._design_path(trial).is_file():
             return None
+        path = self._record_path(trial)
         try:
-            record = json.loads(self._record_path(trial).read_bytes())
-        except (FileNotFoundError, ValueError):
+            record = json.loads(read_regular(path, LARGEST_FILE, "leave it out"))
+            whole = _Record.model_validate(record)
+        except (ValueError, RecursionError):  # InputError and ValidationError are ValueErrors
             return None
-        named = {"schema": SCHEMA, "key": trial.key}
-        whole = isinstance(record, dict) and named.items() <= record.items()
-        return record if whole else None
+        return record if (whole.revision, whole.key) == (SCHEMA, trial.key) else None
 
     def design(self, trial: Trial) -> Design | None:
         """Design of a trial that was trained already, perhaps for other tests."""
@@ -127,8 +160,7 @@ def write_table(records: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Write records as one table, to a path that ends in .csv or .parquet, else `InputError`."""
     import polars
 
-    if path.suffix.lower() not in (".csv", ".parquet"):
-        raise InputError(f"no table can be written to {path}: end the name in .csv or .parquet")
+    check_ending(path, (".csv", ".parquet"))
     table, whole = polars.DataFrame(rows(records), infer_schema_length=None), io.BytesIO()
     if path.suffix.lower() == ".csv":
         table.write_csv(whole)

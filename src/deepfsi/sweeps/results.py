@@ -5,13 +5,18 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from deepfsi.errors import as_input_error
-from deepfsi.files import write_atomically
+from deepfsi.files import read_regular, write_atomically
+from deepfsi.optics.codes import EVERY_PIXEL
 
-SCHEMA = 2
+SCHEMA = 3
 """Schema of results and of records, the only one; tests of records of another are run anew."""
+
+
+LARGEST_FILE = 2**28
+"""Bytes of a file of results at most."""
 
 
 def _readable(schema: int) -> int:
@@ -25,6 +30,19 @@ def _some(points: tuple["Point", ...]) -> tuple["Point", ...]:
     if not points:
         raise ValueError("no finished point")
     return points
+
+
+Share = Annotated[float, Field(ge=0, le=1)]
+"""Number from 0 to 1."""
+
+Budget = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+"""Finite number above 0."""
+
+Count = Annotated[int, Field(ge=0, le=2**53)]
+"""Number of things, which JSON and floats hold."""
+
+Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
+"""Name of a design's file, in the folder of designs and no other."""
 
 
 class Frozen(BaseModel):
@@ -54,47 +72,59 @@ class Point(Frozen):
         description="what the network reads of two rails, difference or both; empty of a single one"
     )
     design: str = Field(description="name of the design")
-    trained_at: float = Field(description="budget of the training")
+    trained_at: Budget = Field(description="budget of the training")
     variant: str = Field(description="which of several training settings, in words")
     noise: str = Field(description="noise of the test")
-    photons: float = Field(description="budget of the test")
-    levels: int = Field(description="grey levels of the masks in the test; 0 for continuous ones")
-    masks: int = Field(description="number of masks, m")
+    photons: Budget = Field(description="budget of the test")
+    levels: Count = Field(description="grey levels of the masks in the test; 0 for continuous ones")
+    masks: Count = Field(description="number of masks, m")
     label: str = Field(description="short name of the design")
     title: str = Field(description="long name of the design")
     specific: bool = Field(description="whether the design depends on the task")
     learned: bool = Field(description="whether its masks are trained")
-    ratio: float = Field(description="m · D / N, readouts of a rail over pixels")
-    trials: int = Field(description="trainings with different seeds that are averaged")
-    validation: float | None = Field(
+    ratio: FiniteFloat = Field(description="m · D / N, readouts of a rail over pixels")
+    trials: Count = Field(description="trainings with different seeds that are averaged")
+    validation: Share | None = Field(
         description="mean accuracy on validation data, if any was held out; balanced accuracy "
         "where a recipe balances its training"
     )
-    accuracy: float = Field(description="mean over trials")
-    low: float = Field(description="lower end of its 95 % interval")
-    high: float = Field(description="upper end of its 95 % interval")
+    accuracy: Share = Field(description="mean over trials")
+    low: FiniteFloat = Field(description="lower end of its 95 % interval")
+    high: FiniteFloat = Field(description="upper end of its 95 % interval")
     covers: str = Field(description="what the interval covers")
-    balanced: float = Field(description="mean of the classes' accuracies")
-    balanced_low: float = Field(description="lower end of its interval, which covers the same")
-    balanced_high: float = Field(description="upper end of its interval")
-    worst: float = Field(description="lowest accuracy of a class, in the mean over trials")
-    worst_class: int = Field(description="place of that class among those of the data")
-    counts: float = Field(
+    balanced: Share = Field(description="mean of the classes' accuracies")
+    balanced_low: FiniteFloat = Field(
+        description="lower end of its interval, which covers the same"
+    )
+    balanced_high: FiniteFloat = Field(description="upper end of its interval")
+    worst: Share = Field(description="lowest accuracy of a class, in the mean over trials")
+    worst_class: Count = Field(description="place of that class among those of the data")
+    counts: FiniteFloat = Field(
         description="photons that the detectors count, in the mean over test scenes and trials"
     )
-    throughput: float = Field(
+    throughput: FiniteFloat = Field(
         description="share of the budget that the detectors count, in the training mean; of masks "
         "that are quantised for a test only, that of the masks before"
     )
-    seconds: float = Field(description="mean time of a training")
-    accuracies: tuple[float, ...] = Field(description="of each trial")
-    keys: tuple[str, ...] = Field(description="design file of each trial")
+    seconds: FiniteFloat = Field(description="mean time of a training")
+    accuracies: tuple[Share, ...] = Field(description="of each trial")
+    keys: tuple[Key, ...] = Field(min_length=1, description="design file of each trial")
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
+    )
+    confusion: tuple[tuple[int, ...], ...] = Field(
+        (),
+        description="at a chosen mask count: rows true classes, columns answers, over all trials "
+        "and noise draws",
     )
     one_class: bool = Field(
         False, description="whether each trial gives one class as the answer to every test scene"
     )
+
+    @property
+    def every_pixel(self) -> bool:
+        """True of a design that has a detector for each pixel."""
+        return self.design in EVERY_PIXEL
 
 
 class Data(Frozen):
@@ -102,19 +132,19 @@ class Data(Frozen):
 
     name: str = Field(description="name")
     hash: str = Field(description="content hash of scenes and labels")
-    image_shape: tuple[int, ...] = Field(
-        description="rows and columns of a scene, or bands of a spectrum"
+    image_shape: tuple[Count, ...] = Field(
+        min_length=1, description="rows and columns of a scene, or bands of a spectrum"
     )
-    classes: tuple[str, ...] = Field(description="names of the classes")
-    train: int = Field(description="scenes trained on")
-    validation: int = Field(description="scenes held out")
-    test: int = Field(description="scenes tested on")
-    commonest: float = Field(
+    classes: tuple[str, ...] = Field(min_length=1, description="names of the classes")
+    train: Count = Field(description="scenes trained on")
+    validation: Count = Field(description="scenes held out")
+    test: Count = Field(description="scenes tested on")
+    commonest: FiniteFloat = Field(
         description="share of the test scenes that are of their commonest class: the accuracy of "
         "guessing it"
     )
     preprocessing: str = Field(description="steps from the data's own values to reflectance")
-    mean_reflectance: float = Field(description="of a pixel of the training scenes")
+    mean_reflectance: FiniteFloat = Field(description="of a pixel of the training scenes")
 
 
 class Provenance(Frozen):
@@ -126,8 +156,8 @@ class Provenance(Frozen):
     python: str = Field(description="version")
     device: str = Field(description="that trained: a processor or a GPU")
     finished: str = Field(description="date and time")
-    seconds: float = Field(description="time of the comparison")
-    training_seconds: float = Field(description="time of its trainings together")
+    seconds: FiniteFloat = Field(description="time of the comparison")
+    training_seconds: FiniteFloat = Field(description="time of its trainings together")
 
 
 class Results(Frozen):
@@ -152,6 +182,12 @@ class Results(Frozen):
     )
     extra: dict[str, Any] = Field({}, description="further numbers of an experiment")
 
+    @model_validator(mode="after")
+    def _of_one_comparison(self) -> "Results":
+        if any(point.worst_class >= len(self.data.classes) for point in self.points):
+            raise ValueError("the worst class of a point is none of the data's")
+        return self
+
     @property
     def had_choice(self) -> bool:
         """True if mask counts were chosen, and some design had several to choose from."""
@@ -169,5 +205,7 @@ def write_results(path: Path, results: Results) -> Path:
 
 def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
-    with as_input_error(str(path), "run the comparison again"):
-        return Results.model_validate_json(path.read_bytes())
+    again = "run the comparison again"
+    content = read_regular(path, LARGEST_FILE, again)
+    with as_input_error(str(path), again):
+        return Results.model_validate_json(content)

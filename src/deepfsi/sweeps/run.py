@@ -2,20 +2,50 @@
 
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deepfsi.datasets import Dataset
+from deepfsi.errors import InputError
 from deepfsi.progress import SILENT, Report
 from deepfsi.sweeps.context import SweepContext
 from deepfsi.sweeps.queue import run_trials
 from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.results import Results, read_results
 from deepfsi.sweeps.summary import summarise
 from deepfsi.sweeps.trial import plan
 from deepfsi.sweeps.workers import HERE, Workers
+
+
+def check_kept(
+    folder: Path, recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
+) -> None:
+    """Raise `InputError` if results in a folder would be lost to those of a recipe."""
+    # matrix (m, N)
+    file = folder / "results.json"
+    if not file.is_file():
+        return
+    try:
+        old = read_results(file)
+    except InputError as error:
+        raise InputError(f"{error}; --force replaces it") from None
+    same = old.recipe == recipe.model_dump(mode="json") and old.data.hash == data.hash
+    if same and matrix is None:
+        return
+    kept = {
+        (trial.design_key, *test)
+        for trial in plan(recipe, data, matrix)
+        for test in product(trial.test_noise, trial.test_photons, trial.test_levels)
+    }
+    held = {(key, p.noise, p.photons, p.levels) for p in old.points for key in p.keys}
+    if held - kept:
+        raise InputError(
+            f"{folder} holds results of other settings ({old.command}): give another folder, or "
+            "--force to replace its results and report"
+        )
 
 
 def compare(

@@ -72,7 +72,8 @@ def summarise(
     for rivals in chosen.values():
         for place in rivals:
             best = not held_out or place == max(rivals, key=lambda p: points[p].validation or 0)
-            points[place] = points[place].model_copy(update={"best": best})
+            kept = {} if best else {"confusion": ()}
+            points[place] = points[place].model_copy(update={"best": best, **kept})
     return Results(
         revision=SCHEMA,
         title=f"{data.name} under {' and '.join(recipe.noises)} noise",
@@ -160,6 +161,7 @@ def point(
         accuracies=tuple(float(test["accuracy"]) for test in tests),
         keys=tuple(record["design"] for record, _ in members),
         best=True,
+        confusion=np.sum([test["confusion"] for test in tests], axis=0).tolist(),
         one_class=all(np.any(test["confusion"], axis=0).sum() == 1 for test in tests),
     )
 

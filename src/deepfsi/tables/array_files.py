@@ -4,18 +4,21 @@ A ``.mat`` file of version 7.3 is an HDF5 file, in which MATLAB turns the order 
 is turned back here. Either needs h5py, an extra of the package.
 """
 
-import zipfile
+import io
+import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.errors import InputError
+from deepfsi.files import check_unpacked, open_regular
 from deepfsi.memory import check_memory, free_memory
+from deepfsi.tables.zip_files import open_zip, read_entry
 
 HDF5 = (".h5", ".hdf5")
 """Ends of the names of HDF5 files."""
@@ -29,8 +32,22 @@ NUMBERS = (
 )
 """Names in ``.mat`` files of the types that hold numbers."""
 
+LARGEST_FILE = 2**36
+"""Bytes of a file of arrays at most."""
+
+LARGEST_ENTRY = 2**33
+"""Bytes of an array in a ``.npz`` file at most."""
+
 MATLAB_HDF5 = b"MATLAB 7.3"
 """Beginning of a ``.mat`` file that is an HDF5 file."""
+
+MAT_HEADER, MAT_PLAIN, MAT_DEFLATED = 128, 14, 15
+"""Bytes of the header of a ``.mat`` file before 7.3, and kinds of its variables."""
+
+DOUBLE, INFLATED_AT_ONCE = 8, 2**20
+"""Bytes of a number, and those that are inflated at once to be counted."""
+
+UNCOMPRESSED = "save it uncompressed, or as a .npy file"
 
 
 def split_variable(source: str) -> tuple[Path, str]:
@@ -54,7 +71,7 @@ def read_array(
     """Array of a ``.npy`` file, or a variable of so many dimensions of a ``.mat`` or HDF5 file."""
     # Of several it is the one of the name `variable`, or else `usual`
     if path.suffix.lower() not in VARIABLES:
-        return read_npy(path)
+        return read_npy(path, largest)
     found = list_variables(path, dimensions)
     if not variable:
         variable = next(iter(found)) if len(found) == 1 else usual
@@ -67,37 +84,61 @@ def read_array(
     return read_variable(path, variable, found[variable], largest)
 
 
-def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
+def read_npz(
+    path: Path, advice: str = "write plain arrays of numbers or strings with numpy.savez"
+) -> dict[str, npt.NDArray[Any]]:
     """Arrays of a ``.npz`` file by their names, all of them in memory."""
-    if not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is no .npz file, or not all of one; write it with numpy.savez")
-    try:
-        with zipfile.ZipFile(path) as members:
-            size = sum(member.file_size for member in members.infolist())
+    with open_zip(path, advice) as archive:
+        entries = archive.infolist()
+        size = sum(entry.file_size for entry in entries)
         check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller ones")
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except InputError:
-        raise
-    except (EOFError, MemoryError, OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"cannot read {path} ({error}); "
-            "write plain arrays of numbers or strings with numpy.savez"
-        ) from error
+        arrays = {}
+        for entry in entries:
+            where = f"{path}/{entry.filename}"
+            content = read_entry(archive, entry, where, LARGEST_ENTRY, advice)
+            arrays[entry.filename.removesuffix(".npy")] = _of_npy(content, where, advice)
+        return arrays
 
 
-def read_npy(path: Path) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
+def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
+    """Array of the content of a ``.npy`` file, whose header may say anything."""
+    stream, form = io.BytesIO(content), np.lib.format
     try:
-        # mapped, so that no more is read than the file holds
-        values: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
-        if values.dtype.kind not in "biuf":
-            raise ValueError(f"it holds {values.dtype}")
+        readers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
+        shape, fortran, dtype = readers[form.read_magic(stream)](stream)
+        if min(shape, default=0) < 0:
+            raise ValueError(f"its shape is {shape}")
+        if dtype.hasobject:
+            raise ValueError("Object arrays may hold code")
+        flat = np.frombuffer(content, dtype, offset=stream.tell())  # no more than there is
+        if dtype.kind == "U":
+            flat.tobytes().decode("utf-32-le" if dtype.newbyteorder("<") == dtype else "utf-32-be")
+        return flat.reshape(shape, order="F" if fortran else "C").copy()
     except Exception as error:  # numpy's parser raises almost anything on a damaged header
-        raise InputError(
-            f"cannot read an array of real numbers from {path} ({error}); write it with numpy.save"
-        ) from error
+        raise InputError(f"cannot read {where} ({error}); {advice}") from None
+
+
+def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
+    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
+    with open_regular(path, LARGEST_FILE, "give a .npy file"):
+        try:
+            # mapped, so that no more is read than the file holds
+            values: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
+            if values.dtype.kind not in "biuf":
+                raise ValueError(f"it holds {values.dtype}")
+        except Exception as error:  # numpy's parser raises almost anything on a damaged header
+            raise InputError(
+                f"cannot read an array of real numbers from {path} ({error}); write "
+                "it with numpy.save"
+            ) from error
+    _check_values(path, values.shape, largest)
     return np.array(values)
+
+
+def _check_values(what: object, shape: tuple[int, ...], largest: int) -> None:
+    """Raise `InputError` for an array of more values than its reader allows."""
+    if np.prod(shape, dtype=float) > largest:
+        raise InputError(f"{what} has the shape {shape}: give {largest} values or fewer")
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
@@ -110,10 +151,10 @@ def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int
         return {name: shape for name, shape in shapes.items() if len(shape) in dimensions}
     from scipy.io import whosmat
 
-    with _as_input_error(path):
+    with _open_mat(path) as file:
         return {
             name: shape
-            for name, shape, kind in whosmat(path)
+            for name, shape, kind in whosmat(file)
             if kind in NUMBERS and len(shape) in dimensions
         }
 
@@ -122,15 +163,16 @@ def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -
     """Variable of a ``.mat`` or HDF5 file."""
     from scipy.io import loadmat
 
-    if np.prod(shape, dtype=float) > largest:
-        raise InputError(f"{path}: {name} has the shape {shape}: give {largest} values or fewer")
+    _check_values(f"{path}: {name}", shape, largest)
+    size = path.stat().st_size
+    check_unpacked(np.prod(shape, dtype=float), size, f"{path}: {name}", UNCOMPRESSED)
     values: npt.NDArray[Any]
     if _in_hdf5(path):
         with _open_hdf5(path) as found:
             values = np.asarray(found[name])
         return np.ascontiguousarray(values if path.suffix.lower() != ".mat" else values.T)
-    with _as_input_error(path):
-        values = loadmat(path, variable_names=[name])[name]
+    with _open_mat(path) as file:
+        values = loadmat(file, variable_names=[name])[name]
     if values.dtype.kind not in "biuf":
         raise InputError(f"{path}: {name} holds complex numbers: give real ones")
     return np.ascontiguousarray(values)
@@ -140,11 +182,8 @@ def _in_hdf5(path: Path) -> bool:
     """True if a file's name says HDF5, or MATLAB's header in it says version 7.3."""
     if path.suffix.lower() != ".mat":
         return True
-    try:
-        with path.open("rb") as file:
-            return file.read(len(MATLAB_HDF5)) == MATLAB_HDF5
-    except OSError as error:
-        raise InputError(f"cannot read {path} ({error.strerror})") from error
+    with open_regular(path, LARGEST_FILE, "give a .mat file") as file:
+        return file.read(len(MATLAB_HDF5)) == MATLAB_HDF5
 
 
 def _matlab_shape(path: Path, shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -168,20 +207,50 @@ def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
     def visit(name: str, item: Any) -> None:
         real = isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf"
         matlab = item.attrs.get("MATLAB_class", b"double").decode()
-        if real and matlab in NUMBERS and not name.startswith("#"):
+        elsewhere = real and (item.external or item.is_virtual)  # numbers of other files
+        if real and matlab in NUMBERS and not (elsewhere or name.startswith("#")):
             held[name] = item
 
     try:
-        with h5py.File(path, "r") as file:
+        with open_regular(path, LARGEST_FILE, "give a file"), h5py.File(path, "r") as file:
             file.visititems(visit)
             yield held
+    except InputError:
+        raise
     except Exception as error:  # h5py raises almost anything on a damaged file
         raise InputError(f"cannot read {path} as {kind} ({error}); save it again{other}") from error
 
 
 @contextmanager
-def _as_input_error(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # scipy raises almost anything on a damaged file
-        raise InputError(f"cannot read {path} as a .mat file ({error}); save it again") from error
+def _open_mat(path: Path) -> Iterator[IO[bytes]]:
+    """Open a ``.mat`` file for scipy."""
+    with open_regular(path, LARGEST_FILE, "give a .mat file") as file:
+        _check_deflated(file, path)
+        try:
+            yield file
+        except Exception as error:  # scipy raises almost anything on a damaged file
+            raise InputError(
+                f"cannot read {path} as a .mat file ({error}); save it again"
+            ) from error
+
+
+def _check_deflated(file: IO[bytes], path: Path) -> None:
+    """Raise `InputError` for a variable that inflates to far more than a file explains."""
+    # scipy inflates all that there is, whatever shape the variable claims
+    header = file.read(MAT_HEADER)
+    order = {b"IM": "<", b"MI": ">"}.get(header[-2:], "")
+    found, size = 0, path.stat().st_size
+    while order and len(tag := file.read(8)) == 8:
+        kind, length = struct.unpack(f"{order}II", tag)
+        if kind == MAT_PLAIN:
+            file.seek(length, io.SEEK_CUR)
+        elif kind == MAT_DEFLATED:
+            inflate, left = zlib.decompressobj(), file.read(min(length, size))
+            with suppress(zlib.error):  # scipy says what is wrong
+                while left and not inflate.eof:
+                    found += len(inflate.decompress(left, INFLATED_AT_ONCE))
+                    left = inflate.unconsumed_tail
+                    check_unpacked(found / DOUBLE, size, str(path), UNCOMPRESSED)
+        else:
+            break
+    file.seek(0)

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.design.calibration import distribution_of
 from deepfsi.design.own import OwnClassifier, make
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
@@ -17,6 +18,7 @@ from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
+from deepfsi.training.confidence import find_temperatures
 from deepfsi.training.job import Job
 from deepfsi.training.learning import provenance
 
@@ -64,6 +66,7 @@ def design_of(
     rails = _rails(scanner, scenes, light)
     s, mean = summed_reflectance(scenes.x_train), torch.from_numpy(scenes.x_train.mean(axis=0))
     read = rails.masks * scanner.detection.width(rails.count)
+    job = _job(scanner, rails, budget, light)
     design = Design(
         name="custom",
         rails=rails,
@@ -76,10 +79,20 @@ def design_of(
         detection=scanner.detection,
         image_shape=scenes.image_shape,
         classes=scenes.classes,
-        info=_provenance(scanner, scenes, rails, budget, light),
+        info=provenance(job, scenes, rails.device, 0.0),
     )
-    train = torch.from_numpy(scenes.x_train).to(rails.difference), torch.from_numpy(scenes.y_train)
-    return design.calibrated(*train)
+    del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
+    return _calibrated(design, scanner, scenes, job)
+
+
+def _calibrated(design: Design, scanner: Scanner, data: Dataset, job: Job) -> Design:
+    """The design with the distribution of its readouts, and its temperatures."""
+    scenes = torch.from_numpy(data.x_train).to(design.rails.difference)
+    design.distribution = distribution_of(design, scenes, torch.from_numpy(data.y_train))
+    exact = design.scanner() if scanner.noise == "ml_gauss" else scanner
+    budgets = (job.photons, job.photons)
+    design.temperatures = find_temperatures(design, exact, budgets, data, job.seed)
+    return design
 
 
 def _counted(rails: Rails, detection: Detection, photons: Tensor) -> Tensor:
@@ -88,10 +101,8 @@ def _counted(rails: Rails, detection: Detection, photons: Tensor) -> Tensor:
     return detection.totals(scanner.rates(photons.to(rails.difference)))
 
 
-def _provenance(
-    scanner: Scanner, data: Dataset, rails: Rails, photons: float, light: Light
-) -> dict[str, Any]:
-    """Provenance without what is not known of a training elsewhere."""
+def _job(scanner: Scanner, rails: Rails, photons: float, light: Light) -> Job:
+    """Job of a training elsewhere, as far as it is known."""
     detection = scanner.detection
     noise = "poisson" if scanner.noise == "ml_gauss" else scanner.noise  # which it stands for
     told: dict[str, Any] = {"light": light, "noise": noise, "sigma": scanner.sigma}
@@ -100,10 +111,7 @@ def _provenance(
     if detection.labels is not None:
         told["detectors"] = detection.labels
     camera = Camera.load(**told)
-    job = Job(design="custom", masks=rails.masks, photons=photons, camera=camera)
-    info = provenance(job, data, rails.device, 0.0)
-    del info["job"]["training"], info["seconds"]
-    return info
+    return Job(design="custom", masks=rails.masks, photons=photons, camera=camera)
 
 
 def _rails(scanner: Scanner, data: Dataset, light: Light) -> Rails:

@@ -9,7 +9,6 @@ from torch.nn import functional
 
 from deepfsi.optics.detection import Readouts
 from deepfsi.optics.features import FeatureNoise
-from deepfsi.training.job import Job
 
 
 class SeedStream:
@@ -89,11 +88,11 @@ class SeedStream:
 
 
 def seed_streams(
-    jobs: Sequence[Job], noise: FeatureNoise, labels: Tensor, batch: int
+    seeds: Sequence[int], noise: FeatureNoise, labels: Tensor, batch: int
 ) -> list[SeedStream]:
-    """Streams of jobs, those of one seed one after another; parameters as for `SeedStream`."""
+    """Streams of jobs of these seeds, those of one seed together; others as for `SeedStream`."""
     streams, first = [], 0
-    for seed, members in groupby(job.seed for job in jobs):
+    for seed, members in groupby(seeds):
         last = first + len(list(members))
         streams.append(SeedStream(seed, slice(first, last), noise, labels, batch))
         first = last

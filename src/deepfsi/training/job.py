@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     WithJsonSchema,
@@ -30,9 +28,10 @@ from deepfsi.design.exposure import (
     find_exposure,
 )
 from deepfsi.errors import InputError, as_input_error, closest
+from deepfsi.frozen import Settings
 from deepfsi.imports import PATTERN, UNNAMED
-from deepfsi.laws import Scale
-from deepfsi.optics.budget import BUDGETS, check_one_budget
+from deepfsi.laws import Scale, Widths
+from deepfsi.optics.budget import BUDGETS, check_budget, check_one_budget
 from deepfsi.optics.camera import Camera, Noise, noise_name
 
 if TYPE_CHECKING:
@@ -41,11 +40,12 @@ if TYPE_CHECKING:
     from deepfsi.datasets import Dataset
     from deepfsi.optics.codes import Code
     from deepfsi.optics.detection import Detection
+    from deepfsi.optics.noise import OwnNoise
 
 Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
 
-REVISION = 3
+REVISION = 4
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
 MOST_EPOCHS = 100_000
@@ -101,7 +101,7 @@ def _widths(given: Any) -> Any:
     return [part for part in given.split(",") if part] if isinstance(given, str) else given
 
 
-class Training(BaseModel):
+class Training(Settings):
     """Settings of a training: its steps, its network, its precision and its start.
 
     Examples
@@ -111,8 +111,6 @@ class Training(BaseModel):
     0.01
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     epochs: int = Field(40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes")
     batch: int | None = Field(
         None, ge=2, description="scenes of a step; a hundredth of all, 32 to 500, unless given"
@@ -121,7 +119,7 @@ class Training(BaseModel):
         1e-2, description="peak of the one-cycle schedule; what was tuned for the design, or this"
     )
     mask_lr: LearningRate = Field(1e-1, description="the same for masks, relative to their rms")
-    hidden: Annotated[tuple[Annotated[int, Field(ge=1)], ...], BeforeValidator(_widths)] = Field(
+    hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
         (40, 128), description="widths of the hidden layers of mlp"
     )
     dropout: float = Field(0.0, ge=0, lt=1, description="share of hidden units left out in a step")
@@ -196,7 +194,7 @@ def _camera(given: Any) -> Any:
     return Camera.load(given)
 
 
-class Job(BaseModel):
+class Job(Settings):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.
@@ -210,13 +208,11 @@ class Job(BaseModel):
     ('dual', Looks(looks=4), 'class-pairs')
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     design: Annotated[str, AfterValidator(_design)] = Field(
         "deepfsi", description="which design: deepfsi, pca, raster, hadamard, …"
     )
     masks: int = Field(ge=1, description="number of masks, m")
-    photons: float = Field(
+    photons: Annotated[float, BeforeValidator(check_budget)] = Field(
         ge=BUDGETS[0],
         le=BUDGETS[1],
         description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
@@ -272,6 +268,14 @@ class Job(BaseModel):
         return self.exposure.training_noise(self.camera.noise_name)
 
     @property
+    def own_noise(self) -> "OwnNoise | None":
+        """The noise that is trained under, where it is a user's own."""
+        from deepfsi.optics.noise import resolve
+
+        told = self.training.noise
+        return resolve(self.camera.noise if told is None else told)[1]
+
+    @property
     def optics(self) -> Camera:
         """The camera as the design has it: one with a detector for each pixel needs no other.
 
@@ -316,6 +320,10 @@ class Job(BaseModel):
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
             raise InputError("; ".join(faults))
+        if (own := self.own_noise) is not None:
+            from deepfsi.optics.noise import try_own
+
+            try_own(own, self.code.learned)
 
     def faults(self, data: "Dataset", matrix: "np.ndarray | None" = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data.

@@ -13,17 +13,19 @@ from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
+from deepfsi.design.calibration import distribution_of
+from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.memory import Memory
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
-from deepfsi.optics.budget import brightness, check_budget
+from deepfsi.optics.budget import brightness, check_budget, detector_shares
 from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
-from deepfsi.optics.noise import resolve, try_own
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.batches import check_fits
+from deepfsi.training.confidence import find_temperatures
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
@@ -104,10 +106,22 @@ def train(
     # The jobs agree in `companions`, those of one seed one after another; the matrix (m, N) is of
     # "custom" designs
     began = time.perf_counter()
+    _check(training_set, jobs, matrix)
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
+    for job, design in zip(jobs, designs, strict=True):
+        budgets = job.photons, job.exposure.highest(job.photons)
+        scanner = scanner_for(design, job.camera)
+        design.temperatures = find_temperatures(
+            design, scanner, budgets, training_set.data, job.seed
+        )
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, seconds)
+        labels = design.detection.labels
+        if labels is not None:
+            design.info["detector_light"] = detector_shares(
+                training_set.data.x_train, training_set.data.y_train, labels.cpu().numpy()
+            )
     return designs
 
 
@@ -119,6 +133,16 @@ def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     return (job.model_dump_json(exclude=apart), dtypes(job, device))
 
 
+def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None) -> None:
+    """Raise an error unless jobs can train together on the data, in the memory that is free."""
+    # Jobs that learn the masks of others before ask for nothing that these do not
+    if len({companions(each, training_set.device) for each in jobs}) > 1:
+        raise ValueError("jobs that train together may differ in photons, sigma and seed only")
+    for each in jobs:
+        each.check(training_set.data, matrix)
+    check_fits(training_set, jobs)
+
+
 Optimised = tuple[FixedMasks, FeatureNoise, list[Classifier], list[TrainedExposure]]
 """Masks after training, the noise that they were trained under, networks and exposures."""
 
@@ -126,18 +150,12 @@ Optimised = tuple[FixedMasks, FeatureNoise, list[Classifier], list[TrainedExposu
 def _optimised(
     training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None, report: Report
 ) -> Optimised:
-    """Masks and networks after training; the jobs are checked first."""
+    """Masks and networks after training."""
     # Masks of the control group are learned before, under gaussian noise and with a network of
-    # their own, as jobs that are checked like any other
-    device, job = training_set.device, jobs[0]
-    if len({companions(each, device) for each in jobs}) > 1:
-        raise ValueError("jobs that train together may differ in photons, sigma and seed only")
-    for each in jobs:
-        each.check(training_set.data, matrix)
-    check_fits(training_set, jobs)
-    noise = _noise(jobs, training_set)
+    # their own
+    device, shape, job = training_set.device, training_set.data.image_shape, jobs[0]
+    noise, seen = _noise(jobs, training_set), training_set.seen(job.exposure)
     seeds = [torch.Generator(device).manual_seed(each.seed) for each in jobs]
-    shape = training_set.data.image_shape
     exposures = [
         each.exposure.begin(each, shape, seed) for each, seed in zip(jobs, seeds, strict=True)
     ]
@@ -147,11 +165,10 @@ def _optimised(
         sources = [each.masks_from() for each in jobs]
         masks = _optimised(training_set, sources, None, before)[0]
     else:
-        seen = training_set.seen(job.exposure)
         masks = initial_masks(seen, jobs, exposures[0], matrix).to(device)
     classifiers = optimise(training_set, jobs, masks, noise, exposures, report)
     if isinstance(masks, LearnedMasks):
-        masks = final_masks(masks, training_set.seen(job.exposure), job, exposures[0])
+        masks = final_masks(masks, seen, job, exposures[0])
     networks = [*classifiers, *(each.network for each in exposures if each.network is not None)]
     numbers = [masks().stacked, *(part for network in networks for part in network.parameters())]
     if not all(bool(torch.isfinite(part).all()) for part in numbers):
@@ -161,20 +178,16 @@ def _optimised(
 
 def _noise(jobs: Sequence[Job], training_set: TrainingSet) -> FeatureNoise:
     """Noise of the training of jobs."""
-    job = jobs[0]
-    told = job.training.noise if job.training.noise is not None else job.camera.noise
-    own = resolve(told)[1]
-    if own is not None:
-        try_own(own, job.code.learned)
-    dark = [each.camera.dark_counts if job.noise == "camera" else 0.0 for each in jobs]
+    kind = jobs[0].noise
+    dark = [each.camera.dark_counts if kind == "camera" else 0.0 for each in jobs]
     return FeatureNoise.of(
-        job.noise,
+        kind,
         [each.photons / training_set.summed_reflectance for each in jobs],
         [each.camera.sigma for each in jobs],
         [each.seed for each in jobs],
         training_set.device,
         dark,
-        own,
+        jobs[0].own_noise,
     )
 
 
@@ -231,28 +244,27 @@ def _designs(
     ]
     if exposures[0].chooses:
         for each, design in zip(jobs, designs, strict=True):
-            design.shares = _shares(design, training_set, each)
+            design.shares = _shares(design, training_set.full, each.photons, each.seed)
     if not exposures[0].comparable:
         return designs
-    known = [
-        each.calibrated(training_set.full, training_set.labels).distribution
-        for each in designs[: len(rails)]
-    ]
+    # Those of fixed dwells depend on the masks alone, which designs may share
+    apart = designs if exposures[0].chooses else designs[: len(rails)]
+    known = [distribution_of(each, training_set.full, training_set.labels) for each in apart]
     return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
 
 
-def _shares(design: Design, training_set: TrainingSet, job: Job) -> Tensor:
-    """Share of the budget (k,) that each feature counts, in the mean over training scenes."""
+def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:
+    """Share of the budget (k,) that each feature counts, in the mean over scenes (n, N)."""
     scanner = design.scanner()
-    generator = torch.Generator(training_set.device).manual_seed(job.seed)
+    generator = torch.Generator(scenes.device).manual_seed(seed)
     shares = torch.zeros_like(design.mean)
     with torch.no_grad():
-        for x in training_set.full.split(CHUNK):
+        for x in scenes.split(CHUNK):
             rates = design.rates(scanner, x)
-            *_, seen = design.expose(scanner, rates, generator, job.photons)
+            *_, seen = design.expose(scanner, rates, generator, photons)
             shown = design.exposure.shown(rates, seen)
             shares += design.detection.totals(shown).sum(dim=0)
-    return shares / len(training_set.full)
+    return shares / len(scenes)
 
 
 def provenance(

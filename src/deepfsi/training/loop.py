@@ -68,7 +68,7 @@ def optimise(
     classify = Replicas(classifiers, stacked and isinstance(classifiers[0], Mlp), dtype)
     choose = Replicas(choosers, stacked, dtype)
     batch = batch_of(settings, len(labels))
-    streams = seed_streams(jobs, noise, labels, batch)
+    streams = seed_streams([each.seed for each in jobs], noise, labels, batch)
     features = features_of(training_set, job, masks, noise, streams, exposures[0], choose)
     weights = training_set.class_weights if settings.balance else None
 

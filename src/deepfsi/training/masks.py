@@ -25,22 +25,17 @@ def initial_masks(
 ) -> FixedMasks | LearnedMasks:
     """Masks before training: of R replicas, or of one where all share them."""
     # The scenes are those that the masks see; the matrix (m, N) is a user's own
-    job, camera, code = jobs[0], jobs[0].optics, jobs[0].code
-    detection, levels = (
-        job.detection(seen.data.image_shape),
-        camera.mask_levels(seen.data.image_shape),
-    )
-    if code.learned:
-        signed = torch.stack([_matrix(seen, job, seed, detection) for seed in matrix_seeds(jobs)])
-        kept = seen.pixels(camera.light).cpu()
-        start = detection.of_pixels(kept).arrange(signed[..., kept])
-        start = start.expand(len(jobs), -1, -1).clone()
-        return exposure.learned_masks(start, camera, levels)
+    job, camera, shape = jobs[0], jobs[0].optics, seen.data.image_shape
+    detection, levels = job.detection(shape), camera.mask_levels(shape)
     if matrix is not None:
         rails = constraints.own_rails(matrix, camera.light, camera.rails).unsqueeze(0)
     else:
         signed = torch.stack([_matrix(seen, job, seed, detection) for seed in matrix_seeds(jobs)])
-        rails = exposure.fixed(_fitted(signed, code, camera), camera.light)
+        if job.code.learned:
+            kept = seen.pixels(camera.light).cpu()
+            start = detection.of_pixels(kept).arrange(signed[..., kept])
+            return exposure.learned_masks(start.expand(len(jobs), -1, -1).clone(), camera, levels)
+        rails = exposure.fixed(_fitted(signed, job.code, camera), camera.light)
     return FixedMasks(quantise(rails, camera.light, levels) if levels else rails)
 
 

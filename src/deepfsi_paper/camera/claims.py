@@ -30,6 +30,7 @@ from deepfsi_paper.camera.laboratory import (
     FLUX,
     FREE,
     LABELS,
+    LAYOUT,
     OURS,
     REPEATS,
     SWEPT,
@@ -270,7 +271,7 @@ def _optics_pictures(measures: Measures) -> tuple[Picture, Picture]:
     """The camera's view of the digits, and a frame of its mirrors."""
     views, fit = measures.views, measures.calibration
     raw, seen = np.array(views.raw), np.array(views.seen)
-    grid = find_grid(DEVICE, seen.shape[1:])
+    grid = find_grid(DEVICE, seen.shape[1:], LAYOUT)
     frame = np.frombuffer(base64.b64decode(measures.frame), np.uint8).reshape(DEVICE.rows, -1)
     mirrors = unpack(frame, DEVICE)
     return (

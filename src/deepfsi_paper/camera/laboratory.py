@@ -21,7 +21,7 @@ import numpy as np
 from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.design.artifact import Design
 from deepfsi.devices import find_device
-from deepfsi.grid import find_grid
+from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration import fit
 from deepfsi.hardware.calibration.background import expected_background
 from deepfsi.hardware.calibration.scans import scan_rails
@@ -66,6 +66,9 @@ REPEATS = 10
 
 DEVICE = find_device("dlp7000")
 """The micromirror device of the paper."""
+
+LAYOUT = Layout(stretch=True)
+"""Cells of the paper fill the device: 24 x 32 mirrors each."""
 
 OURS = "deepfsi"
 """Name of DeepFSI with equal dwells among the tests."""
@@ -201,7 +204,7 @@ class Measures:
 @lru_cache(maxsize=1)
 def calibrate() -> Calibration:
     """Calibration of the laboratory by spots, a white and a black display, as in a real one."""
-    grid = find_grid(DEVICE, (32, 32))
+    grid = find_grid(DEVICE, (32, 32), LAYOUT)
     spots = fit.spot_scenes((32, 32))
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     exposure = 10.0
@@ -209,7 +212,7 @@ def calibrate() -> Calibration:
     with tempfile.TemporaryDirectory() as folder:
         patterns = export_patterns(
             raster,
-            FrameSettings(DEVICE, 1.1 * exposure / raster.rails.shape[1]),
+            FrameSettings(DEVICE, 1.1 * exposure / raster.rails.shape[1], layout=LAYOUT),
             Path(folder) / "raster",
         )
         arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)
@@ -301,7 +304,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
     dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
     return export_patterns(
         DesignRails(rails, design.light, design.image_shape, design.summed_reflectance),
-        FrameSettings(DEVICE, dwell),
+        FrameSettings(DEVICE, dwell, layout=LAYOUT),
         folder,
     )
 

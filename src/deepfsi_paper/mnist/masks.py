@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.datasets import Dataset
-from deepfsi.optics.codes import sensing_matrix
+from deepfsi.optics.tiles import sensing_matrix
 from deepfsi.progress import Report
 from deepfsi.report.comparison_page import read_masks
 from deepfsi.report.style import photons_text

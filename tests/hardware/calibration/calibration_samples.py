@@ -3,13 +3,13 @@
 import numpy as np
 
 from deepfsi.devices import find_device
-from deepfsi.grid import find_grid
+from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import Calibration
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])
 IDENTITY = np.eye(3)
-GRID = find_grid(find_device("dlp7000"), (32, 32))
+GRID = find_grid(find_device("dlp7000"), (32, 32), Layout(stretch=True))
 
 
 def vignette(shape, loss=0.4):

@@ -11,7 +11,7 @@ from scipy import ndimage
 from deepfsi.datasets import load_dataset
 from deepfsi.devices import Device, find_device
 from deepfsi.errors import InputError
-from deepfsi.grid import find_grid
+from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.calibration.view import camera_view, view_dataset, view_matrix
 from deepfsi.hardware.recording.calibration_file import load_calibration, save_calibration
 from deepfsi.hardware.virtual import camera
@@ -125,7 +125,7 @@ def test_shapes_that_do_not_fit_are_refused():
     ids=["same points", "larger cells", "tall cells"],
 )
 def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blur):
-    grid = find_grid(device, shape)
+    grid = find_grid(device, shape, Layout(stretch=True))
     eyes = camera.VirtualCamera(view=tuple(map(tuple, VIEW.tolist())), blur=blur, vignetting=0.3)
     scenes = np.random.default_rng(0).random((3, 16, 16), dtype=np.float32)
     mirrors = camera.irradiance(scenes, eyes, device, grid)
@@ -167,7 +167,7 @@ def test_a_damaged_file_is_named(tmp_path, change, words):
 
 
 def test_a_missing_or_broken_file_is_named(tmp_path):
-    with pytest.raises(InputError, match="no calibration at"):
+    with pytest.raises(InputError, match="is missing: calibrate"):
         load_calibration(tmp_path)
     (tmp_path / "calibration.json").write_bytes(b"{\xff")
     with pytest.raises(InputError, match=r"calibration.json. cannot be used"):

@@ -89,3 +89,21 @@ def test_frames_may_be_told_before_the_header_has_come(tmp_path, content):
         assert len(counter.counts_since_marker(0.0).counts) == 0
         path.write_bytes(content)
         assert len(collect(counter, 20)) == 20
+
+
+@pytest.mark.parametrize("change", [lambda path: path.rename(path.with_name("old.ptu")), os.remove])
+def test_a_file_that_is_replaced_is_not_followed_in_silence(tmp_path, content, change):
+    """Software that writes another file and renames it: the old one never grows again."""
+    path, other = tmp_path / "photons.ptu", tmp_path / "new.ptu"
+    path.write_bytes(content[: len(content) // 2])
+    with FollowedCounter() as counter:
+        counter.start(path)
+        counter.expect(GATES)
+        assert len(collect(counter, 5)) >= 5
+        change(path)
+        with pytest.raises(InputError, match="replaced, renamed or deleted"):
+            counter.counts_since_marker(60)
+        other.write_bytes(content)
+        other.replace(path)
+        with pytest.raises(InputError, match="replaced, renamed or deleted"):
+            counter.counts_since_marker(60)

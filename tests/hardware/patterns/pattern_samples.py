@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.devices import find_device
+from deepfsi.grid import Layout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.progress import SILENT
@@ -33,6 +34,7 @@ def export(
     folder: Path, rails=None, light="free-dwell", image_shape=(4, 4), s=3.0, file=None,
     report=SILENT, **changes,
 ):  # fmt: skip
-    settings = FrameSettings(**{"device": SMALL, "dwell_s": 1e-3, **changes})
+    usual = {"device": SMALL, "dwell_s": 1e-3, "layout": Layout(stretch=True)}
+    settings = FrameSettings(**{**usual, **changes})
     design = DesignRails(grey() if rails is None else rails, light, image_shape, s, file)
     return export_patterns(design, settings, folder, report)

@@ -76,7 +76,7 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path, monkeypatch)
         prepare(tmp_path / "other", source, named(1, manifest_sha256="0" * 64))
     with pytest.raises(InputError, match="2 inputs"):
         prepare(tmp_path / "other", source, named(1, inputs=(0, 1)))
-    with pytest.raises(InputError, match="no patterns"):
+    with pytest.raises(InputError, match=r"manifest\.json is missing: make patterns"):
         prepare(tmp_path / "other", tmp_path / "none", named(1))
     monkeypatch.setattr(acquisition, "MOST_FRAMES", 30)
     with pytest.raises(InputError, match=r"4 scenes of .* at most 30 frames are allowed: split it"):

@@ -97,6 +97,21 @@ def test_photons_of_a_dark_scene_do_not_place_it():
     assert np.isfinite(found.starts_s[1:]).all()
 
 
+@pytest.mark.parametrize(("mask", "placed"), [(650, False), (500, True)])
+def test_a_pass_that_may_begin_at_two_frames_is_given_up(mask, placed):
+    """Two frames later begins a step that lacks 4 standard errors of ON to OFF, or 9."""
+    true, frames = train(EQUAL, 1, jitter=0), len(EQUAL.frames)
+    photons = dict.fromkeys(range(2, frames - 2), 300) | {2: mask, 3: 0}
+    photons |= dict.fromkeys((0, frames - 2, frames), 1000)  # the last: a lamp after the pass
+
+    def counter(begin, end):
+        slots = np.floor((begin - true[0, 0]) / EQUAL.picture_s[0]).astype(int)
+        return np.array([photons.get(slot, 0) for slot in slots.tolist()])
+
+    found = align(true.ravel()[1:], EQUAL, 1, counter=counter).starts_s
+    assert right_or_lost(found, true).any() == placed
+
+
 def test_a_schedule_of_unlike_frames_places_itself():
     true = train(FREE, 3, 1e-4)
     found = align(true.ravel()[1:], FREE, 3)

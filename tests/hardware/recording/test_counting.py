@@ -97,6 +97,15 @@ def test_gates_that_fill_their_frames_do_not_overlap(run, drift):
     assert count(run.folder, exposure_s=11 * DWELL / 8, settle_s=0.0).counts.shape[1] == 8
 
 
+@pytest.mark.parametrize(("missing", "counted"), [(1, True), (2, False)])
+def test_a_pass_is_whole_if_a_marker_came_after_its_last_mask(run, missing, counted):
+    """Else nothing tells that its light was shown, and recorded, up to its end."""
+    run.record(run.starts, run.starts.ravel()[:-missing], run.photons)
+    counts = count(run.folder)
+    assert counts.valid[:2].all()
+    assert counts.valid[2].all() == counts.valid[2].any() == counted
+
+
 @pytest.mark.parametrize("light", ["free-dwell", "two-arm"])
 def test_every_light_constraint_is_counted(tmp_path, light):
     run = made(tmp_path, light, exposure_s=1e-3, repeats=2)

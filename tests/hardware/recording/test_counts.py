@@ -104,5 +104,5 @@ def test_compressed_or_cut_counts_are_refused(run):
     with pytest.raises(InputError, match=r"counts\.npz is not a whole file"):
         reconstruct(run.folder)
     path.unlink()
-    with pytest.raises(InputError, match=r"counts\.npz cannot be read .* camera count"):
+    with pytest.raises(InputError, match=r"counts\.npz is missing.* camera count"):
         read_counts(run.folder)

@@ -33,7 +33,7 @@ def test_scenes_are_read_in_their_order(tmp_path, text, wanted):
         (b"\xff\xfe\x00", "not text in UTF-8"),
         (b'"a\n', "not text in UTF-8"),
         (b"a" * 2000, "line 1, cannot be used at name"),
-        (None, "cannot be read"),
+        (None, "is missing"),
     ],
 )
 def test_other_lists_are_refused_in_one_line(tmp_path, content, match):

@@ -11,7 +11,7 @@ from virtual_samples import DEVICE, SHAPE, SUMMED_REFLECTANCE, into, patterns, s
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
-from deepfsi.grid import find_grid
+from deepfsi.grid import Layout, find_grid
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings, Patterns
 from deepfsi.hardware.patterns.timing import Gates, find_gates
@@ -33,7 +33,7 @@ from deepfsi.optics.scanner import Scanner
 from deepfsi.progress import SILENT, Report
 from deepfsi_paper.camera.gate_counts import draw_counts
 
-GRID = find_grid(DEVICE, SHAPE)
+GRID = find_grid(DEVICE, SHAPE, Layout(stretch=True))
 MIRRORS = GRID.mirrors
 AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
 IDEAL = CAMERAS["ideal"]

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from deepfsi.devices import Device
+from deepfsi.grid import Layout
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.optics import constraints
@@ -26,7 +27,8 @@ def patterns(folder: Path, light: str = "equal-dwell", rails: str = "dual", mask
     wild[1] = abs(wild[1])
     fitted = constraints.fit(torch.from_numpy(wild), light, rails).numpy()
     design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE)
-    return export_patterns(design, FrameSettings(DEVICE, dwell), folder)
+    settings = FrameSettings(DEVICE, dwell, layout=Layout(stretch=True))
+    return export_patterns(design, settings, folder)
 
 
 def into(shares: list[float]) -> Report:

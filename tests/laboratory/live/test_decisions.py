@@ -8,6 +8,8 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.dead_time import DeadTime
+from deepfsi.hardware.recording.sentinels import PARTS
+from deepfsi.hardware.recording.streaming import FrameCounts
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.hardware.virtual.detector import Detector
 from deepfsi.laboratory.live.decisions import SENTINELS, Observer
@@ -32,7 +34,9 @@ def observe(patterns, rates, scenes=1, **settings):
     def count(scene):
         def counts(lists):
             asked.append(lists)
-            return rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9
+            photons = rates[scene][lists.frames] * lists.gate_ns[:, None] * 1e-9
+            starts_s = 0.1 * scene + 5e-3 * len(asked) + np.arange(len(photons)) * 1e-3
+            return FrameCounts(starts_s, np.repeat(photons[:, None] / PARTS, PARTS, axis=1))
 
         return counts
 
@@ -89,8 +93,11 @@ def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):
     arm = read_patterns(patterns).manifest.detector_count
     flux = (rates[:, 0, :arm] - rates[:, 1, :arm]).sum(axis=1)
     for k, each in enumerate((first, second, third), start=1):
-        assert each[-1].photons == pytest.approx(flux[:k].mean() * EXPOSURE_S, rel=1e-6)
-    assert [each.look for each in asked] == 3 * [SENTINELS, *range(LOOKS)]
+        frames = np.full(k, 2.0)
+        frames[-1] = 1  # the second all-ON frame of this scene follows its looks
+        mean = flux[:k] @ frames / frames.sum()
+        assert each[-1].photons == pytest.approx(mean * EXPOSURE_S, rel=1e-6)
+    assert [each.look for each in asked] == 3 * [SENTINELS, *range(LOOKS), SENTINELS]
 
 
 def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):
@@ -136,7 +143,7 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
     design = Design.load(patterns.parent / "looks.safetensors")
     manifest = read_patterns(patterns).manifest
     rates = rates_of(patterns, digits)
-    (decided,), (_, *asked) = observe(patterns, rates)
+    (decided,), (_, *asked, _) = observe(patterns, rates)
     looks = iter(asked)
 
     def read(dwell):
@@ -153,3 +160,28 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
 
     chances = design.classify_live(read, decided[-1].photons)
     np.testing.assert_allclose(chances, decided[-1].chances, atol=1e-4)
+
+
+@pytest.mark.parametrize("paralysable", [False, True])
+def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patterns, paralysable):
+    """A short gate may be, by chance: its photons stay finite and above 0, and the run goes on."""
+    dead = DeadTime(seconds=25e-9, paralysable=paralysable)
+    rates, shown = rates_of(patterns, digits), read_patterns(patterns).manifest.shown
+    rates[:, shown[::2]] = 2.5 * dead.most_registered
+    (found,), asked = observe(patterns, rates, dead_time=dead)
+    rates *= dead.correction(np.minimum(rates, dead.most_registered)).arrivals
+    (arrived,), again = observe(patterns, rates)
+    assert len(found) == len(arrived) == LOOKS
+    for one, other in zip(found, arrived, strict=True):
+        np.testing.assert_allclose(one.chances, other.chances, atol=1e-6)
+    for one, other in zip(asked, again, strict=True):
+        assert np.array_equal(one.frames, other.frames)
+        assert np.array_equal(one.gate_ns, other.gate_ns)
+
+
+def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
+    rates = rates_of(patterns, digits, 2)
+    decided, asked = observe(patterns, rates, 2)
+    looks = np.array([each.gate_ns.sum() for each in asked if each.look != SENTINELS])
+    for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
+        assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)

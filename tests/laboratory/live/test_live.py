@@ -62,8 +62,8 @@ def test_each_look_has_its_time_and_no_frame_is_too_short(run, patterns):
     manifest = read_patterns(patterns).manifest
     least = manifest.device.shortest_us - manifest.device.settle_us - 2
     for scene in read_shown(run):
-        sentinels, *looks = scene.lists
-        assert sentinels.frames == (0, 1)
+        first, *looks, last = scene.lists
+        assert first.frames == last.frames == (0, 1)
         assert len(looks) == LOOKS
         for each in looks:
             assert min(each.gate_ns) >= least * 1000
@@ -90,7 +90,7 @@ def counts_and_means(run, patterns, x):
     counts, expected = [], []
     for scene, lists in read_live_counts(run).by_scene:
         for each, found in zip(scene.lists, lists, strict=True):
-            counts.append(found[:, 0])
+            counts.append(found.counts[:, 0])
             expected.append(rates[scene.scene, list(each.frames)] * np.array(each.gate_ns) * 1e-9)
     return np.concatenate(counts), np.concatenate(expected)
 
@@ -113,14 +113,14 @@ def test_decisions_are_those_of_the_design(digits, patterns, run):
     manifest = read_patterns(patterns).manifest
     masks = {int(at): manifest.frames[at].mask for at in manifest.shown}
     for again, (scene, counts) in zip(replay(run), read_live_counts(run).by_scene, strict=True):
-        shown = iter(zip(scene.lists[1:], counts[1:], strict=True))
+        shown = iter(zip(scene.lists[1:-1], counts[1:-1], strict=True))
 
         def read(dwell, shown=shown):
             each, found = next(shown)
             places = [masks[frame] for frame in each.frames]
             gates, signal = np.zeros(design.masks), np.zeros(design.masks)
             gates[places] = np.array(each.gate_ns) * 1e-9 / EXPOSURE_S
-            signal[places] = found[:, 0]
+            signal[places] = found.counts[:, 0]
             assert dwell[gates > 0] == pytest.approx(gates[gates > 0], rel=0.02)
             return signal, gates
 
@@ -138,17 +138,17 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
     for scene in read_shown(tmp_path / "run"):
         assert scene.clock_s == times[scene.scene][-1]
         assert np.diff(times[scene.scene]).min() >= slow.command
-        lists = 1 + LOOKS
+        lists = 2 + LOOKS
         # Each list ends with a block of the counter: 0.1 s, as lists take less.
         assert 0.1 * (lists - 1) < scene.clock_s <= 0.1 * lists + 0.0051
     quick = Latencies(display=1e-3, command=0, block=1e-6, transfer=0, decision=0)
     decided = live(tmp_path / "quick", patterns, digits, count=3, latencies=quick)
     manifest = read_patterns(patterns).manifest
     for scene in read_shown(tmp_path / "quick"):
-        gates = np.concatenate([each.gate_ns for each in scene.lists[1:]]) * 1e-9
+        gates = np.concatenate([each.gate_ns for each in scene.lists[1:-1]]) * 1e-9
         masks = np.ceil((gates * 1e6 + 12).round(6)) * 1e-6
-        ends = 2 * manifest.frames[0].picture_us * 1e-6
-        rests = LOOKS * 44e-6
+        ends = 4 * manifest.frames[0].picture_us * 1e-6
+        rests = (LOOKS + 1) * 44e-6
         assert scene.clock_s == pytest.approx(masks.sum() + ends + rests, abs=5e-6)
         assert scene.clock_s > EXPOSURE_S
 
@@ -168,7 +168,7 @@ def test_an_exposure_stops_when_it_is_sure(digits, patterns, tmp_path):
 def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
     live(tmp_path / "run", patterns, digits, shortest_s=0.5e-3)
     shown = read_shown(tmp_path / "run")
-    gates = [each.gate_ns for scene in shown for each in scene.lists[1:]]
+    gates = [each.gate_ns for scene in shown for each in scene.lists[1:-1]]
     assert min(map(min, gates)) >= 500_000
     assert max(map(len, gates)) < 6
     count_live(tmp_path / "run")
@@ -188,7 +188,9 @@ def test_the_budget_is_that_of_the_light_so_far(digits, patterns, run):
     x, _ = scenes_of(digits, 12)
     rates = arrival_rates(patterns, x, CAMERAS["ideal"], 1e6)[:, :2, 0]
     for k, each in enumerate(replay(run), start=1):
-        wanted = (rates[:k, 0] - rates[:k, 1]).mean() * EXPOSURE_S
+        frames = np.full(k, 2.0)
+        frames[-1] = 1  # the second all-ON frame of this scene follows its looks
+        wanted = (rates[:k, 0] - rates[:k, 1]) @ frames / frames.sum() * EXPOSURE_S
         noise = 5 * np.sqrt(wanted / EXPOSURE_S / (k * 0.9e-3)) * EXPOSURE_S
         assert abs(each.decisions[-1].photons - wanted) < noise
 
@@ -228,7 +230,7 @@ def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patter
     acquisition = runs.plan_live(patterns, scenes, 3.0 * LOOKS)
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices))
     assert len(decided) == 2 * LOOKS
-    gates = [max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:]]
+    gates = [max(one.gate_ns) for each in read_shown(tmp_path / "run") for one in each.lists[1:-1]]
     assert max(gates) > 0.2e9
 
 
@@ -395,4 +397,4 @@ def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, caps
     assert [(int(line[0]), int(line[1])) for line in said] == [
         (scene, look) for scene in range(2) for look in range(LOOKS)
     ]
-    assert len(shown) == 2 * (1 + LOOKS)
+    assert len(shown) == 2 * (2 + LOOKS)

@@ -10,7 +10,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.hardware.recording.live_settings import StopRule
-from deepfsi.laboratory.live.loop import judge, read_loop
+from deepfsi.laboratory.live.loop import read_loop
 from deepfsi.laboratory.rails import loop_of
 
 OPTICS = {
@@ -47,12 +47,14 @@ def test_a_loop_says_and_chooses_what_the_design_does(design):
         np.testing.assert_allclose(chosen, asked[look], rtol=1e-4)
         features = features + loop.features(counts[look].reshape(rails)) / photons
         dwell = dwell + asked[look]
-    np.testing.assert_allclose(loop.classify(loop.inputs(features, dwell)), wanted, atol=1e-5)
+    inputs = loop.inputs(features, dwell)
+    np.testing.assert_allclose(loop.classify(inputs, photons), wanted, atol=1e-5)
+    assert loop.classify(inputs, 1e-3 * photons).max() < 0.5 < 5 * wanted.max()  # calibrated
     np.testing.assert_allclose(loop.first, asked[0], rtol=1e-4)
 
 
 def test_a_loop_is_the_same_from_its_file(design, tmp_path):
-    held = {"temperatures": (1.5, 1.2, 1.0), "threshold": 0.9}
+    held = {"threshold": 0.9, "photons": 1e3}
     loop = loop_of(replace(design, info={**design.info, "stopping": held}))
     (tmp_path / "loop").write_bytes(loop.to_bytes())
     again = read_loop(tmp_path / "loop")
@@ -62,7 +64,8 @@ def test_a_loop_is_the_same_from_its_file(design, tmp_path):
     features = np.linspace(0, 0.1, loop.header.features)
     dwell = np.full(loop.header.frames, 1 / loop.header.frames)
     inputs = loop.inputs(features, dwell)
-    assert np.array_equal(again.classify(again.inputs(features, dwell)), loop.classify(inputs))
+    wanted = loop.classify(inputs, 300)
+    assert np.array_equal(again.classify(again.inputs(features, dwell), 300), wanted)
 
 
 def test_a_damaged_loop_is_refused(digits, tmp_path):
@@ -79,19 +82,23 @@ def test_a_damaged_loop_is_refused(digits, tmp_path):
     path.write_bytes(replace(loop, chooser=loop.chooser[1:]).to_bytes())
     with pytest.raises(InputError, match="do not fit"):
         read_loop(path)
+    logs, budgets = loop.temperatures
+    for bad in ((logs[1:], budgets), (logs, budgets[::-1].copy()), (logs * np.nan, budgets)):
+        path.write_bytes(replace(loop, temperatures=bad).to_bytes())
+        with pytest.raises(InputError, match="do not fit"):
+            read_loop(path)
     with pytest.raises(InputError, match="one look"):
         loop_of(quick(digits, masks=4, **OPTICS["single"]))
 
 
-@pytest.mark.parametrize("look", [0, 1])
-def test_the_rule_is_the_design_s(look):
-    chances = np.array([0.7, 0.2, 0.1])
-    rule = StoppingRule((1, 2, 3), (1.5, 0.5, 1.0), 0.9)
-    wanted, stops = rule.decide(look + 1, chances)
-    found, stopped = judge(chances, look, StopRule(temperatures=(1.5, 0.5, 1.0), threshold=0.9))
-    np.testing.assert_allclose(found, wanted, rtol=1e-12)
-    assert stopped == stops
-    assert judge(chances, look, None) == (chances, False)
+@pytest.mark.parametrize("photons", [300, 1e3, 1e4 / 3.1])
+@pytest.mark.parametrize("confidence", [0.69, 0.71])
+def test_the_rule_is_the_design_s(confidence, photons):
+    chances = np.array([confidence, 0.2, 0.8 - confidence])
+    wanted = StoppingRule((1, 2, 3), 0.7, 1e3).decide(1, chances, photons)
+    assert StopRule(threshold=0.7, photons=1e3).stops(confidence, photons) == wanted
+    assert wanted == (confidence > 0.7 and photons == 1e3)
+    assert StopRule(threshold=0.7).stops(confidence, photons) == (confidence > 0.7)
 
 
 def test_torch_is_not_needed():

@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from deepfsi.errors import InputError, as_input_error
+from deepfsi.frozen import Settings
 
 if TYPE_CHECKING:
     from torch import Generator
@@ -71,10 +72,8 @@ TRAINING_NOISE = {"poisson": "ml_gauss"}
 """Noise that is trained under in place of a camera's own."""
 
 
-class Exposure(BaseModel):
+class Exposure(Settings):
     """An exposure of which every mask is shown once, and all are needed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     training: ClassVar[dict[str, Any]] = {"start": "pca"}
     """Settings of the training where none are given."""

@@ -20,13 +20,16 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
+from deepfsi.design.calibration import find_distribution
 from deepfsi.design.classifiers import Mlp, restored
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure import LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
-from deepfsi.laws import Light
+from deepfsi.laws import Light, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.dwells import Shares, share_out
 from deepfsi.optics.masks import LearnedMasks, through
 from deepfsi.optics.rails import Rails
@@ -77,6 +80,9 @@ class Dwells:
         return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
+ON_WEIGHT = 0.2
+"""Time of the all-ON frames of a scene over the exposure, where their readouts are calibrated."""
+
 LARGEST_SCORE = 4.0
 """Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
 
@@ -97,7 +103,6 @@ class LooksExposure(TrainedExposure):
     shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the exposure
     kind = "adaptive"
     chooses: ClassVar[bool] = True
-    comparable: ClassVar[bool] = False
 
     def header(self) -> "LooksShape":
         """Entry of the design file's header, of which `restored` makes the kind again."""
@@ -178,6 +183,44 @@ class LooksExposure(TrainedExposure):
             seen = Observation(features, total)
             yield seen
 
+    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
+        """Readouts that counts are compared in: those of all rails and of all mirrors ON."""
+        return (1, rails * readouts + 1), self.looks
+
+    def distribution(
+        self,
+        rates: Tensor,
+        lit: Tensor,
+        labels: np.ndarray,
+        classes: int,
+        detection: Detection,
+        mean: Tensor,
+        std: Tensor,
+    ) -> ReadoutDistribution | None:
+        """Distribution of readouts and all-ON frames; parameters as for the base class."""
+
+        def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+            every, ones = torch.zeros_like(rates), torch.ones_like(rates)
+            bright = lit.double().cpu().numpy()[:, None]
+            on = rng.poisson(ON_WEIGHT * photons * bright), np.full(bright.shape, ON_WEIGHT)
+
+            def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
+                expected = (self.dwells.scaled(rates, dwell) * photons).double().cpu().numpy()
+                counts = torch.from_numpy(rng.poisson(expected)).to(rates)
+                every.add_(counts)
+                return detection.features(counts) / photons, dwell
+
+            out = []
+            for seen in self.expose_live(show, mean.expand(len(rates), -1), std):
+                assert seen.dwell is not None
+                held = every, self.dwells.scaled(ones, seen.dwell)
+                pair = (part.double().flatten(1).cpu().numpy() for part in held)
+                out.append(tuple(np.hstack(each) for each in zip(pair, on, strict=True)))
+            return out  # type: ignore[return-value]
+
+        whole = torch.cat([rates.flatten(1), lit[:, None]], dim=1)[:, None]
+        return find_distribution(whole, labels, classes, expose=expose)
+
     @property
     def dwell_words(self) -> str:
         """Words on `mask_dwells`, those of the first look."""
@@ -199,10 +242,27 @@ class LooksExposure(TrainedExposure):
         after = range(1, self.looks + 1)
         return tuple(after), np.array(after) / self.looks
 
+    def count_stops(self, masks: int) -> int:
+        """K, an answer after each look."""
+        return self.looks
+
+    def stop_place(self, seen: Observation) -> Tensor:
+        """Place (..., 1) of an exposure among its looks, from 0, by the time it took."""
+        assert seen.dwell is not None
+        return seen.dwell.sum(dim=-1, keepdim=True) * self.looks - 1
+
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the noise is that of photons."""
         if faults := Looks(looks=self.looks).test_faults([noise]):
             raise InputError(faults[0])
+
+    def check_alone(self) -> None:
+        """Raise `InputError`: counts are compared together with all-ON frames."""
+        raise InputError(
+            "this design chooses dwells while the exposure runs, and its counts are tested with "
+            "the all-ON frames of their scene: run it with `deepfsi camera live`, or give "
+            "`deepfsi.classify_run` a live run"
+        )
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are not given."""
@@ -228,7 +288,7 @@ class LooksShape:
     """
 
     looks: Annotated[int, Field(ge=2, le=64)]
-    hidden: tuple[Annotated[int, Field(ge=1)], ...]
+    hidden: Widths
     shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = field(default="adaptive", kw_only=True)
 

@@ -15,11 +15,14 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as validated
 from torch import Tensor
 
+from deepfsi.design.calibration import find_distribution
 from deepfsi.design.classifiers import Mlp
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.camera import Camera
+from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 
@@ -147,9 +150,41 @@ class TrainedExposure:
             "a design with `looks`"
         )
 
+    def compared(self, rails: int, readouts: int) -> tuple[tuple[int, int], int]:
+        """Readouts (rails, m) that counts are compared in, and looks; 0 of fixed dwells."""
+        return (rails, readouts), 0
+
+    def distribution(
+        self,
+        rates: Tensor,
+        lit: Tensor,
+        labels: np.ndarray,
+        classes: int,
+        detection: Detection,
+        mean: Tensor,
+        std: Tensor,
+    ) -> ReadoutDistribution | None:
+        """Distribution of the readouts of scenes, None if there are too few of a class."""
+        # rates (n, rails, m · D) as from `Design.rates`; lit (n,), the scenes' light for a budget
+        # of one photon; mean, std (k,)
+        return find_distribution(rates, labels, classes)
+
     def fewest_masks(self, masks: int) -> int:
         """Smallest number of first masks, of m, that can be classified alone."""
         return masks
+
+    def count_stops(self, masks: int) -> int:
+        """Numbers of masks, of m, or of looks, after which an exposure can be classified."""
+        return masks - self.fewest_masks(masks) + 1
+
+    def stop_place(self, seen: Observation) -> Tensor | int:
+        """Place of an exposure so far among these numbers, from 0."""
+        masks = seen.features.shape[-1] // self.width
+        return masks - self.fewest_masks(masks)
+
+    def budget(self, photons: Tensor) -> Tensor:
+        """Budget (..., 1) of an exposure, of that of each of its parts."""
+        return photons
 
     def using(self, used: float) -> "TrainedExposure":
         """The kind for masks that take another share of the light law, see `used`."""
@@ -181,6 +216,9 @@ class TrainedExposure:
 
     def check_noise(self, noise: str) -> None:
         """Raise `InputError` unless the exposure can be tested under a noise."""
+
+    def check_alone(self) -> None:
+        """Raise `InputError` if counts of masks alone are not compared with the training."""
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are given and not needed, or needed and not given."""
@@ -226,6 +264,10 @@ class PatchExposure(TrainedExposure):
     def cut(self, scenes: Tensor, image_shape: tuple[int, ...]) -> Tensor:
         """Patches (..., P, N) of images (..., H · W), as the masks see them."""
         return cut(scenes, image_shape, self.side)
+
+    def budget(self, photons: Tensor) -> Tensor:
+        """Budget (..., 1) of an image: every patch has it."""
+        return photons[..., 0, :] if photons.ndim > 1 else photons
 
     def check_frames(self) -> None:
         """Raise `InputError`: frames are for whole images."""

@@ -10,9 +10,14 @@ from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
 from deepfsi.hardware.patterns.sequence import Patterns
 from deepfsi.hardware.recording.counts import Counts
+from deepfsi.hardware.recording.faults import SPOILING
 
 CLEAR_SIGMAS = 5.0
 """Standard errors by which a detector must count more of a cell's light than any other does."""
+
+
+WORST_GAIN = 0.01
+"""Standard error of a detector's efficiency at most, a share."""
 
 
 def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
@@ -47,6 +52,41 @@ def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
             "export the scan for fewer `detectors`"
         )
     return best.astype(np.int64).reshape(shape)
+
+
+def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
+    """Efficiency of each detector over their mean, from a run of a uniform white scene."""
+    # What each counts in all masks together, over what its cells of the masks send it
+    manifest, rails = patterns.manifest, patterns.rails
+    several, count = manifest.detectors, manifest.detector_count
+    spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
+    if counts.gains or spoilt:
+        raise InputError(
+            "the flat field's light is not what it should be, or it was corrected itself: record "
+            "uniform white, and count it without a flat field"
+        )
+    if several is None and not manifest.two_arm:
+        raise InputError("one detector has no other to be compared with: leave the flat field out")
+    if several is not None and several.cells is None:
+        raise InputError("nothing says which cells each detector sees: give patterns of a design")
+    labels = np.zeros(rails.shape[-1], int) if several is None else np.array(several.cells)
+    usable = counts.by_readout(counts.valid)
+
+    def by_input(values: np.ndarray) -> np.ndarray:
+        """Sums of readouts (rails, m, D) that each input counts, (arms, D)."""
+        each = values.reshape(manifest.rails, -1, count).sum(axis=1)
+        return each if manifest.two_arm else each.sum(axis=0, keepdims=True)
+
+    found = by_input(counts.signal().sum(axis=(0, 1), where=usable))
+    noise = by_input(counts.variance.sum(axis=(0, 1), where=usable))
+    lit = by_input(np.stack([rails[..., labels == d].sum(axis=-1) for d in range(count)], axis=-1))
+    if not (np.sqrt(noise) < WORST_GAIN * found).all():
+        raise InputError(
+            f"the flat field does not tell each detector's share to {WORST_GAIN:.1%}: record it "
+            "longer, or with more light"
+        )
+    gains = (found / lit).ravel()
+    return tuple((gains / gains.mean()).tolist())
 
 
 def save_detectors(labels: np.ndarray, folder: Path) -> Path:

@@ -43,8 +43,8 @@ class FittedView:
     error: float  # standard error of the place of the display's worst corner, cells
 
 
-class _Spots:
-    """Displayed spots, and what cells see of them through a view (8 of its homography, blur)."""
+class DisplayedScenes:
+    """Displayed scenes, and what cells see of them through a view (8 of its homography, blur)."""
 
     def __init__(self, scenes: np.ndarray, grid: Grid) -> None:
         self.grid = grid
@@ -86,10 +86,10 @@ def fit_view(
 ) -> FittedView:
     """Fit homography and blur to pictures of spots, from a first homography."""
     # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
-    spots = _Spots(scenes, grid)
+    spots = DisplayedScenes(scenes, grid)
     used, view = agreed, np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
     for _ in range(3):
-        view, jacobian, noise = _solve(_Spots(scenes[used], grid), pictures[used], view)
+        view, jacobian, noise = _solve(DisplayedScenes(scenes[used], grid), pictures[used], view)
         shifts, bright = _shifts(spots, pictures, view)
         near = bright & (np.hypot(*shifts.T) < OUTLIER_CELLS)
         if near.sum() < 4 or (near == used).all():
@@ -106,7 +106,7 @@ def fit_view(
 
 
 def _solve(
-    spots: _Spots, pictures: np.ndarray, view: np.ndarray
+    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Least-squares view, the Jacobian of its weighted misfit, and the misfit's variance."""
     weight = np.ones_like(pictures)
@@ -148,7 +148,9 @@ def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
     return np.asarray(1 / np.sqrt(variance / most + LEAST_VARIANCE)).reshape(pictures.shape)
 
 
-def _shifts(spots: _Spots, pictures: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _shifts(
+    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Distance of spots from where the view shows them, cells (spots, 2), and which are bright."""
     # A distance that a picture does not tell, since the spot lies within one cell or is faint, is
     # taken to be small beside `OUTLIER_CELLS`
@@ -172,7 +174,9 @@ def _shifts(spots: _Spots, pictures: np.ndarray, view: np.ndarray) -> tuple[np.n
     return shifts, bright
 
 
-def _corner_error(spots: _Spots, view: np.ndarray, jacobian: np.ndarray, noise: float) -> float:
+def _corner_error(
+    spots: DisplayedScenes, view: np.ndarray, jacobian: np.ndarray, noise: float
+) -> float:
     """Standard error, cells, of the place on the device of the display's worst corner."""
     spread = np.linalg.pinv(jacobian.T @ jacobian)[:8, :8] * noise
     worst = 0.0

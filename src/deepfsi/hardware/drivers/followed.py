@@ -57,6 +57,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
             self._file = open(path, "rb", buffering=0, opener=_open_at_once)  # noqa: SIM115
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror}") from None
+        self._path = path
         self._frames = StreamCounter(self._inputs, self._bit, path)
 
     def expect(self, gates: FrameGates) -> None:
@@ -74,7 +75,21 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
             if time.monotonic() > end:
                 return FrameCounts.join([], len(self._inputs))
             if not size:
+                self._check_same(file)
                 time.sleep(POLL_S)
+
+    def _check_same(self, file: FileIO) -> None:
+        """Raise `InputError` if the path no longer leads to the file that is followed."""
+        try:
+            same = os.path.samestat(os.stat(self._path), os.fstat(file.fileno()))
+        except FileNotFoundError:
+            same = False
+        if not same:
+            raise InputError(
+                f"{self._path} was replaced, renamed or deleted while it was followed, and what is "
+                "recorded now is in another file: let the counter's software write into one file "
+                "from begin to end"
+            )
 
     def stop(self) -> None:
         """Follow no longer; what records the file is not stopped."""

@@ -6,16 +6,27 @@ from pydantic import Field, model_validator
 
 from deepfsi.frozen import Frozen
 
+MOST_DETECTORS = 2**16
+"""Detectors of an arm at most."""
+
 
 class Detectors(Frozen):
     """Detectors of a device, or of each of its two arms."""
 
-    count: int = Field(ge=2)  # D, 2 or more
+    count: int = Field(ge=2, le=MOST_DETECTORS)  # D
     # Detector of each cell, 0 .. D-1; None where that is not known, as before a calibration
     cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
 
+    # Share of each detector in the light of each class of the training, (classes, D), and the
+    # standard deviation of a scene's about it, (D,); None where that is not known
+    shares: tuple[tuple[Annotated[float, Field(ge=0, le=1)], ...], ...] | None = None
+    spread: tuple[Annotated[float, Field(ge=0, allow_inf_nan=False)], ...] = ()
+
     @model_validator(mode="after")
     def _numbered_without_a_gap(self) -> Self:
-        if self.cells is not None and set(self.cells) != set(range(self.count)):
+        found = set(self.cells or ())
+        if found and (len(found) != self.count or max(found) != self.count - 1):
             raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
+        if self.shares is not None and {len(self.spread), *map(len, self.shares)} != {self.count}:
+            raise ValueError("the light of the classes is of another number of detectors")
         return self

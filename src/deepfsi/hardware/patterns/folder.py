@@ -19,7 +19,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error, check_known
-from deepfsi.files import hash_file, new_folder
+from deepfsi.files import check_unpacked, hash_file, new_folder, read_regular
 from deepfsi.grid import find_grid
 from deepfsi.hardware.patterns import frame_files, mirrors, planes, sequence
 from deepfsi.hardware.patterns.detectors import Detectors
@@ -33,6 +33,9 @@ SENTINELS = 4
 
 DESIGN, LOOP = "design.safetensors", "loop.safetensors"
 """Files of the design, and of the networks that choose its dwells."""
+
+LARGEST_MANIFEST = 2**29
+"""Bytes of a manifest at most."""
 
 ARMS_SLACK = 1e-4
 """Share of the exposure by which two arms' times may differ between pixels."""
@@ -99,7 +102,8 @@ def export_patterns(
     """Write what a device shows for a design, frame by frame, into a new folder."""
     # Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
     # common factor `manifest.dimmed`
-    device, grid = settings.device, find_grid(settings.device, design.image_shape)
+    device = settings.device
+    grid = find_grid(device, design.image_shape, settings.layout)
     counted = mirrors.count_mirrors(design.rails, design.light, grid.mirrors)
     if not counted.shown:
         raise InputError("every mask is dark, so there is nothing to show: give a lit design")
@@ -124,6 +128,7 @@ def export_patterns(
             selection=settings.selection,
             seed=settings.seed,
             format=settings.format,
+            layout=settings.layout,
         )
         check_limits(manifest)
         return _write(draft, sequence.Patterns(manifest, counted.on), design)
@@ -185,12 +190,7 @@ def _write(folder: Path, patterns: sequence.Patterns, design: DesignRails) -> se
 def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     """Patterns of a folder, without reading its frames."""
     path = Path(folder) / "manifest.json"
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"no patterns in {folder} ({error.strerror}): make them with `deepfsi dmd export`"
-        ) from None
+    content = read_regular(path, LARGEST_MANIFEST, "make patterns with `deepfsi dmd export`")
     with as_input_error(str(path), "export the patterns again"):
         manifest = sequence.Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):
@@ -202,6 +202,8 @@ def read_patterns(folder: str | os.PathLike[str]) -> sequence.Patterns:
     counts = Path(folder) / "mirrors.npy"
     with frame_files.open_array(counts, "<u4", shape, first=int(manifest.shown[0])) as file:
         on = np.frombuffer(file.read(4 * math.prod(shape)), "<u4").reshape(shape)
+    every, again = manifest.rails * manifest.masks * on.shape[1], "export the patterns again"
+    check_unpacked(every, on.nbytes, f"the masks of {path}", again)
     if on.max(initial=0) > manifest.grid.mirrors:
         raise InputError(
             f"{counts} has cells with more than their {manifest.grid.mirrors} mirrors: export the "
@@ -249,7 +251,7 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
         frame = manifest.frames[place]
         name = f"frame {place} of {folder} ({frame})"
         wanted = next(masks) if frame.role == "mask" else grid.mirrors * (frame.role == "on")
-        lit = mirrors.unpack(packed, manifest.device)
+        lit = mirrors.unpack(packed, manifest.device) ^ manifest.layout.invert
         on = mirrors.recount(lit, grid)
         if (on != wanted).any() or np.count_nonzero(lit) != on.sum():
             raise InputError(
@@ -260,9 +262,7 @@ def check_patterns(folder: str | os.PathLike[str], report: Report = SILENT) -> s
     if manifest.format == "planes":
         planes.check_tables(folder, manifest)
     for name, digest in companions(manifest).items():
-        with planes.reading(str(folder / name)):
-            found = hash_file(folder / name)
-        if found != digest:
+        if hash_file(folder / name) != digest:
             raise InputError(
                 f"{folder / name} is not the one that was exported: export the patterns again"
             )

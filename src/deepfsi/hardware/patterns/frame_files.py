@@ -9,6 +9,7 @@ planes 24 frames a picture, with tables (`planes`)
 import hashlib
 import io
 import math
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngImageFile
 
 from deepfsi.errors import InputError
+from deepfsi.files import open_regular
 from deepfsi.hardware.patterns.planes import load_planes, read_picture, reading, write_planes
 from deepfsi.hardware.patterns.sequence import FrameSettings, Manifest
 from deepfsi.progress import SILENT, Report
@@ -98,7 +100,7 @@ def open_array(
 ) -> Iterator[IO[bytes]]:
     """Open a file at the start of an array's data, certain that all of it is there."""
     again = "export the patterns again"
-    with reading(str(path)), path.open("rb") as file:
+    with reading(str(path)), open_regular(path, advice=again) as file:
         dtype = np.dtype(kind or "u1")
         if kind is not None:
             header = npy_header(kind, shape)
@@ -108,7 +110,7 @@ def open_array(
                     f"manifest.json says: {again}"
                 )
         wanted = dtype.itemsize * math.prod(shape)
-        here = path.stat().st_size - file.tell()
+        here = os.fstat(file.fileno()).st_size - file.tell()
         if here > wanted:
             raise InputError(f"{path} has {here - wanted} bytes too many: {again}")
         if here < wanted:

@@ -5,8 +5,8 @@ A cell's grey level is the number `k` of its `K` mirrors that are ON, exact in b
 cell, so that k/K of the light is taken even where a scene varies within a cell; `random` takes any
 k, drawn anew for each cell of each frame.
 
-Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1; each row
-begins a new byte.
+Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
+layout inverts them; each row begins a new byte.
 """
 
 from collections.abc import Iterable, Iterator
@@ -91,6 +91,16 @@ def make_frames(
 ) -> Iterator[np.ndarray]:
     """Packed frames, one at a time."""
     # on (N,)
+    every = np.packbits(np.ones((device.rows, device.columns), dtype=np.bool_), axis=1)
+    for frame in _lit_frames((each[grid.pixels] for each in on), device, grid, selection, seed):
+        yield frame ^ every if grid.layout.invert else frame
+
+
+def _lit_frames(
+    on: Iterable[np.ndarray], device: Device, grid: Grid, selection: Selection, seed: int
+) -> Iterator[np.ndarray]:
+    """Packed frames of the cells of the device, mirrors ON as 1."""
+    # on (down, across)
     if selection == "random":
         yield from _draw(on, device, grid, np.random.default_rng(seed))
     elif _aligned(device, grid):
@@ -100,7 +110,7 @@ def make_frames(
 
 
 def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
-    """Mirrors of a packed frame, bool (rows, columns), True where ON."""
+    """Mirrors of a packed frame, bool (rows, columns), True where the frame has a 1."""
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
 
 
@@ -108,7 +118,9 @@ def recount(mirrors: np.ndarray, grid: Grid) -> np.ndarray:
     """Mirrors ON in each cell, shape (N,), of a frame's mirrors, bool (rows, columns)."""
     window = mirrors[grid.window].view(np.uint8)
     cells = window.reshape(grid.down, grid.height, grid.across, grid.width)
-    return cells.sum(axis=(1, 3), dtype=np.uint32).ravel()
+    out = np.empty(grid.pixels.size, dtype=np.uint32)
+    out[grid.pixels] = cells.sum(axis=(1, 3), dtype=np.uint32)
+    return out
 
 
 @lru_cache(maxsize=4)
@@ -192,7 +204,7 @@ def _look_up(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[n
         rows = frame[grid.top : grid.top + grid.down * grid.height]
         left = grid.left // 8
         window = rows[:, left : left + grid.across * grid.width // 8]
-        cells = whole[:, counts.reshape(grid.down, grid.across)]
+        cells = whole[:, counts]
         shape = grid.down, grid.height, grid.across * grid.width // 8
         window.reshape(shape)[...] = cells.transpose(1, 0, 2).copy().view(np.uint8).reshape(shape)
         yield frame
@@ -202,7 +214,7 @@ def _compare(on: Iterable[np.ndarray], device: Device, grid: Grid) -> Iterator[n
     """Frames from comparing each mirror's place in the order with its cell's count."""
     order = order_mirrors(grid.height, grid.width)[None, :, None, :]
     for counts in on:
-        lit = order < counts.reshape(grid.down, 1, grid.across, 1)
+        lit = order < counts[:, None, :, None]
         yield _pack(lit, device, grid)
 
 
@@ -212,8 +224,8 @@ def _draw(
     """Frames with mirrors drawn at random, as many as counted."""
     places = np.arange(grid.mirrors, dtype=np.uint32)
     for counts in on:
-        lit = places < counts[:, None]
-        grey = (counts > 0) & (counts < grid.mirrors)
+        lit = places < counts.reshape(-1, 1)
+        grey = ((counts > 0) & (counts < grid.mirrors)).ravel()
         lit[grey] = rng.permuted(lit[grey], axis=1)
         cells = lit.reshape(grid.down, grid.across, grid.height, grid.width)
         yield _pack(cells.transpose(0, 2, 1, 3), device, grid)

@@ -20,10 +20,14 @@ from PIL.BmpImagePlugin import BmpImageFile
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
+from deepfsi.files import open_regular, read_regular
 from deepfsi.hardware.patterns.sequence import Manifest
 
 ON_THE_FLY = 3
 """Display mode of a DLPC900 in which its pictures come over USB (guide DLPU018, 0x1A1B)."""
+
+LARGEST_PICTURE = 2**31
+"""Bytes of a picture of frames at most."""
 
 Place = tuple[int, int]
 """Picture that holds a frame, and the bit position in it."""
@@ -70,9 +74,8 @@ def tables(manifest: Manifest) -> dict[str, str]:
 def check_tables(folder: Path, manifest: Manifest) -> None:
     """Raise `InputError` unless the tables of a folder say what its manifest says."""
     for name, content in tables(manifest).items():
-        with reading(str(folder / name)):
-            found = (folder / name).read_text("utf-8")
-        if found != content:
+        again, wanted = "export the patterns again", content.encode()
+        if read_regular(folder / name, 2 * len(wanted), again) != wanted:
             raise InputError(
                 f"{folder / name} does not say what manifest.json says: export the patterns again"
             )
@@ -105,7 +108,9 @@ def read_picture(
     path: Path, device: Device, opener: type[ImageFile.ImageFile], mode: str
 ) -> Iterator[Image.Image]:
     """Open the picture of a frame, or of several, that has a device's size and this mode."""
-    with reading(str(path)), opener(path) as picture:
+    advice = "export the patterns again"
+    opened = open_regular(path, LARGEST_PICTURE, advice)
+    with reading(str(path)), opened as file, opener(file) as picture:
         if picture.mode != mode or picture.size != (device.columns, device.rows):
             depth = "one bit" if mode == "1" else "24 bits"
             raise InputError(

@@ -26,10 +26,10 @@ from pydantic import Field, model_validator
 from deepfsi.devices import LONGEST_PICTURE_S, Device
 from deepfsi.errors import InputError, check_known
 from deepfsi.frozen import Frozen
-from deepfsi.grid import Grid, find_grid
+from deepfsi.grid import USUAL, Grid, Layout, find_grid
 from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.looks import Looks
-from deepfsi.laws import Light, Readout
+from deepfsi.laws import Light, Readout, SummedReflectance
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -59,13 +59,14 @@ Format = Literal["npy", "raw", "png", "planes"]
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """Settings of an export: device, mean picture time, choice of mirrors and kind of file."""
+    """Settings of an export: device, mean picture time, choice of mirrors, files and layout."""
 
     device: Device
     dwell_s: float
     selection: Selection = "ordered"
     seed: int = 0
     format: Format = "npy"
+    layout: Layout = USUAL
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dwell_s) and 0 < self.dwell_s <= LONGEST_PICTURE_S):
@@ -189,7 +190,7 @@ class Manifest(Frozen):
     # (`column`): each exposure then gives this share of its counts
     dimmed: float = Field(gt=0, le=1)
     # s, the training scenes' mean summed reflectance
-    summed_reflectance: float = Field(gt=0, allow_inf_nan=False)
+    summed_reflectance: SummedReflectance
     brightness: Brightness | None = None  # By how much scenes differ from it, where that is known
     # Which see which cells; None where one sees all that an arm sends
     detectors: Detectors | None = None
@@ -198,6 +199,8 @@ class Manifest(Frozen):
     looks: Looks | None = None
     selection: Selection  # Choice of the mirrors of a grey cell
     seed: int = 0  # Of the random selection
+    # How the cells lie on the device; of folders that do not say so they fill it
+    layout: Layout = Layout(stretch=True)
     format: Format  # Files of the frames
     design_sha256: str | None = None  # Of the design file beside it
     mirrors_sha256: str  # Of the numbers in mirrors.npy
@@ -222,16 +225,27 @@ class Manifest(Frozen):
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
             raise ValueError("the first look has a dwell for other frames than the masks'")
+        if len(self.frames) * self.detector_count > MOST_FRAMES:
+            raise ValueError(
+                f"{len(self.frames)} frames of {self.detector_count} detectors are given, and at "
+                f"most {MOST_FRAMES} together are allowed"
+            )
         cells = self.detectors and self.detectors.cells
         if cells and len(cells) != math.prod(self.image_shape):
             raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")
-        find_grid(self.device, self.image_shape)  # the device must hold the cells
+        find_grid(self.device, self.image_shape, self.layout)  # the device must hold the cells
         return self
 
     @cached_property
     def grid(self) -> Grid:
         """Cells of the masks."""
-        return find_grid(self.device, self.image_shape)
+        return find_grid(self.device, self.image_shape, self.layout)
+
+    @property
+    def used(self) -> float:
+        """Share of the device's mirrors that are of a cell, and of its light where that is even."""
+        grid, device = self.grid, self.device
+        return grid.down * grid.across * grid.mirrors / (device.columns * device.rows)
 
     @cached_property
     def shown(self) -> np.ndarray:

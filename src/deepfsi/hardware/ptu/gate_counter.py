@@ -85,6 +85,13 @@ class GateCounter:
         return self.take()
 
 
+def cut_gates(starts: np.ndarray, stops: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and stops (gates · parts,) of the equal parts of gates, whole ticks."""
+    # starts, stops (gates,)
+    edges = starts[:, None] + (stops - starts)[:, None] * np.arange(parts + 1) // parts
+    return edges[:, :-1].ravel(), edges[:, 1:].ravel()
+
+
 def _join_edges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
     """Starts and stops in turn, int64, shape (2 gates,)."""
     starts, stops = np.asarray(starts), np.asarray(stops)

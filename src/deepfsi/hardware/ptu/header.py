@@ -1,18 +1,16 @@
 """Header of a PTU file: tags that describe the recording, and the types of its records."""
 
-import contextlib
 import os
-import stat
 import struct
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
-from io import FileIO
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from deepfsi.errors import InputError
+from deepfsi.files import open_regular
 
 MAGIC = b"PQTTTR"
 """First bytes of a file."""
@@ -146,7 +144,7 @@ Fewer than it needs are the end of the file.
 def read_header(path: str | os.PathLike[str]) -> Header:
     """Header of a PTU file."""
     parser = parse_header(path)
-    with open_file(path) as file:
+    with open_regular(path, buffering=0) as file:
         needed = next(parser)
         while True:
             try:
@@ -246,16 +244,3 @@ def _integer(
             f"{path} is damaged: its tag {name!r} is {str(value)[:40]!r}, not an integer"
         )
     return value
-
-
-@contextlib.contextmanager
-def open_file(path: str | os.PathLike[str]) -> Iterator[FileIO]:
-    """Open a file to read, without a buffer; raise `InputError` unless it is a regular file."""
-    try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise InputError(f"{path} is not a file")
-        file = open(path, "rb", buffering=0)  # noqa: SIM115 - errors of what follows are not ours
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    with file:
-        yield file

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.ptu.header import PICOHARP_T2, PICOHARP_T3, Header, Kind, open_file
+from deepfsi.files import open_regular
+from deepfsi.hardware.ptu.header import PICOHARP_T2, PICOHARP_T3, Header, Kind
 from deepfsi.progress import SILENT, Report
 
 RECORDS_IN_MEMORY = 2**19
@@ -140,7 +141,7 @@ def read_parts(header: Header, report: Report = SILENT, ordered: bool = True) ->
     """Decode a file in parts; none follows one with a `fault`. Parameters as of `Decoder`."""
     decoder = Decoder(header.kind, header.tick_s, ordered)
     buffer = np.empty(RECORDS_IN_MEMORY, "<u4")
-    with open_file(header.path) as file:
+    with open_regular(header.path, buffering=0) as file:
         file.seek(header.offset)
         for first in range(0, header.records, RECORDS_IN_MEMORY):
             words = buffer[: header.records - first]

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import new_folder
+from deepfsi.files import hash_file, new_folder, read_regular
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -41,6 +41,9 @@ MOST_INPUTS = 64
 
 LARGEST_JSON = 2**24
 """Bytes of acquisition.json at most."""
+
+LARGEST_COMPANION = 2**32
+"""Bytes of a file beside the manifest of patterns at most."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Finite number above 0."""
@@ -142,10 +145,10 @@ def prepare(
     source = Path(patterns_folder)
     patterns = read_patterns(source)
     names = ["manifest.json", "mirrors.npy", *companions(patterns.manifest)]
-    try:
-        content = {name: (source / name).read_bytes() for name in names}
-    except OSError as error:
-        raise InputError(f"{source} cannot be copied ({error.strerror}): export again") from None
+    content = {
+        name: read_regular(source / name, LARGEST_COMPANION, "export the patterns again")
+        for name in names
+    }
     digest = sha256(content["manifest.json"]).hexdigest()
     if acquisition.manifest_sha256 not in (None, digest):
         raise InputError(f"the acquisition is of other patterns than those in {source}")
@@ -164,7 +167,7 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
     """Settings and patterns of a recording, checked for consistency."""
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
-    content = read_limited(path, LARGEST_JSON, hint)
+    content = read_regular(path, LARGEST_JSON, hint)
     with as_input_error(str(path)):
         acquisition = Acquisition.model_validate_json(content)
     patterns = read_patterns(path.parent / "patterns")
@@ -174,7 +177,7 @@ def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patte
             f"{path} has no manifest_sha256, so nothing says that {manifest} was shown: make the "
             "folder with `deepfsi camera prepare`"
         )
-    if sha256(manifest.read_bytes()).hexdigest() != acquisition.manifest_sha256:
+    if hash_file(manifest) != acquisition.manifest_sha256:
         raise InputError(
             f"{manifest} is not the one that {path} was made with: copy the patterns that were "
             "shown"
@@ -274,15 +277,3 @@ def name_inputs(inputs: tuple[int, ...]) -> str:
     if len(inputs) > 2 and inputs == tuple(range(inputs[0], inputs[0] + len(inputs))):
         return f"{inputs[0] + 1} to {inputs[-1] + 1}"
     return " and ".join(str(each + 1) for each in inputs)
-
-
-def read_limited(path: Path, largest: int, hint: str) -> bytes:
-    """Content of a file."""
-    try:
-        with path.open("rb") as file:
-            content = file.read(largest + 1)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): {hint}") from None
-    if len(content) > largest:
-        raise InputError(f"{path} has more than {largest} bytes: {hint}")
-    return content

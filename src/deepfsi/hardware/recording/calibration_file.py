@@ -12,8 +12,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import write_atomically
+from deepfsi.errors import as_input_error
+from deepfsi.files import read_regular, write_atomically
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.dead_time import DeadTime
 
@@ -25,6 +25,9 @@ LARGEST_RESIDUAL_CELLS = 0.25
 
 LARGEST_ERROR_CELLS = 0.1
 """Standard error of the view above which a calibration is doubted, cells."""
+
+LARGEST_FILE = 2**26
+"""Bytes of a calibration's file at most."""
 
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 """Number from 0 to 1."""
@@ -98,10 +101,6 @@ def save_calibration(calibration: Calibration, folder: Path) -> Path:
 def load_calibration(folder: Path) -> Calibration:
     """Read `calibration.json` of a folder."""
     path = Path(folder) / "calibration.json"
-    try:
-        with as_input_error(f"'{path}'", "calibrate the camera again"):
-            return Calibration.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise InputError(
-            f"no calibration at '{path}' ({error.strerror}): calibrate the camera first"
-        ) from None
+    content = read_regular(path, LARGEST_FILE, "calibrate the camera")
+    with as_input_error(f"'{path}'", "calibrate the camera again"):
+        return Calibration.model_validate_json(content)

@@ -63,9 +63,11 @@ def count(
     inputs: tuple[int, ...] | None = None,
     marker_bit: int | None = None,
     dead_time: DeadTime | None = None,
+    gains: tuple[float, ...] = (),
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz."""
+    # gains: relative efficiency of each detector, as `find_gains` gives them
     recorded, patterns = read_acquisition(folder)
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
@@ -89,7 +91,7 @@ def count(
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
     dead = _find_dead_time(Path(folder), dead_time)
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
-    factors = dead.correction(rates)
+    factors = dead.correction(rates).divided(_check_gains(gains, manifest))
     shape = len(rates), *parts.middles.shape
     parted = parted[fits].reshape(*shape, -1)
     arrivals = parted * factors.arrivals[:, :, None]
@@ -111,6 +113,7 @@ def count(
         inputs=acquisition.inputs,
         faults=(*frames.faults, *shifted, *late, *light.faults),
         dead_time=dead,
+        gains=gains,
     )
     counts.save(Path(folder), recorded)
     return counts
@@ -174,6 +177,16 @@ def _find_dead_time(folder: Path, given: DeadTime | None) -> DeadTime:
     return given or NO_DEAD_TIME
 
 
+def _check_gains(gains: tuple[float, ...], manifest: Manifest) -> np.ndarray:
+    """Gains (inputs,) of all detectors, 1 where none are given."""
+    if gains and len(gains) != manifest.inputs:
+        raise InputError(
+            f"the flat field is of {len(gains)} detectors, and these patterns are for "
+            f"{manifest.inputs}: record it with the same detectors"
+        )
+    return np.array(gains or (1.0,) * manifest.inputs)
+
+
 def _check_lit(header: Header, acquisition: Acquisition, light: Light) -> None:
     """Raise `InputError` if no pass has light, saying which inputs have photons."""
     if light.lit.any():
@@ -200,6 +213,14 @@ def _show_ends(header: Header, photons: np.ndarray, seconds: np.ndarray) -> np.n
         ]
     )
     if not fits.any():
+        with np.errstate(invalid="ignore"):
+            rates = np.nanmean(np.where(seconds > 0, photons / seconds, np.nan), axis=0)
+        if min(rates[[1, -1]]) > 2 * max(rates[[0, -2]]):
+            raise InputError(
+                f"{header.path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
+                "inverted; export the patterns again with --invert, or give the inputs of the arms "
+                "in the other order"
+            )
         raise InputError(
             f"{header.path} has no pass that begins and ends with a bright and a dark frame: give "
             "the patterns that were shown, and the input that the detector is wired to"

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.errors import InputError
-from deepfsi.files import hash_file, write_atomically
+from deepfsi.files import hash_file, read_regular, write_atomically
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.frame_files import npy_header
 from deepfsi.hardware.patterns.sequence import Manifest
@@ -29,7 +29,6 @@ from deepfsi.hardware.recording.acquisition import (
     Positive,
     check_fixed,
     read_acquisition,
-    read_limited,
 )
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.faults import SPOILING, Fault
@@ -84,6 +83,8 @@ class Counts:
     inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
     faults: tuple[Fault, ...]  # of the recording
     dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
+    # Relative efficiency of each detector, corrected too; empty where none was measured
+    gains: tuple[float, ...] = ()
 
     @property
     def background(self) -> np.ndarray:
@@ -151,7 +152,7 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
     """Counts in the folder of an acquisition of a manifest's patterns."""
     check_fixed(acquisition, folder)
     path, photons = folder / "counts.npz", folder / "photons.ptu"
-    content = read_limited(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
+    content = read_regular(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
     again = "count again with `deepfsi camera count`"
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -212,6 +213,7 @@ class _Provenance(Frozen):
     inputs: tuple[int, ...]
     faults: tuple[Fault, ...]
     dead_time: DeadTime
+    gains: tuple[Positive, ...] = ()
 
 
 def _member(

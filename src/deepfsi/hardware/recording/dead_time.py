@@ -71,6 +71,10 @@ class Correction:
     arrivals: np.ndarray  # arrivals for each count
     variance: np.ndarray  # variance of the arrivals for each count
 
+    def divided(self, gains: np.ndarray) -> "Correction":
+        """Factors of inputs (inputs,) that count so many times as much of the light as usual."""
+        return Correction(self.arrivals / gains, self.variance / gains**2)
+
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)
 """Nothing is lost."""

@@ -25,8 +25,8 @@ MOST_FAULTS = 10_000
 MARKERS = ("missing", "extra", "late", "lost")
 """Faults of the markers; the others are of the light."""
 
-SPOILING = ("dark", "unsteady", "brighter", "flicker")
-"""Faults of the light that leave a scene's counts without a meaning."""
+SPOILING = ("dark", "unsteady", "brighter", "flicker", "budget", "gain", "unsure", "unlike")
+"""Faults that leave a scene's counts without a meaning."""
 
 
 class Fault(Frozen):
@@ -38,10 +38,14 @@ class Fault(Frozen):
     # changed within the pass. `brighter`: a mask sends more than all mirrors ON. `flicker`: it has
     # a rhythm, in all passes. `level`: it is of another brightness from this scene on.
     # `background`: so are the dark frames. `blind`: one of several detectors saw almost none in all
-    # scenes together
+    # scenes together. `gain`: several detectors share it as no scenes of the training do. `budget`:
+    # there is less of it than a design was trained for, or, of a live run, it is not the stated
+    # one. Of a live run, too, `unsure`: a scene's counts do not look like the training's.
+    # `unlike`: nor do those of several scenes before
     kind: Literal[
         "missing", "extra", "late", "lost",
-        "dark", "unsteady", "brighter", "flicker", "level", "background", "blind",
+        "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
+        "gain", "unsure", "unlike",
     ]  # fmt: skip
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant

@@ -39,35 +39,47 @@ class _Block:
     photons: np.ndarray  # (P, f)
 
 
-def find_flicker(
-    photons: np.ndarray, seconds: np.ndarray, middles: np.ndarray, chance: float
-) -> tuple[float, float] | None:
-    """Strongest rhythm beyond chance, if any: Hz, and its amplitude as a share of the mean."""
-    # The pass that shows most of it is left out where there are three or more: what one pass alone
-    # shows is no rhythm. photons, seconds (P, F, K); middles (F, K)
-    whole = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
-    every = photons.sum(axis=2)
-    lacks = photons - every[..., None] * seconds / whole
-    number = np.floor((middles[:, 0] - middles[0, 0]) / BLOCK_S).astype(int)
-    cuts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
-    blocks = [_Block(middles[a:b], lacks[:, a:b], every[:, a:b]) for a, b in pairwise(cuts)]
-    tried = _frequencies(blocks)
-    if not len(tried):
-        return None
-    each = max(1, AT_ONCE // middles.size)
-    found = np.concatenate(
-        [_gather(blocks, tried[a : a + each]) for a in range(0, len(tried), each)], axis=1
-    )
-    total, strongest, count, size = found
-    many = count >= 3
-    left = np.where(many, total - strongest, total)
-    chances = chdtrc(np.maximum(2 * (count - many), 1), left) * len(tried)
-    best = int(np.argmin(chances))
-    if not (count[best] and chances[best] <= chance):
-        return None
-    best = int(np.argmax(np.where(chances <= chance, left, 0)))
-    amplitude = np.sqrt(EXCESS * max(total[best] - 2 * count[best], 0) / size[best])
-    return float(tried[best]), float(amplitude)
+class Periodogram:
+    """Evidence for rhythms, of all passes so far."""
+
+    def __init__(self) -> None:
+        self._tried = np.empty(0)  # Hz, those of the first passes
+        self._found = np.zeros((4, 0))  # as of `_gather`
+
+    def add(self, photons: np.ndarray, seconds: np.ndarray, middles: np.ndarray) -> None:
+        """Add passes whose frames have the same times."""
+        # photons, seconds (P, F, K); middles (F, K)
+        whole = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
+        every = photons.sum(axis=2)
+        lacks = photons - every[..., None] * seconds / whole
+        number = np.floor((middles[:, 0] - middles[0, 0]) / BLOCK_S).astype(int)
+        cuts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
+        blocks = [_Block(middles[a:b], lacks[:, a:b], every[:, a:b]) for a, b in pairwise(cuts)]
+        if not len(self._tried):
+            self._tried = _frequencies(blocks)
+            self._found = np.zeros((4, len(self._tried)))
+        each = max(1, AT_ONCE // middles.size)
+        for a in range(0, len(self._tried), each):
+            found, so_far = _gather(blocks, self._tried[a : a + each]), self._found[:, a : a + each]
+            so_far[1] = np.maximum(so_far[1], found[1])
+            so_far[[0, 2, 3]] += found[[0, 2, 3]]
+
+    def strongest(self, chance: float) -> tuple[float, float] | None:
+        """Strongest rhythm beyond chance, if any: Hz, and its amplitude as a share of the mean."""
+        # The pass that shows most of it is left out where there are three or more: what one pass
+        # alone shows is no rhythm
+        if not len(self._tried):
+            return None
+        total, strongest, count, size = self._found
+        many = count >= 3
+        left = np.where(many, total - strongest, total)
+        chances = chdtrc(np.maximum(2 * (count - many), 1), left) * len(self._tried)
+        best = int(np.argmin(chances))
+        if not (count[best] and chances[best] <= chance):
+            return None
+        best = int(np.argmax(np.where(chances <= chance, left, 0)))
+        amplitude = np.sqrt(EXCESS * max(total[best] - 2 * count[best], 0) / size[best])
+        return float(self._tried[best]), float(amplitude)
 
 
 def _frequencies(blocks: list[_Block]) -> np.ndarray:

@@ -10,10 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from deepfsi.hardware.patterns.sequence import Brightness, Manifest
+from deepfsi.hardware.patterns.sequence import Brightness, Frame, Manifest
 from deepfsi.hardware.recording.acquisition import name_inputs
 from deepfsi.hardware.recording.alignment import CERTAIN_SIGMAS
 from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.gains import find_gains
 from deepfsi.hardware.recording.levels import Allowed, Row, find_parts
 from deepfsi.hardware.recording.sentinels import (
     HARMLESS,
@@ -61,30 +62,37 @@ def find_light(
     # photons, variance (P, F, K, inputs); seconds (P, F, K); middles (F, K); scenes (P,)
     count = manifest.detector_count
     wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
-    arms, detectors = _light_curves(photons, variance, seconds, middles, scenes, wired)
+    arms, detectors = light_curves(
+        photons, variance, seconds, middles, scenes, manifest.frames, wired
+    )
     chance = FALSE_ALARMS / (len(arms) + len(detectors))
-    checked = [check_light(curve, manifest, lost, chance) for curve in arms]
-    alone = [check_light(curve, manifest, lost, chance) for curve in detectors]
+    checked = [check_light(curve, lost, chance) for curve in arms]
+    alone = [check_light(curve, lost, chance) for curve in detectors]
     faults = [fault for each in checked for fault in each.faults]
     named = {(fault.kind, fault.scene) for fault in faults}
     faults += [each for one in alone for each in one.faults if (each.kind, each.scene) not in named]
-    flux, changes = _find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
+    flux, changes = find_flux(arms[0], checked[0], manifest.brightness, chance / LAWS)
     for curve, each in zip(detectors or arms, alone or checked, strict=True):
-        faults += _name_backgrounds(curve, each.background)
+        faults += name_backgrounds(curve, each.background)
     faults += changes
-    faults += _find_blind(detectors, [each.background for each in alone])
+    backgrounds = [each.background for each in alone]
+    faults += _find_blind(detectors, backgrounds)
+    for first in range(0, len(alone), count):
+        arm = slice(first, first + count)
+        faults += find_gains(detectors[arm], backgrounds[arm], manifest.detectors)
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
     rates = np.stack([each.background.rate for each in alone or checked], axis=1)
     lit = np.logical_and.reduce([each.lit for each in checked])
     return Light(flux, rates, lit, tuple(faults))
 
 
-def _light_curves(
+def light_curves(
     photons: np.ndarray,
     variance: np.ndarray,
     seconds: np.ndarray,
     middles: np.ndarray,
     scenes: np.ndarray,
+    shown: tuple[Frame, ...],
     wired: list[tuple[int, ...]],
 ) -> tuple[list[LightCurve], list[LightCurve]]:
     """Light of each arm's detectors together, and of each detector where an arm has several."""
@@ -105,6 +113,7 @@ def _light_curves(
             middles,
             scenes,
             *((on, off) if arm == 0 else (off, on)),
+            shown,
             f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
         )
         arms.append(together)
@@ -115,7 +124,7 @@ def _light_curves(
     return arms, detectors
 
 
-def _find_flux(
+def find_flux(
     curve: LightCurve, checked: Checked, brightness: Brightness | None, chance: float
 ) -> tuple[np.ndarray, list[Fault]]:
     """Flux (P,) and the faults of its changes, from passes whose light was steady if any was."""
@@ -130,7 +139,7 @@ def _find_flux(
     row = Row(counts[used], on[used] + error[used] * on_s[used] ** 2, on_s[used])
     parts, places = [slice(0, int(used.sum()))], np.flatnonzero(used)
     if brightness is not None:
-        parts = find_parts(row, _spread(brightness), chance)
+        parts = find_parts(row, spread(brightness), chance)
         line = _fit_decay(row, parts, brightness)
         if line is not None:
             share = line[-1] / line[0]
@@ -188,7 +197,7 @@ def _name_step(row: Row, scenes: np.ndarray, before: slice, after: slice) -> Fau
     return Fault(kind="level", scene=int(first), detail=detail)
 
 
-def _spread(known: Brightness) -> Allowed:
+def spread(known: Brightness) -> Allowed:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
     most = RANGE_SLACK * np.log(known.high / known.low) if known.low > 0 else np.inf
 
@@ -218,7 +227,7 @@ def _find_blind(detectors: list[LightCurve], backgrounds: list[Background]) -> l
     return faults
 
 
-def _name_backgrounds(curve: LightCurve, background: Background) -> list[Fault]:
+def name_backgrounds(curve: LightCurve, background: Background) -> list[Fault]:
     """Changes of the background; counts are rid of each scene's own."""
     faults, rate = [], background.rate
     for part in background.parts[1:]:

@@ -1,6 +1,6 @@
 """Settings of a live run, as the acquisition's file has them."""
 
-from typing import Annotated
+import math
 
 import numpy as np
 from pydantic import Field
@@ -23,10 +23,15 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
 class StopRule(Frozen):
     """When an exposure stops, as `design.stopping.StoppingRule` has it."""
 
-    # What the logits are divided by after each look; none where all are 1
-    temperatures: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] = ()
     # Confidence above which the exposure stops; 1 for never before the last look
-    threshold: float = Field(1.0, ge=0, le=1)
+    threshold: float = Field(ge=0, le=1)
+    # Budget that it was chosen at, and within a factor of √10 of which it holds; any if None
+    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
+
+    def stops(self, confidence: float, photons: float) -> bool:
+        """True if an exposure of a budget may stop at a confidence."""
+        near = self.photons is None or abs(math.log10(photons / self.photons)) <= 0.5
+        return near and confidence > self.threshold
 
 
 class Live(Frozen):

@@ -5,7 +5,8 @@ import os
 from pathlib import Path
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.hardware.recording.acquisition import Scene, read_limited
+from deepfsi.files import read_regular
+from deepfsi.hardware.recording.acquisition import Scene
 
 LARGEST_LIST = 2**24
 """Bytes of a list at most."""
@@ -19,7 +20,7 @@ def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
     # A line is NAME or NAME,LABEL, quoted as in CSV where a name has a comma. Empty lines, and a
     # first line that names the columns (`name,label`), are left out
     hint = "give a text file with a scene on each line, or a folder of pictures"
-    content = read_limited(Path(path), LARGEST_LIST, hint)
+    content = read_regular(Path(path), LARGEST_LIST, hint)
     try:
         lines = content.decode("utf-8-sig").splitlines()
         rows = [[cell.strip() for cell in row] for row in csv.reader(lines, strict=True)]

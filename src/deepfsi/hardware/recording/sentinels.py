@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.patterns.sequence import Frame
 from deepfsi.hardware.recording.faults import Fault
-from deepfsi.hardware.recording.flicker import find_flicker
+from deepfsi.hardware.recording.flicker import Periodogram
 from deepfsi.hardware.recording.levels import Row, find_parts
 from deepfsi.hardware.recording.tails import EXCESS, excess_chance
 
@@ -68,6 +68,7 @@ class LightCurve:
     # Places of the two frames that send it all light, and of those that send it none
     bright: tuple[int, int]
     dark: tuple[int, int]
+    frames: tuple[Frame, ...]  # that were shown
     name: str  # what to call the inputs in a fault; empty if there is but one arm
     part: bool = False  # true for a detector that sees a part of the device, which may be dark
 
@@ -107,10 +108,22 @@ class Checked:
     faults: tuple[Fault, ...]
 
 
-def check_light(curve: LightCurve, manifest: Manifest, lost: np.ndarray, chance: float) -> Checked:
+def check_light(curve: LightCurve, lost: np.ndarray, chance: float) -> Checked:
     """Check the light of an arm, or of one of its detectors."""
-    each = chance / LAWS
-    background = find_background(curve, each)
+    each, periodogram = chance / LAWS, Periodogram()
+    periodogram.add(curve.photons, curve.seconds, curve.middles)
+    rhythm = find_rhythm(curve, periodogram, each)
+    return check_passes(curve, find_background(curve, each), rhythm, lost, each)
+
+
+def check_passes(
+    curve: LightCurve,
+    background: Background,
+    rhythm: tuple[Fault, ...],
+    lost: np.ndarray,
+    each: float,
+) -> Checked:
+    """Check the light of passes whose background and rhythm are known."""
     lit = _find_lit(curve, background, each)
     looked_at = np.ones_like(lit) if curve.part else lit  # what sees a part need not be lit
     on, on_s = curve.together(curve.bright)
@@ -118,7 +131,6 @@ def check_light(curve: LightCurve, manifest: Manifest, lost: np.ndarray, chance:
     drift = _find_drifts(curve, background, light, each)
     restless = _find_restless(curve, light, each)
     brighter = _find_brighter(curve, each)
-    rhythm = _find_rhythm(curve, manifest, each)
     faults = list(rhythm)
     sound = looked_at.copy()
     for place, scene in enumerate(curve.scenes.tolist()):
@@ -126,24 +138,24 @@ def check_light(curve: LightCurve, manifest: Manifest, lost: np.ndarray, chance:
             faults.append(_name_dark(curve, place, scene))
             continue
         if brighter[place].any():
-            faults.append(_name_brighter(curve, manifest, place, brighter[place]))
+            faults.append(_name_brighter(curve, place, brighter[place]))
             sound[place] = False
         unsteady = drift[place].any() or restless[place].any()
         if unsteady and not rhythm:
             why = (drift[place], restless[place])
-            faults.append(_name_unsteady(curve, manifest, place, *why))
+            faults.append(_name_unsteady(curve, place, *why))
         sound[place] &= not unsteady
     if not rhythm:
-        faults += _find_restless_lamp(curve, looked_at, sound, lost)
+        faults += find_restless_lamp(curve.scenes, looked_at, sound, lost)
     return Checked(background, lit, sound, tuple(faults))
 
 
-def _find_restless_lamp(
-    curve: LightCurve, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
+def find_restless_lamp(
+    scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
 ) -> list[Fault]:
     """Fault of the whole recording if the light was wrong in many of its passes."""
     # One disturbance may reach into two passes that follow each other
-    wrong = np.concatenate([curve.scenes[lit & ~sound], lost])
+    wrong = np.concatenate([scenes[lit & ~sound], lost])
     passes = np.count_nonzero(lit) + len(lost)
     if len(wrong) < max(2, RESTLESS_SHARE * passes) or np.ptp(wrong) < 2:
         return []
@@ -236,12 +248,14 @@ def _find_brighter(curve: LightCurve, chance: float) -> np.ndarray:
     return out
 
 
-def _find_rhythm(curve: LightCurve, manifest: Manifest, chance: float) -> tuple[Fault, ...]:
+def find_rhythm(curve: LightCurve, periodogram: Periodogram, chance: float) -> tuple[Fault, ...]:
     """Fault of the whole recording if its light has a rhythm, or varies fast in another way."""
-    found = find_flicker(curve.photons, curve.seconds, curve.middles, chance)
+    # The periodogram is of all frames, and the curve needs no more than the all-ON ones
+    found = periodogram.strongest(chance)
     if found is not None:
         hertz, amplitude = found
-        frame_s = float(manifest.picture_s[manifest.shown].mean())
+        shown = [each.picture_us for each in curve.frames if each.role == "mask"]
+        frame_s = float(np.mean(shown)) * 1e-6
         averaged = min(1.0, 1 / (np.pi * hertz * frame_s))
         if amplitude * averaged >= HARMLESS:
             detail = (
@@ -281,22 +295,20 @@ def _name_dark(curve: LightCurve, place: int, scene: int) -> Fault:
     return Fault(kind="dark", scene=scene, detail=detail)
 
 
-def _name_brighter(curve: LightCurve, manifest: Manifest, place: int, which: np.ndarray) -> Fault:
+def _name_brighter(curve: LightCurve, place: int, which: np.ndarray) -> Fault:
     photons, seconds = curve.photons[place].sum(axis=1), curve.seconds[place].sum(axis=1)
     on, on_s = curve.together(curve.bright)
     rates = photons / np.where(seconds > 0, seconds, np.inf) * (on_s[place] / max(on[place], 1))
     frame = int(np.argmax(np.where(which, rates, 0)))
     detail = (
-        f"{manifest.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all light"
+        f"{curve.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all light"
         f"{_list_frames(which)}: stray light, or a lamp that went down for the all-ON frames, or "
         "a counter that is blind at this rate"
     )
     return Fault(kind="brighter", scene=int(curve.scenes[place]), frame=frame, detail=detail)
 
 
-def _name_unsteady(
-    curve: LightCurve, manifest: Manifest, place: int, drift: np.ndarray, restless: np.ndarray
-) -> Fault:
+def _name_unsteady(curve: LightCurve, place: int, drift: np.ndarray, restless: np.ndarray) -> Fault:
     scene = int(curve.scenes[place])
     if restless.any():
         off = curve.photons[place] - curve.photons[place].mean(axis=1, keepdims=True)
@@ -304,7 +316,7 @@ def _name_unsteady(
         frame = int(np.argmax(np.where(restless, strength, -1)))
         parts = ", ".join(f"{many:.0f}" for many in curve.photons[place, frame].tolist())
         detail = (
-            f"light{curve.name} changed within {manifest.frames[frame]}: {parts} photons in its "
+            f"light{curve.name} changed within {curve.frames[frame]}: {parts} photons in its "
             f"parts{_list_frames(restless)}"
         )
         return Fault(kind="unsteady", scene=scene, frame=frame, detail=detail)
@@ -312,7 +324,7 @@ def _name_unsteady(
     one, other = (float(curve.photons[place, frame].sum()) for frame in frames)
     detail = (
         f"light{curve.name} changed within the pass: {one:.0f} photons in "
-        f"{manifest.frames[frames[0]]} at its start, {other:.0f} at its end"
+        f"{curve.frames[frames[0]]} at its start, {other:.0f} at its end"
     )
     return Fault(kind="unsteady", scene=scene, detail=detail)
 

@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.errors import InputError
-from deepfsi.hardware.ptu.gate_counter import GateCounter
+from deepfsi.hardware.ptu.gate_counter import GateCounter, cut_gates
 from deepfsi.hardware.ptu.header import Kind
 from deepfsi.hardware.ptu.records import EARLIEST_TICK, Part, marker_slack
 from deepfsi.hardware.ptu.stream import StreamReader
 from deepfsi.hardware.recording.clocks import MOST_EXTRA, MOST_RATE
+from deepfsi.hardware.recording.sentinels import PARTS
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,24 @@ class FrameCounts:
     """Counts of some frames that follow each other."""
 
     starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
-    counts: np.ndarray  # (F, inputs): Photons in their gates
+    # (F, K, inputs): Photons in equal parts of their gates, `PARTS`; 1 of a counter that knows no
+    # more than whole gates
+    parts: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Photons (F, inputs) in their gates."""
+        return np.asarray(self.parts.sum(axis=1))
+
+    def __getitem__(self, frames: slice) -> "FrameCounts":
+        return FrameCounts(self.starts_s[frames], self.parts[frames])
 
     @classmethod
     def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
         """Frames of parts that follow each other, of which there may be none."""
         starts = [np.zeros(0), *(each.starts_s for each in parts)]
-        counts = [np.zeros((0, inputs), np.int64), *(each.counts for each in parts)]
-        return cls(np.concatenate(starts), np.concatenate(counts))
+        found = [each.parts for each in parts] or [np.zeros((0, PARTS, inputs), np.int64)]
+        return cls(np.concatenate(starts), np.concatenate(found))
 
 
 class _DueFrame(NamedTuple):
@@ -102,7 +113,8 @@ class FrameCounter:
         self._last = EARLIEST_TICK  # that marker
         self._skipped = 0  # markers to come of the frame that is shown
         self._begun: deque[int] = deque()  # markers of frames whose counts were not given
-        self._counts = np.zeros((0, len(inputs)), np.int64)  # of those whose gates have ended
+        # (n, inputs): Of the parts of their gates that have ended
+        self._counts = np.zeros((0, len(inputs)), np.int64)
         self._stop = EARLIEST_TICK  # end of the last gate
 
     def expect(self, gates: FrameGates) -> None:
@@ -134,14 +146,16 @@ class FrameCounter:
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        self._gates.expect(gates[:, 0], gates[:, 1])
+        self._gates.expect(*cut_gates(gates[:, 0], gates[:, 1], PARTS))
         self._gates.add(part)
         counts = np.concatenate([self._counts, self._gates.take()])
-        held = 0 < len(counts) == len(self._begun) and self._followed
-        whole = len(counts) - held
-        self._counts = counts[whole:]
+        ended = len(counts) // PARTS
+        held = 0 < ended == len(self._begun) and self._followed
+        whole = ended - held
+        self._counts = counts[whole * PARTS :]
         starts = [self._begun.popleft() for _ in range(whole)]
-        return FrameCounts(np.array(starts, np.float64) * self._tick_s, counts[:whole])
+        found = counts[: whole * PARTS].reshape(whole, PARTS, counts.shape[1])
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, found)
 
     @property
     def _followed(self) -> bool:
@@ -161,6 +175,8 @@ class FrameCounter:
             self._skipped -= 1
             return None
         self._shown = frame = self._due.popleft()
+        if frame.follows and frame.picture is not None and not self._followed:
+            self._check_last(time)
         start, self._skipped = time + frame.offset, frame.markers - 1
         if start < self._stop:
             raise InputError(
@@ -170,6 +186,18 @@ class FrameCounter:
         self._stop = start + frame.length
         self._begun.append(time)
         return start, self._stop
+
+    def _check_last(self, time: int) -> None:
+        """Raise `InputError` if the marker that ends a list's last gate comes before its end."""
+        # Its counts may never come: the counter need not record anything after that marker
+        early = self._stop - time
+        if early > 0:
+            raise InputError(
+                f"{self._describe(time)}, {early * self._tick_s * 1e6:.3g} µs before the gate of "
+                "the frame before has ended, and its picture was to outlast it: the trigger "
+                "jitters, or pictures are shorter than told; use a trigger that jitters by less "
+                "than 2 µs"
+            )
 
     def _check_step(self, time: int, follows: bool) -> None:
         """Raise `InputError` if a marker does not come when the picture before it ends."""

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -67,6 +68,10 @@ class VirtualCamera(Detector):
     vignetting: float = Field(0.0, ge=0, le=1)
     # Stray light spread evenly over the whole device, photons/s
     ambient: float = Field(0.0, ge=0, le=1e12)
+    # Efficiency of each detector, of those that see mirrors ON first, over `efficiency`
+    gains: tuple[Annotated[float, Field(gt=0, le=1)], ...] | None = None
+    # True of a device that turns mirrors ON where the files have a 0
+    inverted: bool = False
     # Detector of each part of the area of the cells, which these rows divide evenly. None for the
     # parts that the patterns name
     detectors: Parts | None = None
@@ -179,7 +184,7 @@ def arrival_rates(
         part = images[first : first + SCENES_AT_ONCE]
         image = irradiance(part, camera, device, manifest.grid).reshape(len(part), -1)
         light = [image[:, places] for places in mirrors]
-        for place, on in _blocks(patterns_folder, device):
+        for place, on in _blocks(patterns_folder, device, camera.inverted):
             for column in range(manifest.inputs):
                 arm, detector = divmod(column, count)
                 lit = on[:, mirrors[detector]]
@@ -190,7 +195,12 @@ def arrival_rates(
                 out[first : first + len(part), place : place + len(on), column] = photons.T
             done = first * frames + (place + len(on)) * len(part)
             report(done / (len(images) * frames))
-    return out * camera.efficiency + camera.dark
+    if camera.gains is not None and len(camera.gains) != manifest.inputs:
+        raise InputError(
+            f"the camera has {len(camera.gains)} gains, and the patterns are for {manifest.inputs} "
+            "detectors: give one for each"
+        )
+    return out * camera.efficiency * np.array(camera.gains or 1.0) + camera.dark
 
 
 def expected_events(
@@ -206,8 +216,7 @@ def expected_events(
     opened[manifest.shown] = patterns.fractions.mean(axis=1)
     lit_s = manifest.pass_s if manifest.two_arm else float(manifest.picture_s @ opened)
     white = flux * grid.down * grid.across / manifest.summed_reflectance
-    area = grid.down * grid.across * grid.mirrors / (manifest.device.columns * manifest.device.rows)
-    light = white * images.mean(axis=(1, 2)).sum() + camera.ambient * area * len(images)
+    light = white * images.mean(axis=(1, 2)).sum() + camera.ambient * manifest.used * len(images)
     dark = camera.dark * manifest.inputs * len(images)
     return float(camera.efficiency * light * lit_s + dark * manifest.pass_s)
 
@@ -230,11 +239,14 @@ def _check_scenes(scenes: np.ndarray, manifest: Manifest) -> np.ndarray:
     return images
 
 
-def _blocks(folder: str | os.PathLike[str], device: Device) -> Iterator[tuple[int, np.ndarray]]:
+def _blocks(
+    folder: str | os.PathLike[str], device: Device, inverted: bool
+) -> Iterator[tuple[int, np.ndarray]]:
     """Some frames at a time: place of the first, mirrors ON as float32 (frames, mirrors)."""
     place, frames = 0, read_frames(folder)
     while some := list(islice(frames, FRAMES_AT_ONCE)):
-        yield place, np.stack([unpack(frame, device).ravel() for frame in some]).astype(np.float32)
+        lit = np.stack([unpack(frame, device).ravel() for frame in some])
+        yield place, (lit ^ inverted).astype(np.float32)
         place += len(some)
 
 

@@ -33,7 +33,7 @@ def mirrors_of_detectors(manifest: Manifest, parts: Parts | None) -> list[np.nda
     if parts is not None:
         labels = np.array(parts)
     elif manifest.detectors is not None and manifest.detectors.cells is not None:
-        labels = np.array(manifest.detectors.cells).reshape(grid.down, grid.across)
+        labels = np.array(manifest.detectors.cells)[grid.pixels]
     else:
         raise InputError(
             f"these patterns are for {count} detectors, and nothing says which part of the device "

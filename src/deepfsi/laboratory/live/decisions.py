@@ -4,10 +4,12 @@ One code serves a run and its replay. It asks for the counts of a list of frames
 count them, or a recording is looked up. So a replay that is given the same counts comes to the same
 decisions, bit by bit.
 
-Each scene begins with an all-ON and an all-OFF frame. A scene whose all-ON frame is no brighter
-than the all-OFF ones has no light, and gets no class. The budget is the flux of the all-ON frames
-of all lit scenes so far, as scenes differ in brightness and a dim one is to stay dim; the dark
-counts are those of the all-OFF frames so far.
+Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose first all-ON frame is
+no brighter than the all-OFF ones has no light, and gets no class. The budget is the flux of the
+all-ON frames of all lit scenes since the lamp changed, as scenes differ in brightness and a dim one
+is to stay dim; the dark counts are those of the all-OFF frames that agree. After the last look the
+light of the scene is tested as that of a recorded one (`live_light`), and its counts against the
+training (`trust`); a scene that fails has faults, and gets no class.
 
 Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
 rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
@@ -22,32 +24,32 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
+from deepfsi.hardware.recording.faults import Fault
+from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
 from deepfsi.hardware.recording.readouts import by_readout
-from deepfsi.hardware.recording.tails import excess_chance
-from deepfsi.laboratory.live.loop import Loop, judge
+from deepfsi.hardware.recording.streaming import FrameCounts
+from deepfsi.laboratory.live.loop import Loop
+from deepfsi.laboratory.live.trust import SceneCounts, Trust
 
 ON, OFF = 0, 1
 """Places of the all-ON and the all-OFF frame among the frames of a manifest."""
 
-NO_LIGHT = 0.01
-"""Chance at most by which a scene without light is taken for one with light."""
-
 SENTINELS = -1
-"""Number of the list of frames that begins each scene."""
+"""Number of the lists of frames that begin and end each scene."""
 
 
 @dataclass(frozen=True)
 class FrameList:
     """Frames that are shown one after another, and counted."""
 
-    look: int  # from 0; `SENTINELS` for the frames that begin a scene
+    look: int  # from 0; `SENTINELS` for the frames that begin and end a scene
     frames: np.ndarray  # (F,): Places among the frames of the manifest
     gate_ns: np.ndarray  # (F,): For how long each is counted
 
 
-Count = Callable[[FrameList], np.ndarray]
-"""Counts (F, inputs) of a list of frames."""
+Count = Callable[[FrameList], FrameCounts]
+"""Counts of a list of frames."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class Decision:
     photons: float  # budget of a whole exposure, in counts
     light_s: float  # exposure so far, seconds
     final: bool  # true if no look follows
+    faults: tuple[Fault, ...] = ()  # of the scene, after its last look
 
 
 class Observer:
@@ -70,7 +73,9 @@ class Observer:
             raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
         self.loop, self._manifest = loop, manifest
         self._settings, self._exposure_ns = acquisition.live, round(acquisition.exposure_s * 1e9)
-        self._meter = _LightMeter(manifest)
+        self._light = LiveLight(manifest, acquisition.inputs, len(acquisition.scenes))
+        self._trust = Trust(loop, acquisition)
+        self._settle_s = acquisition.settle_s
         masks = np.array([manifest.frames[at].mask for at in manifest.shown])
         rails = np.array([manifest.frames[at].rail for at in manifest.shown])
         self._places = manifest.looks.places(masks, rails == "minus")
@@ -87,38 +92,56 @@ class Observer:
     def observe(self, scene: int, count: Count) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none if there is no light."""
         header = self.loop.header
-        arrivals = self._arrivals(count, self._sentinels)
-        if not self._meter.add(arrivals, self._sentinels.gate_ns):
+        ends = [self._arrivals(count, self._sentinels)]
+        lit, changes = self._light.begin(ends[0])
+        if not lit:
             return
-        photons = self._settings.photons or self._meter.flux * self._exposure_ns * 1e-9
+        measured = self._light.flux * self._exposure_ns * 1e-9
+        photons = self._settings.photons or measured
         features, dwell, light_ns = np.zeros(header.features), np.zeros(header.frames), 0
         shortest = self._settings.shortest_ns / self._exposure_ns
-        inputs = self.loop.inputs(features, dwell)
+        inputs, looks = self.loop.inputs(features, dwell), []
+        read, noise = np.zeros((2, header.rails, header.masks, header.detectors))
         for look in range(header.looks):
             shown, gates = self._frames_of(self.loop.choose(inputs, look, shortest), look)
-            counts = self._by_rail(self._arrivals(count, shown), shown)
+            looks.append(self._arrivals(count, shown))
+            counts, dark = self._by_rail(looks[-1], shown)
+            read, noise = read + counts, noise + dark
             features += self.loop.features(counts) / photons
             dwell += gates / self._exposure_ns
             light_ns += int(shown.gate_ns.sum())
             inputs = self.loop.inputs(features, dwell)
-            chances, enough = judge(self.loop.classify(inputs), look, self._settings.rule)
-            final = enough or look == header.looks - 1
-            yield Decision(scene, look, chances, float(photons), light_ns * 1e-9, final)
-            if final:
-                return
+            chances, rule = self.loop.classify(inputs, photons), self._settings.rule
+            enough = rule is not None and rule.stops(float(chances.max()), photons)
+            decision = scene, look, chances, float(photons), light_ns * 1e-9
+            if enough or look == header.looks - 1:
+                break
+            yield Decision(*decision, final=False)
+        ends.append(self._arrivals(count, self._sentinels))
+        faults = self._light.end([ends[0], *looks, ends[1]])
+        held = SceneCounts(scene, look, read, noise, dwell, *self._all_on(ends))
+        faults += self._trust.find_faults(held, self._light, photons, measured)
+        yield Decision(*decision, final=True, faults=changes + faults)
 
-    def _arrivals(self, count: Count, asked: FrameList) -> np.ndarray:
-        """Photons (F, inputs) that arrived in the gates of a list, of those that were counted."""
-        counts, dead = count(asked), self._settings.dead_time
-        if not dead.seconds:
-            return counts
-        rates, most = counts / (asked.gate_ns * 1e-9)[:, None], dead.most_registered
+    def _arrivals(self, count: Count, asked: FrameList) -> ShownFrames:
+        """Photons that arrived in the gates of a list, of those that were counted."""
+        found, dead = count(asked), self._settings.dead_time
+        rates, most = found.counts / (asked.gate_ns * 1e-9)[:, None], dead.most_registered
         if asked.look == SENTINELS and rates.max() > most:
             raise InputError(
                 f"an all-ON frame has {rates.max():.3g} counts/s, and a dead time of {dead}, is "
                 f"corrected up to {most:.3g}: dim the light, or give the counter's own dead time"
             )
-        return counts * dead.correction(np.minimum(rates, most)).arrivals
+        factors, parts = dead.correction(np.minimum(rates, most)), found.parts.shape[1]
+        each_s = np.repeat((asked.gate_ns * 1e-9 / parts)[:, None], parts, axis=1)
+        opens_s = found.starts_s[:, None] + self._settle_s
+        return ShownFrames(
+            tuple(self._manifest.frames[place] for place in asked.frames),
+            found.parts * factors.arrivals[:, None],
+            found.parts * factors.variance[:, None],
+            each_s,
+            opens_s + each_s * (np.arange(parts) + 0.5),
+        )
 
     def _frames_of(self, asked: np.ndarray, look: int) -> tuple[FrameList, np.ndarray]:
         """Frames of a look, and the gates (q,) of all, for dwells that are asked for."""
@@ -127,47 +150,25 @@ class Observer:
         kept = own > 0
         return FrameList(look, self._manifest.shown[kept], own[kept]), gates
 
-    def _by_rail(self, counts: np.ndarray, shown: FrameList) -> np.ndarray:
-        """Counts (rails, m, D) of a look less their dark counts, of counts (F, inputs)."""
+    def _by_rail(self, found: ShownFrames, shown: FrameList) -> tuple[np.ndarray, np.ndarray]:
+        """Counts (rails, m, D) of a look less their dark counts, and noise beyond their own."""
         manifest, header = self._manifest, self.loop.header
-        every = np.zeros((len(manifest.shown), manifest.inputs))
+        every = np.zeros((2, len(manifest.shown), manifest.inputs))
         rows = np.searchsorted(manifest.shown, shown.frames)
-        every[rows] = counts - self._meter.dark * (shown.gate_ns * 1e-9)[:, None]
-        return by_readout(manifest, every).reshape(header.rails, header.masks, header.detectors)
+        counts, variance = found.photons.sum(axis=1), found.variance.sum(axis=1)
+        dark = self._light.dark * (shown.gate_ns * 1e-9)[:, None]
+        every[:, rows] = counts - dark, dark + (variance - counts).clip(min=0)
+        held = by_readout(manifest, every)
+        read, noise = held.reshape(2, header.rails, header.masks, header.detectors)
+        return read, noise
 
-
-class _LightMeter:
-    """Flux and dark counts of the all-ON frames of lit scenes and the all-OFF frames so far."""
-
-    def __init__(self, manifest: Manifest) -> None:
-        self._arm, self._two = manifest.detector_count, manifest.two_arm
-        self._counts = np.zeros((2, manifest.inputs))
-        self._ns = np.zeros(2, np.int64)
-
-    def add(self, counts: np.ndarray, gate_ns: np.ndarray) -> bool:
-        """Count the all-ON and all-OFF frame of a scene, (2, inputs); true if it has light."""
-        self._counts[OFF] += counts[OFF]
-        self._ns[OFF] += gate_ns[OFF]
-        on, off = (each[: self._arm].sum() for each in (counts[ON], self._counts[OFF]))
-        if excess_chance(on, gate_ns[ON], off, self._ns[OFF]) > NO_LIGHT:
-            return False
-        self._counts[ON] += counts[ON]
-        self._ns[ON] += gate_ns[ON]
-        return True
-
-    @property
-    def _rates(self) -> np.ndarray:
-        """Counts/s (2, inputs) of all-ON and all-OFF frames."""
-        return self._counts / (self._ns * 1e-9)[:, None]
-
-    @property
-    def flux(self) -> float:
-        """Counts/s of the scenes' light with all mirrors ON."""
-        on, off = self._rates[:, : self._arm]
-        return float((on - off).sum())
-
-    @property
-    def dark(self) -> np.ndarray:
-        """Counts/s of each input where no mirror sends it light, (inputs,)."""
-        on, off = self._rates
-        return np.concatenate([off[: self._arm], on[self._arm :]]) if self._two else off
+    def _all_on(self, ends: list[ShownFrames]) -> tuple[float, float, float]:
+        """Counts of a scene's all-ON frames less the dark ones, noise beyond them, and seconds."""
+        arm = slice(0, self._manifest.detector_count)
+        counts, variance = (
+            sum(float(held[ON, :, arm].sum()) for held in each)
+            for each in ([one.photons for one in ends], [one.variance for one in ends])
+        )
+        seconds = sum(float(each.seconds[ON].sum()) for each in ends)
+        dark = float(self._light.dark[arm].sum()) * seconds
+        return counts - dark, dark + max(variance - counts, 0.0), seconds

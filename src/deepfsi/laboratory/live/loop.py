@@ -13,18 +13,19 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.looks import Looks
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laws import Readout
 from deepfsi.optics.dwells import share_out
+from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
-SMALLEST = float(np.finfo(np.float32).tiny)
-"""Probability below which none is told from 0."""
+TEMPERATURES = ("temperatures.logs", "temperatures.budgets")
+"""Tensors of the calibration, float64."""
 
 Layer = tuple[np.ndarray, np.ndarray]
 """Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
@@ -33,7 +34,7 @@ Layer = tuple[np.ndarray, np.ndarray]
 class LoopHeader(Frozen):
     """Header of a loop's file: all but the numbers of its networks."""
 
-    schema_version: Literal[1] = 1
+    schema_version: Literal[2] = 2
     looks: int = Field(ge=2, le=64)  # K, each 1 / K of the exposure
     masks: int = Field(ge=1)  # m, 2 or 1, and D
     rails: Literal[1, 2]
@@ -45,6 +46,8 @@ class LoopHeader(Frozen):
     # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
     rule: StopRule | None = None  # of the design, where it has one
+    # Budget that the design was trained at, counts of an exposure; none where that is not known
+    photons: float | None = Field(None, gt=0, allow_inf_nan=False)
 
     @property
     def frames(self) -> int:
@@ -67,6 +70,11 @@ class Loop:
     std: np.ndarray  # (k,)
     classifier: tuple[Layer, ...]
     chooser: tuple[Layer, ...]
+    # Log τ after each look at each budget (K, B), and these budgets, as `design.confidence` has
+    # them; None where the design has none
+    temperatures: tuple[np.ndarray, np.ndarray] | None = None
+    # Of the readouts of training scenes, and of all mirrors ON; none where there were too few
+    distribution: ReadoutDistribution | None = None
 
     def features(self, counts: np.ndarray) -> np.ndarray:
         """Features (k,) of counts (rails, m, D)."""
@@ -83,9 +91,20 @@ class Loop:
         scaled = (features.astype(np.float32) - each * self.mean) / self.std
         return np.concatenate([scaled, relative / np.float32(3)])
 
-    def classify(self, inputs: np.ndarray) -> np.ndarray:
-        """Probabilities (C,) of the classes, float64."""
-        return _softmax(_outputs(self.classifier, inputs).astype(float))
+    def classify(self, inputs: np.ndarray, photons: float) -> np.ndarray:
+        """Calibrated probabilities (C,) of the classes, float64, for a budget."""
+        logits = _outputs(self.classifier, inputs).astype(float)
+        return _softmax(logits / self._temperature(inputs, photons))
+
+    def _temperature(self, inputs: np.ndarray, photons: float) -> float:
+        """Divisor of the logits, after the time that the dwells of the inputs took."""
+        if self.temperatures is None:
+            return 1.0
+        logs, budgets = self.temperatures
+        looks = 3 * float(inputs[-self.header.frames :].sum()) / self.header.frames * len(logs)
+        each = [np.interp(np.log(photons), np.log(budgets), row) for row in logs]
+        log = np.interp(looks, np.arange(1, len(logs) + 1), each)
+        return float(np.exp(log) * max(budgets[0] / photons, 1.0))
 
     def choose(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
         """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together."""
@@ -120,7 +139,12 @@ class Loop:
         for name, layers in (("classifier", self.classifier), ("chooser", self.chooser)):
             for place, (weight, bias) in enumerate(layers):
                 tensors |= {f"{name}.{place}.weight": weight, f"{name}.{place}.bias": bias}
-        whole = {name: np.ascontiguousarray(held, np.float32) for name, held in tensors.items()}
+        if self.distribution is not None:
+            held = self.distribution.arrays.items()
+            tensors |= {f"distribution.{name}": each for name, each in held}
+        whole = {name: np.asarray(held, np.float32, order="C") for name, held in tensors.items()}
+        if self.temperatures is not None:
+            whole |= dict(zip(TEMPERATURES, self.temperatures, strict=True))
         return save(whole, metadata={"deepfsi-loop": self.header.model_dump_json()})
 
 
@@ -128,16 +152,18 @@ def read_loop(path: Path) -> Loop:
     """Loop of a file, or `InputError` if it is missing, damaged or none."""
     again = "export the patterns again"
     try:
-        with safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {})["deepfsi-loop"]
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: {again}") from None
-    except (SafetensorError, KeyError, OSError, ValueError):
+        text, tensors = read_tensors(path, "deepfsi-loop", again)
+    except DamagedError:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again):
         header = LoopHeader.model_validate_json(text)
     inputs = header.features + header.frames
+    known = {
+        name.removeprefix("distribution."): held
+        for name, held in tensors.items()
+        if name.startswith("distribution.")
+    }
+    readouts = 1, header.rails * header.masks * header.detectors + 1
     try:
         loop = Loop(
             header,
@@ -145,6 +171,8 @@ def read_loop(path: Path) -> Loop:
             _checked(tensors["std"], header.features),
             _layers(tensors, "classifier", inputs, len(header.classes)),
             _layers(tensors, "chooser", inputs + 1, header.frames),
+            _temperatures(tensors, header.looks) if TEMPERATURES[0] in tensors else None,
+            ReadoutDistribution.restored(known, readouts, header.looks) if known else None,
         )
     except (KeyError, ValueError, IndexError):
         raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
@@ -156,6 +184,16 @@ def _checked(values: np.ndarray, *shape: int) -> np.ndarray:
     if values.shape != shape or values.dtype != np.float32 or not np.isfinite(values).all():
         raise ValueError(shape)
     return values
+
+
+def _temperatures(tensors: Mapping[str, np.ndarray], looks: int) -> tuple[np.ndarray, np.ndarray]:
+    """Temperatures and their budgets, or an error where they are none of so many looks."""
+    logs, budgets = (tensors[name] for name in TEMPERATURES)
+    if logs.shape != (looks, len(budgets)) or not np.isfinite(logs).all():
+        raise ValueError(TEMPERATURES)
+    if not (np.isfinite(budgets).all() and budgets.min() > 0 and (np.diff(budgets) > 0).all()):
+        raise ValueError(TEMPERATURES)
+    return logs, budgets
 
 
 def _layers(
@@ -186,14 +224,3 @@ def _softmax(scores: np.ndarray) -> np.ndarray:
     """Probabilities of scores, float64."""
     powers = np.exp(scores - scores.max())
     return powers / powers.sum()
-
-
-def judge(chances: np.ndarray, look: int, rule: StopRule | None) -> tuple[np.ndarray, bool]:
-    """Probabilities (C,) as a rule calibrates them, and whether the exposure may stop."""
-    # chances (C,)
-    if rule is None:
-        return chances, False
-    if rule.temperatures:
-        log = np.log(np.maximum(chances, SMALLEST))
-        chances = _softmax(log / rule.temperatures[look])
-    return chances, bool(chances.max() > rule.threshold)

@@ -17,15 +17,19 @@ import numpy as np
 from deepfsi.errors import InputError
 from deepfsi.files import hash_file, write_atomically
 from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.hardware.ptu.gate_counter import cut_gates
 from deepfsi.hardware.ptu.header import Header, read_header
 from deepfsi.hardware.ptu.reader import count_gates, read_markers
 from deepfsi.hardware.recording.acquisition import Acquisition, check_inputs, read_acquisition
+from deepfsi.hardware.recording.sentinels import PARTS
+from deepfsi.hardware.recording.streaming import FrameCounts
 from deepfsi.laboratory.live import shown
 from deepfsi.laboratory.live.decisions import Decision, FrameList, Observer
 from deepfsi.laboratory.live.loop import Loop
 from deepfsi.laboratory.live.shown import ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
+from deepfsi.tables.array_files import read_npz
 
 PHOTONS, COUNTS = "photons.ptu", "counts.npz"
 """Files of the recording and its counts."""
@@ -46,16 +50,18 @@ class LiveCounts:
     acquisition: Acquisition
     manifest: Manifest
     scenes: tuple[ShownScene, ...]  # with their frames and gates
-    # (n, inputs): Photons in the gates, scene by scene, list by list, frame by frame
-    counts: np.ndarray
+    found: FrameCounts  # scene by scene, list by list, frame by frame
 
     @property
-    def by_scene(self) -> Iterator[tuple[ShownScene, list[np.ndarray]]]:
-        """Scenes with the counts (F, inputs) of their lists."""
-        frames = [len(each.frames) for scene in self.scenes for each in scene.lists]
-        lists = iter(np.split(self.counts, np.cumsum(frames)[:-1]))
+    def by_scene(self) -> Iterator[tuple[ShownScene, list[FrameCounts]]]:
+        """Scenes with the counts of their lists."""
+        stop = 0
         for scene in self.scenes:
-            yield scene, [next(lists) for _ in scene.lists]
+            lists = []
+            for each in scene.lists:
+                start, stop = stop, stop + len(each.frames)
+                lists.append(self.found[start:stop])
+            yield scene, lists
 
 
 def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
@@ -63,19 +69,25 @@ def count_live(folder: Path, report: Report = SILENT) -> LiveCounts:
     acquisition, patterns = read_acquisition(folder)
     manifest, scenes, header = patterns.manifest, read_shown(folder), read_header(folder / PHOTONS)
     check_inputs(manifest, header.kind.inputs, f"{header.path} ({header.kind.name})")
-    starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
-    counts = count_gates(header.path, starts, stops, acquisition.inputs, report.part(0.4, 1.0))
+    markers, starts, stops = _find_gates(header, scenes, acquisition, report.part(0.0, 0.4))
+    parts = cut_gates(starts, stops, PARTS)
+    counts = count_gates(header.path, *parts, acquisition.inputs, report.part(0.4, 1.0))
+    found = FrameCounts(
+        markers.astype(np.float64) * header.tick_s, counts.reshape(len(markers), PARTS, -1)
+    )
     about = json.dumps({name: hash_file(folder / name) for name in COUNTED}).encode()
     file = io.BytesIO()
-    np.savez(file, counts=counts, about=np.frombuffer(about, np.uint8))
+    np.savez(
+        file, counts=found.parts, starts_s=found.starts_s, about=np.frombuffer(about, np.uint8)
+    )
     write_atomically(folder / COUNTS, file.getvalue())
-    return LiveCounts(acquisition, manifest, scenes, counts)
+    return LiveCounts(acquisition, manifest, scenes, found)
 
 
 def _find_gates(
     header: Header, scenes: tuple[ShownScene, ...], acquisition: Acquisition, report: Report
-) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and stops of all gates, ticks, as the counter had them while it ran."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Markers, starts and stops of all gates, ticks, as the counter had them while it ran."""
     times, bits = read_markers(header.path, report)
     times = times[bits & acquisition.marker_bit != 0]
     places = np.concatenate([np.concatenate(each.first_markers) for each in scenes])
@@ -87,7 +99,7 @@ def _find_gates(
     gate_ns = np.concatenate([part.gate_ns for each in scenes for part in each.lists])
     starts = times[places] + round(acquisition.settle_s / header.tick_s)
     lengths = np.rint(gate_ns * 1e-9 / header.tick_s).astype(np.int64)
-    return starts, starts + lengths
+    return times[places], starts, starts + lengths
 
 
 def read_live_counts(folder: Path) -> LiveCounts:
@@ -95,19 +107,20 @@ def read_live_counts(folder: Path) -> LiveCounts:
     path, again = folder / COUNTS, "count again with `deepfsi camera count`"
     scenes = read_shown(folder)
     acquisition, patterns = read_acquisition(folder)
+    held = read_npz(path, again)
     try:
-        with np.load(path, allow_pickle=False) as held:
-            counts, about = held["counts"], json.loads(held["about"].tobytes())
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing: make it with `deepfsi camera count`") from None
-    except Exception:
+        counts, starts = held["counts"], held["starts_s"]
+        about = json.loads(held["about"].tobytes())
+    except (KeyError, ValueError, RecursionError):
         raise InputError(f"{path} is not a whole file of counts: {again}") from None
     frames = sum(len(each.frames) for scene in scenes for each in scene.lists)
-    wanted = frames, len(acquisition.inputs)
+    wanted = frames, PARTS, len(acquisition.inputs)
     hashes = {name: hash_file(folder / name) for name in COUNTED}
-    if counts.shape != wanted or counts.dtype != np.int64 or about != hashes:
+    whole = counts.shape == wanted and counts.dtype == np.int64
+    whole &= starts.shape == (frames,) and starts.dtype == np.float64
+    if not whole or about != hashes:
         raise InputError(f"{path} is of other files than those beside it: {again}")
-    return LiveCounts(acquisition, patterns.manifest, scenes, counts)
+    return LiveCounts(acquisition, patterns.manifest, scenes, FrameCounts(starts, counts))
 
 
 @dataclass(frozen=True)
@@ -128,7 +141,8 @@ def replay_run(run: LiveCounts, loop: Loop) -> tuple[Replayed, ...]:
         decisions = tuple(observer.observe(scene.scene, partial(_recall, left)))
         last = decisions[-1] if decisions else None
         found = () if last is None else tuple(last.chances.tolist())
-        agrees = not left and found == scene.chances
+        faults = () if last is None else last.faults
+        agrees = not left and (found, faults) == (scene.chances, scene.faults)
         named = run.acquisition.scenes[scene.scene]
         answer = LiveScene.of(named, last, loop.header.classes, scene.clock_s, agrees)
         out.append(Replayed(scene, decisions, answer))
@@ -144,7 +158,7 @@ def check_as_it_was(given: Iterable[object]) -> None:
         )
 
 
-def _recall(left: list[tuple[ShownList, np.ndarray]], asked: FrameList) -> np.ndarray:
+def _recall(left: list[tuple[ShownList, FrameCounts]], asked: FrameList) -> FrameCounts:
     """Counts of the next list that was shown, in place of devices."""
     if not left or not left[0][0].matches(asked):
         raise InputError(

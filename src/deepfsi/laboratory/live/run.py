@@ -21,7 +21,7 @@ from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.recording.live_settings import MARGIN_NS, Live, StopRule, margin_ns
-from deepfsi.hardware.recording.streaming import FrameGates
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
 from deepfsi.laboratory.live import shown
 from deepfsi.laboratory.live.decisions import OFF, Decision, FrameList, Observer
 from deepfsi.laboratory.live.loop import read_loop
@@ -89,12 +89,12 @@ def plan_live(
 
 
 def _find_rule(own: StopRule | None, until: float | None) -> StopRule | None:
-    """Rule of a run: the design's own, or one of a confidence, with its temperatures."""
+    """Rule of a run: the design's own, or one of a confidence, for any budget."""
     if until is None:
         return own
     if not 0 < until < 1:
         raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
-    return StopRule(temperatures=own.temperatures if own else (), threshold=until)
+    return StopRule(threshold=until)
 
 
 def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) -> int:
@@ -169,6 +169,7 @@ def _look(
         first_marker=first,
         lists=tuple(show.lists),
         chances=() if last is None else tuple(last.chances.tolist()),
+        faults=() if last is None else last.faults,
         light_s=0.0 if last is None else last.light_s,
         clock_s=clock_s,
     )
@@ -187,7 +188,7 @@ class _Sequencer:
         self.lists: list[shown.ShownList] = []
         self.markers = 0
 
-    def __call__(self, asked: FrameList) -> np.ndarray:
+    def __call__(self, asked: FrameList) -> FrameCounts:
         projector, counter = self._bench.projector, self._bench.counter
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         frames = np.append(asked.frames, OFF)
@@ -216,8 +217,8 @@ class _Sequencer:
             us = np.array([self._manifest.frames[place].picture_us for place in asked.frames])
         return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6
 
-    def _wait(self, wanted: int, duration_s: float) -> np.ndarray:
-        """Counts (F, inputs) of so many frames."""
+    def _wait(self, wanted: int, duration_s: float) -> FrameCounts:
+        """Counts of so many frames."""
         clock, counter = time.monotonic, self._bench.counter
         until, parts, found = clock() + duration_s + PATIENCE_S, [], -self._rests
         while found < wanted:
@@ -228,8 +229,8 @@ class _Sequencer:
                     f"{duration_s + PATIENCE_S:.3g} s: check that the device's trigger is wired to "
                     "the counter and that it records"
                 )
-            counts = counter.counts_since_marker(left).counts
+            counts = counter.counts_since_marker(left)
             parts.append(counts[max(-found, 0) :])
-            found += len(counts)
+            found += len(counts.starts_s)
         self._rests = wanted + 1 - found
-        return np.concatenate(parts)[:wanted]
+        return FrameCounts.join(parts, self._manifest.inputs)[:wanted]

@@ -10,17 +10,22 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from deepfsi.errors import InputError
+from deepfsi.files import read_regular
 from deepfsi.frozen import Frozen
+from deepfsi.hardware.recording.faults import Fault
 from deepfsi.laboratory.live.decisions import FrameList
 
 NAME = "shown.jsonl"
 """File of the record in the folder of a run."""
 
+LARGEST_FILE = 2**31
+"""Bytes of a record at most."""
+
 
 class ShownList(Frozen):
     """A list of frames as it was shown."""
 
-    look: int = Field(ge=-1, le=63)  # From 0; -1 for the frames that begin a scene
+    look: int = Field(ge=-1, le=63)  # From 0; -1 for those that begin and end a scene
     frames: tuple[int, ...]  # Places among the frames of the manifest
     gate_ns: tuple[int, ...]  # For how long each was counted
     # Markers that each gave, and at the end those of the all-OFF frame that was shown while the
@@ -51,6 +56,7 @@ class ShownScene(Frozen):
     first_marker: int = Field(ge=0)  # Markers before those of this scene
     lists: tuple[ShownList, ...]  # In their order
     chances: tuple[float, ...]  # Probabilities of the classes; none if there was no light
+    faults: tuple[Fault, ...] = ()  # Of the scene
     light_s: float = Field(ge=0)  # Exposure used, seconds
     clock_s: float = Field(ge=0)  # From the scene's first command to its decision, seconds
 
@@ -74,12 +80,8 @@ def read_shown(folder: Path) -> tuple[ShownScene, ...]:
     """Finished scenes of a run, or `InputError` if there are none or they do not follow."""
     # A last line that is not whole is that of a run that was killed, and is left out
     path = folder / NAME
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", "it is no text")
-        raise InputError(f"{path} cannot be read ({reason}): give a run of `camera live`") from None
-    lines = text.split("\n")[:-1]
+    content = read_regular(path, LARGEST_FILE, "give a run of `camera live`")
+    lines = content.split(b"\n")[:-1]
     try:
         scenes = tuple(ShownScene.model_validate_json(line) for line in lines)
     except ValidationError:

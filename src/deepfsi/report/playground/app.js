@@ -211,7 +211,7 @@ class Page {
     const { exposure, model } = this;
     const { rule } = exposure;
     const judged = rule && rule.threshold < 1
-      ? ` The dashed line is the confidence above which an exposure may stop${rule.photons ? `, calibrated at ${photonsText(rule.photons)} photons` : ""}.`
+      ? ` The dashed line is the confidence above which an exposure may stop, chosen at ${photonsText(rule.photons)} photons.`
       : "";
     if (!chances) return `Nothing is counted yet.${judged}`;
     if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
@@ -231,7 +231,9 @@ class Page {
     }
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
-    const answer = `Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
+    const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
+    const strange = exposure.unlike ? "This scene is darker, brighter or flatter than all that the design was learned from: the probability does not hold for it. " : "";
+    const answer = `${strange}${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
     const { stop, rule } = exposure;
     if (stop) return `${answer} It could have stopped ${this.stopWords(stop)}`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;

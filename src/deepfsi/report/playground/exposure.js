@@ -1,6 +1,6 @@
 // One exposure of a scene: frames, counts, answers, and the pictures to compare it with.
 
-import { Random, poisson, softmax } from "./numbers.js";
+import { Random, poisson } from "./numbers.js";
 
 const SLICES = 48; // parts of an exposure whose readouts all see light at once
 
@@ -45,7 +45,8 @@ export class Exposure {
   constructor(model, scene, photons, seed) {
     Object.assign(this, { model, scene, photons, seed, frames: [], decisions: [] });
     this.together = model.light === "column";
-    this.rule = model.rule(photons);
+    this.unlike = model.unlike(scene);
+    this.rule = this.unlike ? null : model.rule(photons);
     this.answers = new Map();
     const random = new Random(seed);
     const rates = model.rates(scene).map((rate) => rate * photons);
@@ -118,15 +119,11 @@ export class Exposure {
     const { model, photons, frames } = this;
     if (count === 0) return { chances: null, sound: false };
     const { counts, dwell, shown } = this.after(count);
-    const light = this.together ? photons * frames[count - 1].end : photons;
-    let chances = model.classify(counts, light, shown, dwell);
-    const at = model.chooser ? frames[count - 1].look + 1 : shown;
-    if (this.rule) {
-      const known = this.rule.after.findIndex((each) => each >= at);
-      const temperature = this.rule.temperatures[Math.max(known, 0)];
-      chances = softmax(chances.map((each) => Math.log(Math.max(each, 1.1754944e-38)) / temperature));
-    }
-    return { chances, sound: this.sound(count), at };
+    const sound = this.sound(count);
+    const sofar = photons * frames[count - 1].end;
+    const whole = this.together ? sofar : photons;
+    const chances = model.classify(counts, whole, shown, dwell, sound ? whole : sofar);
+    return { chances, sound, at: model.chooser ? frames[count - 1].look + 1 : shown };
   }
 
   /** Find the first frame after which the rule would have stopped. */

@@ -1,6 +1,8 @@
 // The design: what its masks count of a scene, and what its networks make of the counts.
 
-import { softmax, unpack } from "./numbers.js";
+import { between, softmax, unpack } from "./numbers.js";
+
+const NEAR = 0.5 + 1e-9; // decades from the budget of a rule, where it holds
 
 /** Outputs of a network with rectified hidden layers. */
 function outputs(layers, inputs) {
@@ -160,9 +162,40 @@ export class Model {
     return inputs;
   }
 
-  /** Probabilities of the classes; parameters as of `inputs`. */
-  classify(counts, photons, shown = this.masks, dwell = null) {
-    return softmax(outputs(this.network, this.inputs(counts, photons, shown, dwell)));
+  /**
+   * Calibrated probabilities of the classes; parameters as of `inputs`. Where the network did not
+   * learn to answer, their temperature is that of `light`, the light so far.
+   */
+  classify(counts, photons, shown = this.masks, dwell = null, light = photons) {
+    const temperature = this.temperature(light, shown, dwell);
+    const logits = outputs(this.network, this.inputs(counts, photons, shown, dwell));
+    return softmax(logits.map((each) => each / temperature));
+  }
+
+  /** What the logits are divided by: interpolated between budgets, and between masks or looks. */
+  temperature(photons, shown, dwell) {
+    if (!this.temperatures) return 1;
+    const { logs, budgets } = this.temperatures;
+    const step = Math.log(budgets[1] / budgets[0]);
+    const level = Math.log(photons / budgets[0]) / step;
+    const first = this.exposure.nested || this.masks;
+    const place = dwell ? dwell.reduce((a, b) => a + b, 0) * this.looks - 1 : shown - first;
+    const log = between(logs.map((row) => between(row, level)), place);
+    return Math.exp(log - Math.min(level, 0) * step);
+  }
+
+  /** True of a scene that is darker, brighter or flatter than all scenes of the training. */
+  unlike(scene) {
+    const { sums, flattest } = this.scenes;
+    const sum = scene.reduce((a, b) => a + b, 0);
+    const mean = sum / scene.length;
+    const spread = Math.sqrt(scene.reduce((all, x) => all + (x - mean) ** 2, 0) / scene.length);
+    return sum < sums[0] * 0.999 || sum > sums[1] * 1.001 || spread < flattest * 0.999;
+  }
+
+  /** True where the light is far below that of the training. */
+  tooDim(photons) {
+    return this.temperatures !== null && photons < this.temperatures.dimmest * (1 - 1e-9);
   }
 
   /** Dwells of the frames of a look, from 0, shares of the exposure. */
@@ -174,9 +207,10 @@ export class Model {
     return shareOut(share, this.exposure.shortest);
   }
 
-  /** The stopping rule whose budget is closest, or none. */
+  /** The stopping rule whose budget is closest, or none where none was chosen near this one. */
   rule(photons) {
-    const far = ({ photons: own }) => (own === null ? 0 : Math.abs(Math.log(own / photons)));
-    return this.rules.length ? this.rules.reduce((a, b) => (far(b) < far(a) ? b : a)) : null;
+    const far = ({ photons: own }) => Math.abs(Math.log10(own / photons));
+    const near = this.rules.filter((rule) => far(rule) <= NEAR);
+    return near.length ? near.reduce((a, b) => (far(b) < far(a) ? b : a)) : null;
   }
 }

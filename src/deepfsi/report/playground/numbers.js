@@ -89,6 +89,14 @@ export async function unpack({ shape, bytes, planes }) {
   return { shape, values };
 }
 
+/** Value between equidistant ones at a place from 0; the ends are held. */
+export function between(values, place) {
+  const at = Math.min(Math.max(place, 0), values.length - 1);
+  const low = Math.floor(at);
+  const high = Math.min(low + 1, values.length - 1);
+  return values[low] + (at - low) * (values[high] - values[low]);
+}
+
 export function softmax(scores) {
   const top = Math.max(...scores);
   const powers = Array.from(scores, (score) => Math.exp(score - top));

@@ -77,6 +77,7 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
         "Nested": f"The first {exposure['nested']} masks are enough for an answer."
         if exposure.get("nested")
         else "",
+        "Probabilities": _calibrated(payload),
         "Stopping": _stopping(payload),
         "Accuracy": f"Share of {test['images']} test scenes that are classified rightly, with "
         f"{test['draws']} noise draw{'s' if test['draws'] > 1 else ''} of each. The bars are 95 % "
@@ -85,13 +86,25 @@ def facts_of(payload: Payload) -> list[tuple[str, str]]:
     return [(name, words) for name, words in facts.items() if words]
 
 
+def _calibrated(payload: Payload) -> str:
+    """Words for the light at which probabilities say how often an answer is right."""
+    known = payload["temperatures"]
+    if known is None:
+        return "Not calibrated: the network may be surer than it is right."
+    return (
+        "Calibrated at each light, so that they say how often such an answer is right for scenes "
+        f"like those of the training. Below {photons_text(known['dimmest'])} photons there is too "
+        "little light for this design."
+    )
+
+
 def _stopping(payload: Payload) -> str:
     """Words for the rule by which an exposure stops, if there is one."""
     if not payload["rules"]:
         return "This design has no rule for stopping early."
     return (
         "An exposure may stop as soon as the probability of its answer is above a threshold. "
-        "Scenes that the training left out calibrate the probabilities and give the threshold, so "
-        "that the accuracy on them stays that of whole exposures. Both hold at the light of this "
-        "calibration, and not far from it."
+        "It is chosen on scenes that the training left out, so that the accuracy on them stays "
+        "that of whole exposures. It holds near the light that it was chosen at, and where it was "
+        "not chosen no stop is offered."
     )

@@ -1,0 +1,191 @@
+"""What live runs answer when something is wrong: a table of faults, and false alarms without any.
+
+    python benchmarks/live_trust.py                # half an hour, one core
+    python benchmarks/live_trust.py --runs 100     # sound runs of 20 scenes too, an hour
+
+A design of 3 looks is learned on digits, and the same test scenes are shown to the virtual camera
+in each case. Of each: the accuracy of the scenes that got a class, the share that got none, and the
+share of all scenes that got a wrong class with a confidence above 0.9. Every run is replayed from
+its file, and the replay must come to the same.
+"""
+
+import argparse
+import itertools
+import tempfile
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from deepfsi import Looks, Training, learn, load_dataset
+from deepfsi.datasets import Dataset
+from deepfsi.devices import find_device
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.acquisition import Scene
+from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.detector import TICK_S
+from deepfsi.laboratory.live.loop import read_loop
+from deepfsi.laboratory.live.replay import count_live, replay_run
+from deepfsi.laboratory.live.run import Bench, plan_live, run_live
+from deepfsi.laboratory.rails import design_rails
+from deepfsi.laboratory.results import LiveScene
+
+FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
+SURE = 0.9
+BLACKOUT_S = 8e-3
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is wrong with a run."""
+
+    stated: float | None = None  # --photons over the budget that is
+    camera: dict[str, float | bool] = field(default_factory=dict)
+    lamp: tuple[float, float, float] = (1.0, 1.0, 1.0)  # before, from and at the end of the change
+    ambient: float = 0.0  # in all-ON frames, over the scenes' mean light
+    blackouts: int = 0
+
+
+def step(to: float) -> Case:
+    """A lamp that steps after half of the run."""
+    return Case(lamp=(1.0, to, to))
+
+
+CASES = {
+    "sound": Case(),
+    "`--photons` twice too small": Case(stated=0.5),
+    "`--photons` twice too large": Case(stated=2.0),
+    "`--photons` ten times too large": Case(stated=10.0),
+    "50 ns dead time": Case(camera={"dead_time_s": 50e-9}),
+    "100 ns dead time": Case(camera={"dead_time_s": 100e-9}),
+    "100 ns dead time, paralysable": Case(camera={"dead_time_s": 100e-9, "paralysable": True}),
+    "lamp steps to half": step(0.5),
+    "lamp steps to double": step(2.0),
+    "lamp steps to five times": step(5.0),
+    "lamp fades by 80 %": Case(lamp=(0.0, 1.0, 0.2)),
+    "100 blackouts of 8 ms": Case(blackouts=100),
+    "ambient light as strong as the scenes": Case(ambient=1.0),
+    "2 % of the light after half": step(0.02),
+}
+
+
+class Dimmed(VirtualSetup):
+    """Virtual setup whose light goes out at some times."""
+
+    def __init__(self, *given: object, outs_s: np.ndarray) -> None:
+        super().__init__(*given)  # type: ignore[arg-type]
+        edges = np.sort(outs_s)[:, None] + [0, BLACKOUT_S]
+        self._edges = np.rint(np.maximum.accumulate(edges.ravel()) / TICK_S).astype(np.int64)
+
+    def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
+        here = self._edges[(self._edges > self._end) & (self._edges < ends[-1])]
+        every = np.unique(np.concatenate([ends, here]))
+        lit = self._rates
+        for end in every.tolist():
+            frame = frames[[int(np.searchsorted(ends, end))]]
+            out = np.searchsorted(self._edges, end - 1, side="right") % 2
+            self._rates = 0 * lit if out else lit
+            super()._see(frame, np.array([end]))
+        self._rates = lit
+
+
+def lamp_of(case: Case, scenes: int) -> np.ndarray:
+    """Light (S,) over the usual one."""
+    before, first, last = case.lamp
+    half = scenes // 2 if before else 0
+    return np.concatenate([np.full(half, before), np.linspace(first, last, scenes - half)])
+
+
+def run(
+    patterns: Path, data: Dataset, case: Case, places: np.ndarray, seed: int
+) -> list[LiveScene]:
+    """Answers for scenes, of a run and of its replay, which are the same."""
+    x = data.x_test[places].reshape(-1, *data.image_shape)
+    camera = VirtualCamera(**case.camera)
+    rates = arrival_rates(patterns, x, camera, FLUX)
+    stray = arrival_rates(patterns, 0 * x[:1], VirtualCamera(ambient=FLUX), FLUX)
+    rates += case.ambient * FLUX * stray / stray[0, 0].sum()
+    rates *= lamp_of(case, len(x))[:, None, None]
+    named = tuple(
+        Scene(name=str(k), label=data.classes[y]) for k, y in enumerate(data.y_test[places])
+    )
+    rng = np.random.default_rng(seed)
+    took = len(x) * 50e-3  # a little more than such a run takes
+    outs = rng.uniform(0, took, case.blackouts)
+    setup = Dimmed(rates, camera, Latencies(), seed, outs_s=outs)
+    counter = BenchCounter(setup, (0,))
+    bench = Bench(BenchProjector(setup), counter, setup.display, lambda: setup.now_s)
+    stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
+    acquisition = plan_live(patterns, named, EXPOSURE_S, photons=stated)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run"
+        found = [
+            each.answer for each in run_live(path, patterns, acquisition, bench) if each.answer
+        ]
+        again = replay_run(count_live(path), read_loop(patterns / "loop.safetensors"))
+    assert all(each.answer.agrees for each in again)
+    return found
+
+
+def row(name: str, found: list[LiveScene]) -> str:
+    """Row of the table."""
+    told = [each for each in found if each.predicted is not None]
+    right = np.mean([each.predicted == each.label for each in told]) if told else np.nan
+    wrong = [each for each in told if each.predicted != each.label]
+    sure = sum((each.probability or 0) > SURE for each in wrong)
+    kinds = Counter(kind for each in found for kind in {fault.kind for fault in each.faults})
+    words = ", ".join(f"{kind} {often}" for kind, often in kinds.most_common())
+    none = 1 - len(told) / len(found)
+    return f"| {name} | {right:.3f} | {none:.3f} | {sure / len(found):.3f} | {words} |"
+
+
+def main() -> None:
+    """Learn, run and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=31)
+    parser.add_argument("--epochs", type=int, default=40)
+    parser.add_argument("--runs", type=int, default=0, help="sound runs of 20 scenes")
+    parser.add_argument("--only", help="cases whose names hold these words")
+    parser.add_argument("--folder", type=Path, help="keep the design and its patterns here")
+    given = parser.parse_args()
+    data = load_dataset("digits")
+    folder = given.folder or Path(tempfile.mkdtemp())
+    design, patterns = folder / "looks.safetensors", folder / "patterns"
+    if not patterns.exists():
+        camera = {"light": "free-dwell", "rails": "single", "levels": 2}
+        training = Training(epochs=given.epochs)
+        settings = {"masks": 12, "photons": PHOTONS, "exposure": Looks(looks=3), "seed": given.seed}
+        learn(data, camera=camera, training=training, **settings).save(design)
+        frames = FrameSettings(find_device("64x48"), 1e-3)
+        export_patterns(design_rails(design), frames, patterns)
+    print("| what is wrong | accuracy | no class | wrong and sure | faults of scenes |")
+    print("| --- | --- | --- | --- | --- |")
+    places = np.random.default_rng(given.seed).permutation(len(data.x_test))[: given.scenes]
+    for (name, case), seed in zip(CASES.items(), itertools.count(given.seed)):
+        if given.only is None or given.only in name:
+            try:
+                print(row(name, run(patterns, data, case, places, seed)), flush=True)
+            except InputError as error:
+                print(f"| {name} | ended: {error} |", flush=True)
+    alarms: Counter[str] = Counter()
+    for seed in range(given.runs):
+        places = np.random.default_rng([given.seed, seed]).permutation(len(data.x_test))[:20]
+        found = run(patterns, data, Case(), places, 1000 + seed)
+        kinds = [{fault.kind for fault in each.faults} for each in found]
+        alarms.update(kind for each in kinds for kind in each)
+        alarms["run"] += any(each - {"unsure"} for each in kinds)
+    if given.runs:
+        scenes = 20 * given.runs
+        print(
+            f"{given.runs} sound runs of 20 scenes: {alarms['unsure']} of {scenes} scenes unsure, "
+            f"{alarms['run']} runs with any other fault ({dict(alarms)})"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,272 @@
+"""A reference target, and how a camera shows it: orientation, scale, shift and rotation.
+
+The target is a picture without symmetry. What it counts behind the masks of an export is known for
+every place that it may have on the device. So a recording of it tells how scenes lie there, before
+any data are taken: a similarity in one of eight orientations is fitted to the counts.
+"""
+
+import io
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy import optimize
+from scipy.stats import chi2
+
+from deepfsi.errors import InputError
+from deepfsi.files import write_atomically
+from deepfsi.grid import Layout
+from deepfsi.hardware.calibration.refine import DisplayedScenes
+from deepfsi.hardware.patterns.sequence import Manifest, Patterns
+from deepfsi.hardware.recording.counts import Counts
+from deepfsi.progress import SILENT, Report
+
+REFERENCE, EXPECTED = "reference.png", "reference.csv"
+"""Files of the target, and of what it is expected to count, in a folder of patterns."""
+
+TARGET = np.array(
+    [
+        [float(each == "#") for each in row]
+        for row in (
+            "........",
+            ".#####..",
+            ".#####..",
+            ".##.....",
+            ".####...",
+            ".##...#.",
+            ".##.....",
+            "........",
+        )
+    ]
+)
+"""The target: white blocks on black, unlike itself in all other orientations."""
+
+BLOCK_PIXELS = 64
+"""Pixels of a block's side in the picture."""
+
+LEAST_READOUTS = 8
+"""Readouts that a fit needs: of five unknowns, and the light of target and surroundings."""
+
+MODEL_ERROR = 0.003
+"""Error of a readout beside its noise, of the largest: mirrors, edges and print are not exact."""
+
+LEAST_CHANCE = 1e-6
+"""Chance of the counts' misfit below which no place of the target explains them."""
+
+CLEAR = 25.0
+"""Difference of the squared misfits by which one orientation must fit better than all others."""
+
+STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
+"""Scales and shifts from which a fit begins."""
+
+TRIED = 2
+"""Starts of each orientation that are followed."""
+
+MOST_SCALE, MOST_SHIFT, MOST_ROTATION = 0.05, 0.02, 3.0
+"""Departures that are well: a share of 1, a share of the region's side, degrees.
+
+On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points of
+accuracy, and twice as much 3 to 15.
+"""
+
+
+def reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
+    """The target as a picture in the proportions of scenes (h, w)."""
+    down, across = (max(1, round(BLOCK_PIXELS * n / max(image_shape))) for n in image_shape)
+    return np.kron(TARGET, np.ones((down, across)))
+
+
+def expected_shares(patterns: Patterns) -> np.ndarray:
+    """Light of the target in each frame that shows masks, of that of all mirrors ON, (f,)."""
+    model = _Model(patterns.manifest)
+    image = model.image(model.exported, np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
+    return np.asarray(patterns.fractions @ image / image.sum())
+
+
+def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
+    """Write the target, and what each frame is expected to count of it, to a folder of patterns."""
+    # Nothing for masks of one axis
+    if not has_reference(patterns.manifest):
+        return []
+    picture = io.BytesIO()
+    grey = np.rint(255 * reference_picture(patterns.manifest.image_shape)).astype(np.uint8)
+    Image.fromarray(grey).save(picture, format="PNG")
+    shares = dict(zip(patterns.manifest.shown.tolist(), expected_shares(patterns), strict=True))
+    rows = ["frame,shows,counts of those of all ON in the same time"]
+    for place, frame in enumerate(patterns.manifest.frames):
+        share = shares.get(place, float(frame.role == "on"))
+        rows.append(f'{place},"{frame}",{share:.5f}')
+    files = {REFERENCE: picture.getvalue(), EXPECTED: ("\n".join(rows) + "\n").encode()}
+    return [write_atomically(folder / name, content) for name, content in files.items()]
+
+
+def has_reference(manifest: Manifest) -> bool:
+    """True if the masks have two axes: others have no orientation in a plane."""
+    return len(manifest.image_shape) == 2
+
+
+@dataclass(frozen=True)
+class ReferenceFit:
+    """Place of the reference target on the device, as a camera shows it."""
+
+    exported: Layout
+    layout: Layout  # that masks need to lie on the device as scenes do
+    scale: float  # of the target's image, over that of the region
+    shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
+    rotation: float  # beyond the orientation's, degrees clockwise
+    errors: tuple[float, float, float, float]  # standard errors of scale, shifts and rotation
+    chance: float  # of a misfit as large
+    clear: float  # difference of the squared misfits from the next best orientation
+
+    @property
+    def doubt(self) -> str | None:
+        """Reason why what was found is not certain; None where it is."""
+        if self.chance < LEAST_CHANCE:
+            return (
+                "no place of the reference explains these counts: show it alone, on black, and "
+                "give the patterns that were shown"
+            )
+        limits = MOST_SCALE, MOST_SHIFT, MOST_SHIFT, MOST_ROTATION
+        more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
+        more = max(more, CLEAR / max(self.clear, 1e-3))
+        if more <= 1:
+            return None
+        return f"too little light to be certain: record the reference with {more:.2g} times as much"
+
+    @property
+    def fits(self) -> bool:
+        """True if the target certainly lies as the masks do."""
+        return self.doubt is None and not any(departs for _, _, departs in self.findings)
+
+    @property
+    def findings(self) -> list[tuple[str, str, bool]]:
+        """Findings by name, in words, and whether each departs from what was exported."""
+        scale, down, across, turn = self.errors
+        turned = self.layout != self.exported
+        words = "as exported"
+        if turned:
+            given = ["--flip"] * self.layout.flip
+            given += [f"--rotate {self.layout.rotate}"] * bool(self.layout.rotate)
+            again = " ".join(given) or "neither --flip nor --rotate"
+            words = f"not that of the masks: export again with {again}"
+        off = max(abs(each) for each in self.shift)
+        return [
+            ("orientation", words, turned),
+            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > MOST_SCALE),
+            (
+                "shift",
+                f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} "
+                "across, of the region",
+                off > MOST_SHIFT,
+            ),
+            (
+                "rotation",
+                f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
+                abs(self.rotation) > MOST_ROTATION,
+            ),
+        ]
+
+
+class _Model:
+    """Light of the target on the cells of a mask."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self.grid, self.exported = manifest.grid, manifest.layout
+        self.scene = DisplayedScenes(TARGET[None], self.grid)
+        self.wide = self.grid.across * self.grid.aspect / self.grid.down
+
+    def image(self, layout: Layout, place: np.ndarray) -> np.ndarray:
+        """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of the target."""
+        scale, turn, down, across, blur = place
+        sides = [self.wide, 1.0]
+        if self.exported.rotate in (90, 270):
+            sides.reverse()
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        linear = scale * rotation @ np.array(layout.orientation) * sides
+        linear = linear / np.array([[self.wide], [1.0]])
+        start = 0.5 + np.array([across, down]) - linear.sum(axis=1) / 2
+        view = np.array([*linear[0], start[0], *linear[1], start[1], 0.0, 0.0, abs(blur)])
+        seen = self.scene.images(view)[0]
+        out = np.empty(seen.size)
+        out[self.grid.pixels] = seen
+        return out
+
+
+@dataclass(frozen=True)
+class _Readouts:
+    """Counts of the target behind masks."""
+
+    masks: np.ndarray  # (k, N)
+    counts: np.ndarray  # (k,)
+    noise: np.ndarray  # (k,): standard deviation
+
+    def misfit(self, image: np.ndarray) -> np.ndarray:
+        """Counts less those of an image and of light spread evenly, over their noise (k,)."""
+        model = self.masks @ np.stack([image, np.ones_like(image)], axis=1) / self.noise[:, None]
+        size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
+        wanted = self.counts / self.noise
+        parts, _ = optimize.nnls(model / size, wanted)
+        return np.asarray(wanted - (model / size) @ parts)
+
+
+def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) -> ReferenceFit:
+    """Place of the target in a recording of it alone, all passes and exposures together."""
+    readouts, model = _readouts(counts, patterns), _Model(patterns.manifest)
+    found = []
+    every = model.exported.orientations()
+    for done, layout in enumerate(every):
+        report(done / len(every))
+        starts = [
+            np.array([scale, 0.0, down, across, 0.3])
+            for scale, down, across in product(STARTS[0], STARTS[1], STARTS[1])
+        ]
+
+        def misfit(place: np.ndarray, layout: Layout = layout) -> np.ndarray:
+            return readouts.misfit(model.image(layout, place))
+
+        starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))
+        for start in starts[:TRIED]:
+            limits = [0.2, -0.8, -0.6, -0.6, 0.0], [4.0, 0.8, 0.6, 0.6, 2.0]
+            step = optimize.least_squares(
+                misfit, start, bounds=limits, x_scale=[0.1, 0.1, 0.1, 0.1, 0.3], xtol=1e-5
+            )
+            found.append((2 * step.cost, layout, step))
+    found.sort(key=lambda each: each[0])
+    cost, layout, best = found[0]
+    spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
+    others = [each[0] for each in found if each[1] != layout]
+    scale, turn, down, across, _ = best.x.tolist()
+    return ReferenceFit(
+        exported=model.exported,
+        layout=layout,
+        scale=scale,
+        shift=(down, across),
+        rotation=float(np.degrees(turn)),
+        errors=(spread[0], spread[2], spread[3], float(np.degrees(spread[1]))),
+        chance=float(chi2.sf(cost, max(len(readouts.counts) - 7, 1))),
+        clear=min(others) - cost,
+    )
+
+
+def _readouts(counts: Counts, patterns: Patterns) -> _Readouts:
+    """Readouts of sound exposures together, or `InputError` if they are too few."""
+    manifest, read = patterns.manifest, counts.lengths_s > 0
+    if not has_reference(manifest):
+        raise InputError("masks of one axis have no orientation: there is no reference for them")
+    if read.sum() < LEAST_READOUTS:
+        raise InputError(
+            f"{read.sum()} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
+            "are needed: record it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
+        )
+    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    if not usable.any():
+        raise InputError("no exposure of the reference was counted: record it again")
+    signal = counts.signal().sum(axis=(0, 1), where=usable)
+    noise = counts.variance.sum(axis=(0, 1), where=usable)
+    if manifest.several:
+        signal, noise = signal.sum(axis=-1), noise.sum(axis=-1)
+    values, power = signal[read], noise[read]
+    error = np.sqrt(np.maximum(power, 1) + (MODEL_ERROR * values.max()) ** 2)
+    return _Readouts(patterns.rails[read], values, error)

@@ -1,0 +1,79 @@
+"""What is at --out is replaced by the same settings, or with --force, and by nothing else."""
+
+import json
+
+import pytest
+
+from deepfsi import Design, InputError
+
+DESIGN = ("design", "--photons", "1e3", "--masks", 3, "--epochs", 1)
+COMPARE = ("compare", "--photons", "1e3", "--trials", 1, "--epochs", 1, "--designs", "pca")
+
+
+def test_a_design_is_replaced_by_the_same_settings_only(done, refuse, tmp_path):
+    out = tmp_path / "d.safetensors"
+    done(*DESIGN, "-o", out)
+    before = Design.load(out)
+    done(*DESIGN, "-o", out)
+    assert Design.load(out).info["job"] == before.info["job"], "the same settings may go on"
+    for other in (("--seed", 1), ("--hold-out", 100), ("--camera", "two-arm")):
+        told = refuse(*DESIGN, *other, "-o", out)
+        assert "of other settings: give another name, or --force" in told
+    assert Design.load(out).info == Design.load(out).info | {"job": before.info["job"]}
+    done(*DESIGN, "--seed", 1, "-o", out, "--force")
+    assert Design.load(out).info["job"]["seed"] == 1
+    out.write_text("no design")
+    assert "of other settings" in refuse(*DESIGN, "-o", out)
+    assert out.read_text() == "no design"
+
+
+@pytest.mark.parametrize("command", ["show FILE -o a.png", "page FILE -o a.html", "export FILE"])
+def test_a_file_is_replaced_with_force_only(refuse, tmp_path, monkeypatch, good, command):
+    monkeypatch.chdir(tmp_path)
+    good.save(tmp_path / "a.safetensors")
+    name = command.split()[-1] if "-o" in command else "a.onnx"
+    (tmp_path / name).write_text("mine")
+    words = command.replace("FILE", "a.safetensors").split()
+    assert f"{name} exists already: give another name, or --force" in refuse(*words)
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_force_replaces_a_file(done, tmp_path, good):
+    good.save(tmp_path / "a.safetensors")
+    (tmp_path / "a.png").write_text("mine")
+    done("show", tmp_path / "a.safetensors", "-o", tmp_path / "a.png", "--force")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_results_are_never_lost_to_those_of_other_settings(done, refuse, tmp_path):
+    out = tmp_path / "out"
+    done(*COMPARE, "--masks", 3, "-o", out)
+    before = (out / "results.json").read_bytes()
+    done(*COMPARE, "--masks", 3, "-o", out)
+    for other in (
+        ("--masks", 4),
+        ("--masks", 3, "--camera", "two-arm"),
+        ("--masks", 3, "--lr", 0.1),
+    ):
+        told = refuse(*COMPARE, *other, "-o", out)
+        assert f"{out} holds results of other settings (" in told
+        assert "--force to replace its results" in told
+    done(*COMPARE, "--masks", "3,4", "-o", out)
+    points = json.loads((out / "results.json").read_bytes())["points"]
+    assert {point["masks"] for point in points} == {3, 4}, "more settings lose nothing"
+    assert "holds results" in refuse(*COMPARE, "--masks", 3, "-o", out)
+    done(*COMPARE, "--masks", 3, "-o", out, "--force")
+    assert (
+        json.loads(before)["points"][0]["keys"]
+        == (json.loads((out / "results.json").read_bytes())["points"][0]["keys"])
+    )
+    (out / "results.json").write_text("{}")
+    assert "--force replaces it" in refuse(*COMPARE, "--masks", 3, "-o", out)
+
+
+def test_names_of_design_files_end_as_on_the_command_line(good, tmp_path):
+    for name in ("digits", "digits.pt", "digits.safetensors.bak"):
+        with pytest.raises(InputError, match=r"end the name in \.safetensors"):
+            good.save(tmp_path / name)
+    assert not any(tmp_path.iterdir())
+    assert good.save(tmp_path / "D.SAFETENSORS").is_file()

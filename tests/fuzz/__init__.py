@@ -1,0 +1,1 @@
+"""Fuzzing of all readers of what users give."""

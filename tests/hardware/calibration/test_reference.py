@@ -1,0 +1,153 @@
+"""The reference target: what a camera makes of it is found from counts behind few masks."""
+
+import csv
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+from deepfsi.datasets import read_display
+from deepfsi.devices import Device
+from deepfsi.errors import InputError
+from deepfsi.grid import Layout
+from deepfsi.hardware.calibration.reference import (
+    EXPECTED,
+    REFERENCE,
+    find_reference,
+    reference_picture,
+    write_reference,
+)
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.virtual.camera import (
+    CAMERAS,
+    RecordingSettings,
+    VirtualCamera,
+    arrival_rates,
+    record,
+)
+
+DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
+PLAIN = Layout()
+
+
+def masks(count: int = 16, seed: int = 0) -> np.ndarray:
+    """Smooth grey masks (1, m, 64), as learned ones are."""
+    grey = ndimage.gaussian_filter(np.random.default_rng(seed).random((count, 8, 8)), (0, 1, 1))
+    grey -= grey.min(axis=(1, 2), keepdims=True)
+    grey /= grey.max(axis=(1, 2), keepdims=True)
+    return grey.reshape(1, count, 64) / count
+
+
+def export(folder, layout=PLAIN, rails=None, **settings):
+    design = DesignRails(masks() if rails is None else rails, "equal-dwell", (8, 8), 20.0)
+    shown = export_patterns(design, FrameSettings(DEVICE, 1e-3, layout=layout), folder)
+    write_reference(shown, folder)
+    return shown
+
+
+def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
+    """Homography of a display that lies so on the device; shifts down and across, degrees."""
+    angle = np.deg2rad(turn)
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    linear = scale * rotation @ np.array(layout.orientation)
+    start = 0.5 + np.array(shift[::-1]) - linear.sum(axis=1) / 2
+    return (*linear[0], start[0]), (*linear[1], start[1]), (0.0, 0.0, 1.0)
+
+
+def found(tmp_path, shown, camera, flux=3e8, picture=None, exposure=0.01):
+    x = read_display(tmp_path / "p" / REFERENCE).x if picture is None else picture
+    settings = RecordingSettings(camera, flux, exposure)
+    record(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
+    return find_reference(count(tmp_path / "run"), shown)
+
+
+@pytest.mark.parametrize(
+    ("layout", "place"),
+    [
+        (PLAIN, {}),
+        (PLAIN, {"shift": (0.0, 0.125)}),
+        (PLAIN, {"scale": 0.9, "turn": 4.0, "shift": (0.03, -0.05)}),
+        (Layout(rotate=90), {"scale": 0.5}),
+        *((each, {}) for each in PLAIN.orientations()[2::2]),
+    ],
+    ids=str,
+)
+def test_law_the_place_of_a_scene_is_found_with_stray_light(tmp_path, layout, place):
+    """Each number within five of its standard errors, in silence until now: scenes turned by 180
+    degrees or flipped, shifted by a pixel of 8, at half their size."""
+    shown = export(tmp_path / "p")
+    camera = VirtualCamera(view=view(layout, **place), ambient=1e6)
+    fit = found(tmp_path, shown, camera, flux=1e9)
+    assert fit.doubt is None
+    assert fit.layout.orientation == layout.orientation
+    assert fit.fits == (layout == PLAIN and not place)
+    wanted = place.get("scale", 1.0), *place.get("shift", (0.0, 0.0)), place.get("turn", 0.0)
+    off = np.array([fit.scale, *fit.shift, fit.rotation]) - wanted
+    assert (abs(off) < 5 * np.array(fit.errors) + (0.003, 0.003, 0.003, 0.2)).all()
+
+
+def test_an_export_with_what_it_says_fits(tmp_path):
+    turned = Layout(flip=True, rotate=90)
+    camera = VirtualCamera(view=view(turned))
+    first = found(tmp_path, export(tmp_path / "p"), camera)
+    assert "export again with --flip --rotate 90" in first.findings[0][1]
+    assert not first.fits
+    (tmp_path / "again").mkdir()
+    assert found(tmp_path / "again", export(tmp_path / "again/p", first.layout), camera).fits
+
+
+def test_little_light_is_said_to_be_too_little(tmp_path):
+    fit = found(tmp_path, export(tmp_path / "p"), CAMERAS["ideal"], flux=1e6)
+    assert not fit.fits
+    assert "too little light to be certain: record the reference with" in fit.doubt
+
+
+def test_another_picture_is_no_reference(tmp_path):
+    other = np.random.default_rng(5).random((1, 8, 8))
+    fit = found(tmp_path, export(tmp_path / "p"), CAMERAS["ideal"], flux=1e9, picture=other)
+    assert "no place of the reference explains these counts" in fit.doubt
+
+
+def test_the_folder_has_the_target_and_its_counts(tmp_path):
+    """The expected counts are those of the virtual camera, within the model's error."""
+    shown = export(tmp_path / "p")
+    with Image.open(tmp_path / "p" / REFERENCE) as picture:
+        assert np.array_equal(np.asarray(picture) > 0, reference_picture((8, 8)) > 0)
+    flow = arrival_rates(tmp_path / "p", reference_picture((8, 8))[None], CAMERAS["ideal"], 1.0)
+    with (tmp_path / "p" / EXPECTED).open() as file:
+        rows = list(csv.reader(file))[1:]
+    assert [row[1] for row in rows] == [str(frame) for frame in shown.manifest.frames]
+    shares = [float(row[2]) for row in rows]
+    assert shares == pytest.approx(flow[0, :, 0] / flow[0, 0, 0], abs=3e-3)
+
+
+def test_a_reference_has_no_symmetry():
+    picture = reference_picture((8, 8))
+    every = {np.rot90(side, k).tobytes() for side in (picture, picture[:, ::-1]) for k in range(4)}
+    assert len(every) == 8
+
+
+def test_few_masks_and_spectra_are_refused(tmp_path):
+    shown = export(tmp_path / "p", rails=masks(5))
+    with pytest.raises(InputError, match=r"5 readouts do not tell .*hadamard --size 8x8"):
+        found(tmp_path, shown, CAMERAS["ideal"], exposure=1e-3)
+    spectra = DesignRails(masks(), "equal-dwell", (64,), 20.0)
+    shown = export_patterns(spectra, FrameSettings(DEVICE, 1e-3), tmp_path / "s")
+    assert write_reference(shown, tmp_path / "s") == []
+    counted = count(tmp_path / "run")
+    with pytest.raises(InputError, match="masks of one axis have no orientation"):
+        find_reference(counted, shown)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverted):
+    shown = export(tmp_path / "p", Layout(invert=inverted))
+    camera = VirtualCamera(inverted=True)
+    if inverted:
+        assert found(tmp_path, shown, camera).fits
+    else:
+        with pytest.raises(InputError, match=r"mirrors are inverted.* with --invert"):
+            found(tmp_path, shown, camera)

@@ -1,0 +1,131 @@
+"""Layout of cells on a device: square, in a region, flipped, turned and inverted."""
+
+import numpy as np
+import pytest
+from pattern_samples import SMALL, export
+
+from deepfsi.devices import DEVICES, Device, find_device
+from deepfsi.errors import InputError
+from deepfsi.grid import Layout, find_grid
+from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.mirrors import unpack
+
+SHAPES = ((32, 32), (8, 8), (3, 5))
+
+
+@pytest.mark.parametrize("name", DEVICES)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_law_cells_are_square_and_in_the_middle_of_each_device(name, shape):
+    """In length, not in mirrors: columns of a diamond lattice are two rows apart."""
+    device = DEVICES[name]
+    grid = find_grid(device, shape)
+    step = 2 if device.lattice == "diamond" else 1
+    assert grid.height == step * grid.width
+    assert grid.aspect == 1
+    down, across = grid.down * grid.height, grid.across * grid.width
+    assert abs(device.rows - down - 2 * grid.top) <= step + 1
+    assert abs(device.columns - across - 2 * grid.left) <= 1
+    larger = step * (grid.width + 1) * shape[0] > device.rows
+    assert larger or (grid.width + 1) * shape[1] > device.columns  # none larger fit
+
+
+@pytest.mark.parametrize(
+    ("name", "stretched", "square", "share"),
+    [("dlp7000", (24, 32), 24, 0.75), ("dlp6500", (33, 60), 33, 0.5377777777777778)],
+)
+def test_stretched_cells_fill_the_device_and_are_not_square(name, stretched, square, share):
+    device = DEVICES[name]
+    grid = find_grid(device, (32, 32), Layout(stretch=True))
+    assert (grid.height, grid.width) == stretched
+    assert grid.aspect == stretched[1] / stretched[0]
+    grid = find_grid(device, (32, 32))
+    assert (grid.height, grid.width) == (square, square)
+    used = grid.mirrors * 1024 / (device.rows * device.columns)
+    assert used == pytest.approx(share)
+
+
+def test_a_spectrum_fills_the_height():
+    grid = find_grid(DEVICES["dlp7000"], (64,))
+    assert (grid.height, grid.width, grid.down, grid.across) == (768, 16, 1, 64)
+
+
+def test_cells_lie_in_the_region():
+    device = DEVICES["dlp7000"]
+    grid = find_grid(device, (8, 8), Layout(region="400x320+100+40"))
+    assert (grid.height, grid.width) == (40, 40)
+    assert (grid.left, grid.top) == (100 + 40, 40)
+    grid = find_grid(device, (8, 8), Layout(region="400x320", stretch=True))
+    assert (grid.height, grid.width, grid.left, grid.top) == (40, 50, 312, 224)
+    diamond = find_grid(DEVICES["dlp4500"], (8, 8), Layout(region="400x400+1+3"))
+    assert diamond.top % 2 == 0
+
+
+@pytest.mark.parametrize(
+    ("region", "match"),
+    [
+        ("1025x768", "the region 1025x768 does not lie on dlp7000 with 1024 x 768 mirrors"),
+        ("100x100+1000+0", "does not lie on dlp7000"),
+        ("4x4", "8 x 8 cells do not fit the region 4x4 with 4 x 4 mirrors"),
+    ],
+)
+def test_a_region_that_cannot_be_is_named(region, match):
+    with pytest.raises(InputError, match=match):
+        find_grid(DEVICES["dlp7000"], (8, 8), Layout(region=region))
+
+
+@pytest.mark.parametrize("region", ["768", "0x5", "768X768", "-1x4", "4x4+1"])
+def test_text_that_is_no_region_is_refused(region):
+    with pytest.raises(ValueError, match="give COLUMNSxROWS"):
+        Layout(region=region)
+
+
+def oriented(picture: np.ndarray, layout: Layout) -> np.ndarray:
+    """A picture flipped left to right, then turned clockwise."""
+    return np.rot90(picture[:, ::-1] if layout.flip else picture, -layout.rotate // 90)
+
+
+@pytest.mark.parametrize("layout", Layout().orientations(), ids=str)
+@pytest.mark.parametrize("device", [SMALL, find_device("dlp4500")], ids=["square", "diamond"])
+@pytest.mark.parametrize("selection", ["ordered", "random"])
+def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, selection):
+    masks = np.arange(1, 13).reshape(1, 1, 12) / 12
+    made = export(
+        tmp_path / "p", masks, image_shape=(3, 4), layout=layout, device=device,
+        selection=selection, format="npy",
+    )  # fmt: skip
+    grid = made.manifest.grid
+    frame = list(read_frames(tmp_path / "p"))[2]
+    rows, columns = grid.window
+    lit = unpack(frame, device)[rows, columns]
+    cells = lit.reshape(grid.down, grid.height, grid.across, grid.width).sum(axis=(1, 3))
+    wanted = oriented(made.on[0].reshape(3, 4), layout)
+    assert np.array_equal(cells, wanted)
+    assert check_patterns(tmp_path / "p").manifest.layout == layout
+
+
+def test_inverted_files_have_a_one_for_every_mirror_that_is_off(tmp_path):
+    usual = export(tmp_path / "a")
+    inverted = export(tmp_path / "b", layout=Layout(stretch=True, invert=True))
+    pairs = zip(read_frames(tmp_path / "a"), read_frames(tmp_path / "b"), strict=True)
+    assert all(np.array_equal(unpack(a, SMALL), ~unpack(b, SMALL)) for a, b in pairs)
+    assert np.array_equal(usual.on, inverted.on)
+    check_patterns(tmp_path / "b")
+
+
+def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
+    """Folders of 0.2.0 keep their cells."""
+    import json
+
+    made = export(tmp_path / "p")
+    file = tmp_path / "p" / "manifest.json"
+    content = json.loads(file.read_text())
+    del content["layout"], content["sha256"]
+    file.write_text(json.dumps(content))
+    assert read_patterns(tmp_path / "p").manifest.grid == made.manifest.grid
+
+
+def test_the_share_of_the_light_is_that_of_the_mirrors(tmp_path):
+    device = Device(name="d", columns=64, rows=48)
+    made = export(tmp_path / "p", device=device, layout=Layout())
+    assert made.manifest.used == 0.75
+    check_patterns(tmp_path / "p")
