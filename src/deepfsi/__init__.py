@@ -106,7 +106,10 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("deepfsi")
     if name not in _HOMES:
         raise AttributeError(f"module 'deepfsi' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)
+    from deepfsi.imports import torch_needed
+
+    with torch_needed():
+        return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:

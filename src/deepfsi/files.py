@@ -145,6 +145,8 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         try:
             draft.mkdir()
             yield draft
+            if target.exists():
+                target.rmdir()  # Windows puts no folder in place of another
             os.replace(draft, target)
         except BaseException:
             shutil.rmtree(draft, ignore_errors=True)

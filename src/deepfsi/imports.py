@@ -5,11 +5,13 @@ that only a name is imported that the user has given in a program, an option or 
 a design file that the user says to trust.
 """
 
+import contextlib
 import hashlib
 import importlib
 import inspect
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,24 @@ PATTERN = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
 
 UNNAMED = "own"
 """Name in settings of a part that is given as an object and has no import path."""
+
+
+NO_TORCH = (
+    'torch is not installed, and learning, testing and classifying need it: pip install "deepfsi'
+    "[design]\"; a camera's computer needs none to show patterns, count and decide in looks"
+)
+"""Message where torch is missing."""
+
+
+@contextlib.contextmanager
+def torch_needed() -> Iterator[None]:
+    """Say in one line what to install where torch is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise InputError(NO_TORCH) from None
 
 
 def named(path: str) -> Any:

@@ -54,7 +54,7 @@ def say_stopped() -> None:
         _said.set()
         resumes = sys.argv[1:2] in (["compare"], ["sweep"], ["reproduce"], ["plan"])
         kept = "; finished trials are kept, run again to go on" if resumes else ""
-        if sys.argv[1:3] == ["camera", "live"]:
+        if sys.argv[1:3] in (["camera", "live"], ["camera", "record"]):
             kept = "; finished scenes are kept"
         print(f"deepfsi: stopped{kept}", file=sys.stderr)
 

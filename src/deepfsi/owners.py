@@ -74,7 +74,7 @@ def place() -> str:
         if path.is_symlink():
             facts.append(os.readlink(path))
         elif path.is_file():
-            facts.append(path.read_text())
+            facts.append(path.read_text("ascii"))
     return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:12]
 
 

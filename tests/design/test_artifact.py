@@ -19,8 +19,8 @@ import deepfsi
 from conftest import PHOTONS, RECIPE, every_design, every_optics, generator, light_on, quick
 from deepfsi import Camera
 from deepfsi.design.artifact import Design
-from deepfsi.design.artifact_file import SCHEMA
 from deepfsi.design.evaluation import camera_for, evaluate
+from deepfsi.design.file_content import SCHEMA
 from deepfsi.errors import InputError
 from deepfsi.training.learning import train
 from deepfsi.training.training_set import TrainingSet

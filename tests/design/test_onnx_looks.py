@@ -6,8 +6,8 @@ import pytest
 from conftest import quick
 from deepfsi.design.artifact import Design
 from deepfsi.design.onnx_graph import to_onnx
-from deepfsi.laboratory.rails import loop_of
 from deepfsi.optics.dwells import share_out
+from shared.design_files import loop_of
 
 onnxruntime = pytest.importorskip("onnxruntime")
 

@@ -44,7 +44,7 @@ def read_design(path: Path) -> None:
     design = Design.load(path)
     camera_of(path)
     repr(design)
-    _ = design.camera, memory_of(design)
+    _ = design.camera, memory_of(design.info)
     if design.exposure.chooses:
         rule_of(design)
     elif design.exposure.kind != "patches":  # whose counts are of each patch

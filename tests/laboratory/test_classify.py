@@ -116,6 +116,23 @@ def test_scenes_are_a_list_or_pictures(lab, tmp_path):
         listed(tmp_path / "none.csv")
 
 
+def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch):
+    """It is the same in all exposures of a scene, so that of n together has n² its variance."""
+    from dataclasses import replace
+
+    from deepfsi.design.artifact import Design
+    from deepfsi.laboratory import classify
+
+    counts, told = read_counts(lab / RUN), []
+    monkeypatch.setattr(Design, "consistency", lambda *given: told.append(given[3]))
+    n = counts.valid.sum(axis=1)[0]
+    for ambient_variance in (0 * counts.ambient, counts.ambient + 7.0):
+        changed = replace(counts, ambient_variance=ambient_variance)
+        monkeypatch.setattr(classify, "load_counts", lambda *given, held=changed: held)
+        deepfsi.classify_run(lab / DESIGN, lab / RUN, force=True)
+    np.testing.assert_allclose(told[1] - told[0], 7.0 * n**2)
+
+
 @pytest.mark.parametrize("share", [0.02, 1e-2, 1e-3])
 def test_a_run_with_far_less_light_than_the_training_is_refused_unless_forced(lab, tmp_path, share):
     """Nothing compared the two: at 2 % of the light 15 of 40 digits were right, in silence."""

@@ -12,9 +12,9 @@ from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
 from deepfsi.design.payload import playable
-from deepfsi.laboratory.rails import loop_of
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
+from shared.design_files import loop_of
 from shared.playground import KINDS, VECTORS, ask, fits, read_counts
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")

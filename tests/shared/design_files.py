@@ -1,6 +1,7 @@
 """Design files, changed and refused."""
 
 import json
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from safetensors.torch import load_file, save_file
 
 from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
+from deepfsi.laboratory.live.loop import Loop
+from deepfsi.laboratory.rails import ShownDesign
 
 
 def header_of(path: Path) -> dict[str, Any]:
@@ -32,3 +35,9 @@ def refused(path: Path, match: str = "not a whole deepfsi design file") -> None:
     with pytest.raises(InputError, match=match) as error:
         Design.load(path)
     assert "\n" not in str(error.value)
+
+
+def loop_of(design: Design) -> Loop:
+    """Loop of a design, from its file."""
+    with tempfile.TemporaryDirectory() as folder:
+        return ShownDesign.read(design.save(Path(folder) / "design.safetensors")).loop

@@ -1,5 +1,6 @@
 """The command line: parses, calls, prints. Heavy imports happen in the command that needs them."""
 
+import io
 import re
 import sys
 from collections.abc import Callable
@@ -8,7 +9,17 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import deepfsi
-from deepfsi.cli import acquisitions, calibrations, camera, classify, common, data, dmd, live
+from deepfsi.cli import (
+    acquisitions,
+    calibrations,
+    camera,
+    classify,
+    common,
+    data,
+    dmd,
+    live,
+    record,
+)
 from deepfsi.cli.deploy import export, plan
 from deepfsi.cli.designs import design, evaluate, page, show, stop
 from deepfsi.cli.groups import Group
@@ -16,6 +27,7 @@ from deepfsi.cli.predict import predict
 from deepfsi.cli.settings import SettingsCommand
 from deepfsi.cli.studies import compare, report, reproduce, sweep
 from deepfsi.errors import InputError
+from deepfsi.imports import torch_needed
 from deepfsi.interrupts import STOPPED, say_stopped
 
 app = typer.Typer(
@@ -58,6 +70,7 @@ _OF_CAMERA: dict[str, dict[str, Callable[..., None]]] = {
     "Record a run": {
         "prepare": acquisitions.camera_prepare,
         "simulate": camera.camera_simulate,
+        "record": record.camera_record,
         "live": live.camera_live,
         "import": acquisitions.camera_import,
     },
@@ -80,8 +93,12 @@ for _heading, _named in _OF_CAMERA.items():
 
 def main() -> NoReturn:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 stopped by Ctrl-C."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name
     try:
-        code = app(standalone_mode=False)
+        with torch_needed():
+            code = app(standalone_mode=False)
     except typer.Exit as stop:
         code = stop.exit_code
     except (KeyboardInterrupt, typer.Abort):

@@ -7,6 +7,9 @@ import typer
 
 from deepfsi.cli import common, options, paths
 from deepfsi.cli.settings import laboratory_fields, with_settings
+from deepfsi.errors import InputError
+
+_SERIES = "--cumulative or --bins"
 
 
 @with_settings(laboratory_fields, "exposure", "flux")
@@ -72,13 +75,19 @@ def camera_import(
         Path,
         typer.Argument(
             help="time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a "
-            "Photon-HDF5 file"
+            "Photon-HDF5 file; with --cumulative or --bins a table with a column for each input"
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", help="photon file, .ptu, new; with --cumulative or --bins a table, .csv"
         ),
     ],
     marker: Annotated[
-        int, typer.Option("--marker-channel", help="channel of the device's trigger")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="photon file, .ptu")],
+        int | None,
+        typer.Option("--marker-channel", help="time stamps: channel of the device's trigger"),
+    ] = None,
     channels: Annotated[
         list[int] | None,
         typer.Option(
@@ -88,13 +97,44 @@ def camera_import(
     unit: Annotated[
         str | None, typer.Option(help="unit of the times, such as 1ps; the file's own unless given")
     ] = None,
+    cumulative: Annotated[
+        bool,
+        typer.Option(
+            "--cumulative", help="cumulative counts, latched by the trigger of each frame (NI)"
+        ),
+    ] = False,
+    bins: Annotated[
+        str | None,
+        typer.Option(help="counts in even bins of this time, such as 100us (Hamamatsu units)"),
+    ] = None,
+    patterns: Annotated[
+        Path | None, typer.Option(help="--cumulative and --bins: folder of the patterns shown")
+    ] = None,
+    passes: Annotated[
+        int | None,
+        typer.Option(min=1, help="--cumulative and --bins: passes; as many as there are"),
+    ] = None,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
-    """Write the time stamps of another make of counter as a photon file, its trigger as marker 0.
+    """Bring the data of another make of counter into a form that is read here.
+
+    Time stamps become a photon file, their trigger marker 0. Cumulative counts, and counts in even
+    time bins, become a table with a row for each pass, for `camera classify`.
 
     Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
     """
+    if cumulative or bins:
+        given = {"--marker-channel": marker, "--channel": channels, "--unit": unit}
+        if stray := [option for option, value in given.items() if value is not None]:
+            raise InputError(f"{stray[0]} is for time stamps: leave it out, or {_SERIES}")
+        paths.check_file(out, (".csv",), force)
+        _import_series(events, out, bins, patterns, passes, as_json)
+        return
+    if patterns is not None or passes is not None:
+        raise InputError(f"--patterns and --passes are for {_SERIES}: leave them out")
+    if marker is None:
+        raise InputError(f"time stamps need --marker-channel, and counts {_SERIES}: give one")
     paths.check_file(out, (".ptu",), force)
     from deepfsi.hardware.ptu.reader import inspect
     from deepfsi.hardware.ptu.stamps import read_stamps, write_stamps
@@ -115,3 +155,42 @@ def camera_import(
         f"channel {marker}: {triggers} markers on 0\n{left} events of other channels left out\n"
         f"photons: {out}"
     )
+
+
+def _import_series(
+    source: Path,
+    out: Path,
+    bins: str | None,
+    patterns: Path | None,
+    passes: int | None,
+    as_json: bool,
+) -> None:
+    """Write cumulative counts, or counts in bins, as a table."""
+    if patterns is None:
+        raise InputError(f"{_SERIES} need the patterns that were shown: give --patterns")
+    from deepfsi.files import write_atomically
+    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.recording.series import of_bins, of_cumulative
+    from deepfsi.tables.table_files import read_table
+
+    manifest, values = read_patterns(patterns).manifest, read_table(source).values
+    width = options.optional_seconds("bins", bins)
+    if width is None:
+        rows, names = of_cumulative(values, manifest, passes, str(source))
+    else:
+        rows, names = of_bins(values, manifest, width, passes, str(source))
+    lines = [",".join(names), *(",".join(map(str, row)) for row in rows.tolist())]
+    write_atomically(out, "\n".join([*lines, ""]).encode())
+    settle = [] if bins is None else ["--settle", bins]
+    ends = [] if "on" in {each.split("/")[0] for each in names} else ["--photons", "--background"]
+    if as_json:
+        about = {"passes": len(rows), "values": len(names), "settle_s": width or 0.0}
+        common.print_json("camera.import", {"file": str(out), **about, "needs": ends})
+        return
+    print(f"{len(rows)} passes of {len(names)} values\ntable: {out}")
+    if ends:
+        print(
+            "the last frame of a pass has no end: all-ON and all-OFF frames are left out; give "
+            f"{' and '.join(ends)} to classify"
+        )
+    print("then:", *("deepfsi camera classify", patterns, out, *settle))

@@ -155,6 +155,13 @@ def camera_count(
         str | None,
         typer.Option(help="how far a marker may be off; 10us or a tenth of a frame unless given"),
     ] = None,
+    background: Annotated[
+        str | None,
+        typer.Option(
+            help="scene of this run that was dark, or folder of a run with the scene dark: its "
+            "counts are subtracted"
+        ),
+    ] = None,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     flat: Annotated[
@@ -181,7 +188,7 @@ def camera_count(
     from deepfsi.laboratory.live.replay import check_as_it_was, count_live, is_live
 
     if is_live(folder):
-        given = (exposure, settle, repeats, tolerance, inputs, marker, flat)
+        given = exposure, settle, repeats, tolerance, background, inputs, marker, flat
         check_as_it_was((*given, *settings.values()))
         with common.progress("counting", quiet=as_json) as report:
             _print_live_counts(count_live(folder, report), folder, as_json)
@@ -195,13 +202,17 @@ def camera_count(
             tolerance_s=options.optional_seconds("tolerance", tolerance),
             **options.wiring(inputs, marker),
             dead_time=dead_time_of(camera_of(folder, **settings), settings),
+            background=background,
             gains=() if flat is None else gains_of(flat),
             report=report,
         )
-    _print_counts(counts, folder, as_json)
+    print_counts(counts, folder, as_json)
 
 
-def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
+def print_counts(
+    counts: "Counts", folder: Path, as_json: bool, command: str = "camera.count"
+) -> None:
+    """Print what was counted, and every fault."""
     from deepfsi.hardware.ptu.header import read_header
     from deepfsi.hardware.recording.acquisition import read_acquisition
 
@@ -220,6 +231,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         "dead_time_s": counts.dead_time.seconds,
         "paralysable": counts.dead_time.paralysable,
         "arrivals": float(counts.arrivals.sum()),
+        "ambient": float(counts.ambient.sum()),
         "gains": list(counts.gains),
         "problems": list(problems),
     }
@@ -229,7 +241,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
             for fault in counts.faults
         ]
         measured = {"counts": counts.counts.tolist(), "valid": counts.valid.tolist()}
-        common.print_json("camera.count", {**summary, "faults": faults, **measured})
+        common.print_json(command, {**summary, "faults": faults, **measured})
         return
     for problem in problems:
         print(f"photons.ptu: {problem}")
@@ -249,6 +261,7 @@ def _print_counts(counts: "Counts", folder: Path, as_json: bool) -> None:
         f"{_span(counts.photons)} photons an exposure, dark "
         f"{_span(counts.dark_rate[counts.valid.any(axis=1)])} counts/s\n"
         f"clocks: frames last {_drifted(counts.drift)}\n"
+        f"{_ambient(counts)}"
         f"counts: {folder / 'counts.npz'}"
     )
 
@@ -273,6 +286,14 @@ def _print_live_counts(counts: "LiveCounts", folder: Path, as_json: bool) -> Non
         f"frames\n{summary['photons_counted']} photons counted\n"
         f"counts: {folder / 'counts.npz'}"
     )
+
+
+def _ambient(counts: "Counts") -> str:
+    """Line on the background that was measured; nothing where none was."""
+    if not counts.ambient_variance.any():
+        return ""
+    error = math.sqrt(counts.ambient_variance.sum())
+    return f"background subtracted: {counts.ambient.sum():.4g} ± {error:.2g} counts an exposure\n"
 
 
 def _drifted(drift: float) -> str:

@@ -32,10 +32,10 @@ def camera_classify(
     ],
     photons: options.Budget = None,
     background: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            help="table: dark counts of an input in one exposure; those of the all-OFF frames "
-            "unless given"
+            help="table: dark counts of an input in one exposure, those of the all-OFF frames "
+            "unless given; or a table of exposures with the scene dark, to be subtracted"
         ),
     ] = None,
     settle: Annotated[
@@ -82,7 +82,7 @@ def camera_classify(
     from deepfsi.laboratory.classify import classify_run, classify_table
     from deepfsi.laboratory.live.replay import COUNTS, count_live, is_live
     from deepfsi.laboratory.results import ClassifiedRun
-    from deepfsi.tables.table_files import SUFFIXES, is_table
+    from deepfsi.tables.table_files import SUFFIXES, is_table, read_table
 
     found: ClassifiedRun | ReplayedRun
     if counted.is_dir():
@@ -94,10 +94,14 @@ def camera_classify(
                 count_live(counted, report)
         found = classify_run(file, counted, photons=photons, force=force, trust=trust)
     elif is_table(counted):
-        from deepfsi.hardware.recording.tables import TableSettings
+        from deepfsi.hardware.recording.tables import WORDS, TableSettings
 
         settle_s = options.optional_seconds("settle", settle) or 0.0
-        table = TableSettings(photons, background, settle_s, exposures, repeats, gain, read_noise)
+        dark = read_table(background, WORDS) if background and is_table(background) else None
+        counts = None if background is None or dark else options.number("background", background)
+        table = TableSettings(
+            *(photons, counts, settle_s, exposures, repeats, gain, read_noise), dark=dark
+        )
         found = classify_table(file, counted, table, camera=settings, force=force, trust=trust)
     else:
         raise InputError(

@@ -226,7 +226,7 @@ def _check_same(file: Path, job: "Job", data: "Dataset", matrix: "np.ndarray | N
 
     with suppress(InputError):
         there = Design.load(file)
-        memory = memory_of(there)
+        memory = memory_of(there.info)
         of_data = memory is not None and memory.hash == data.hash
         if of_data and matrix is None and there.info["job"] == job.model_dump(mode="json"):
             return
@@ -354,7 +354,7 @@ def show(
         parts=None if labels is None else labels.cpu().numpy(),
     )
     common.draw("show", figure, out, as_json)
-    if (memory := memory_of(made)) and not as_json:
+    if (memory := memory_of(made.info)) and not as_json:
         print(f"trained on: {memory.words}")
 
 

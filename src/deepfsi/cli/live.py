@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,9 +14,9 @@ from deepfsi.cli.settings import laboratory_fields, with_settings
 from deepfsi.errors import InputError, as_input_error, check_known
 
 if TYPE_CHECKING:
+    from deepfsi.hardware.drivers.protocols import StreamingCounter
     from deepfsi.hardware.recording.acquisition import Acquisition
     from deepfsi.hardware.virtual.bench import Latencies
-    from deepfsi.laboratory.live.run import Bench
     from deepfsi.laboratory.results import LiveScene
 
 PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "followed")
@@ -40,26 +40,12 @@ def camera_live(
     ],
     scene: options.Scenes,
     out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
-    projector: Annotated[str, typer.Option(help="virtual, or vialux")] = "virtual",
-    counter: Annotated[
-        str,
-        typer.Option(help="virtual, picoquant, or followed: its software writes OUT/photons.ptu"),
-    ] = "virtual",
-    counter_config: Annotated[
-        Path | None,
-        typer.Option(help="picoquant: snAPI's .ini file with the trigger levels of the inputs"),
-    ] = None,
-    alp_version: Annotated[
-        str | None, typer.Option(help="vialux: version of the ALP interface, 4.3 unless given")
-    ] = None,
+    projector: options.Projector = "virtual",
+    counter: options.Counter = "virtual",
+    counter_config: options.CounterConfig = None,
+    alp_version: options.AlpVersion = None,
     virtual: options.Virtual = None,
-    latency: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="NAME=TIME of a virtual device: load, display, command, trigger, block, transfer "
-            "or decision, such as command=1ms"
-        ),
-    ] = None,
+    latency: options.Latency = None,
     until: Annotated[
         float | None,
         typer.Option(
@@ -80,13 +66,15 @@ def camera_live(
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """
     paths.check_new_folder(out)
-    simulated = _check_devices(context, projector, counter, settings)
+    simulated = check_devices(context, projector, counter, settings)
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
-    times = _latencies(latency or [])
+    times = latencies_of(latency or [])
+    from deepfsi.hardware.drivers.protocols import StreamingProjector
+    from deepfsi.hardware.drivers.vialux import VialuxLooks
     from deepfsi.laboratory.camera import camera_of, dead_time_of, exposure_of, flux_of
     from deepfsi.laboratory.live.bench import most_events, virtual_bench
-    from deepfsi.laboratory.live.run import plan_live, run_live
+    from deepfsi.laboratory.live.run import Bench, plan_live, run_live
     from deepfsi.laboratory.scenes import displayed, scenes_of
 
     known = camera_of(source, **settings)
@@ -103,13 +91,15 @@ def camera_live(
         acquisition = plan_live(
             patterns, scenes_of(images), exposure_s, shortest_s, photons, until, **told
         )
+        bench: Bench[StreamingProjector]
         if simulated:
             if not yes:
                 camera.ask_for_room(most_events(patterns, images.x, acquisition))
             with common.progress("light of the scenes", quiet=as_json) as report:
                 bench = virtual_bench(patterns, images.x, acquisition, times, report)
         else:
-            bench = _real(counter, acquisition, images.names, counter_config, alp_version)
+            devices = real_counter(counter, acquisition, counter_config)
+            bench = Bench(VialuxLooks(alp_version), *devices)
         answers = []
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
             for answer in (each.answer for each in decided if each.answer):
@@ -121,7 +111,7 @@ def camera_live(
     _print_run(answers, out, images.preprocessing, exposure_s, as_json)
 
 
-def _check_devices(
+def check_devices(
     context: typer.Context, projector: str, counter: str, settings: dict[str, Any]
 ) -> bool:
     """True of virtual devices; `InputError` for devices or options that do not go together."""
@@ -152,7 +142,7 @@ def _patterns(source: Path, as_json: bool) -> Iterator[Path]:
         yield made
 
 
-def _latencies(given: list[str]) -> "Latencies":
+def latencies_of(given: list[str]) -> "Latencies":
     """Latencies of virtual devices, of NAME=TIME."""
     from deepfsi.hardware.virtual.bench import Latencies
 
@@ -165,23 +155,15 @@ def _latencies(given: list[str]) -> "Latencies":
         return Latencies(**times)
 
 
-def _real(
-    counter: str,
-    acquisition: "Acquisition",
-    names: Sequence[str],
-    config: Path | None,
-    alp_version: str | None,
-) -> "Bench":
-    """A Vialux device and a counter; someone shows the scenes, whose names are asked for."""
+def real_counter(
+    counter: str, acquisition: "Acquisition", config: Path | None
+) -> "tuple[StreamingCounter, Callable[[int], None]]":
+    """A counter, and a display: someone shows the scenes, whose names are asked for."""
     from deepfsi.hardware.drivers.followed import FollowedCounter
     from deepfsi.hardware.drivers.picoquant import SnapiCounter
-    from deepfsi.hardware.drivers.vialux import VialuxLooks
-    from deepfsi.laboratory.live.run import Bench
 
     def display(scene: int) -> None:
-        print(f"show {names[scene]}, then press Enter", file=sys.stderr, flush=True)
-        if not sys.stdin.readline():
-            raise InputError("nobody is there to show the scenes: run this in a terminal")
+        ask(f"show {acquisition.scenes[scene].name}")
 
     def wait_for(path: Path, seconds: float) -> None:
         print(
@@ -190,10 +172,16 @@ def _real(
         )
 
     wiring = acquisition.inputs, acquisition.marker_bit
-    projector = VialuxLooks(alp_version) if alp_version else VialuxLooks()
     if counter == "followed":
-        return Bench(projector, FollowedCounter(*wiring, waits=wait_for), display)
-    return Bench(projector, SnapiCounter(*wiring, config=config), display)
+        return FollowedCounter(*wiring, waits=wait_for), display
+    return SnapiCounter(*wiring, config=config), display
+
+
+def ask(what: str) -> None:
+    """Ask someone to do something, and wait until it is done."""
+    print(f"{what}, then press Enter", file=sys.stderr, flush=True)
+    if not sys.stdin.readline():
+        raise InputError("nobody is there to show the scenes: run this in a terminal")
 
 
 def _print_run(

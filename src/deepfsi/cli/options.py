@@ -185,6 +185,24 @@ def optional_seconds(option: str, text: str | None) -> float | None:
 Scenes = Annotated[
     Path, typer.Option(help="image, or folder of images, with or without a folder for each class")
 ]
+Projector = Annotated[str, typer.Option(help="virtual, or vialux")]
+Counter = Annotated[
+    str, typer.Option(help="virtual, picoquant, or followed: its software writes OUT/photons.ptu")
+]
+CounterConfig = Annotated[
+    Path | None,
+    typer.Option(help="picoquant: snAPI's .ini file with the trigger levels of the inputs"),
+]
+AlpVersion = Annotated[
+    str | None, typer.Option(help="vialux: version of the ALP interface, 4.3 unless given")
+]
+Latency = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="NAME=TIME of a virtual device: load, display, command, trigger, block, transfer "
+        "or decision, such as command=1ms"
+    ),
+]
 Virtual = Annotated[
     str | None,
     typer.Option(

@@ -102,7 +102,7 @@ def _check_labels(labels: npt.NDArray[np.integer], folder: Path) -> None:
 def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
     """Band centres in nm from the band table, in the order of the bands: not quite rising."""
     try:
-        rows = [line.split() for line in path.read_text().splitlines()[2:] if line.strip()]
+        rows = [line.split() for line in path.read_text("utf-8").splitlines()[2:] if line.strip()]
         table = np.array([float(row[0]) for row in rows])
     except (OSError, ValueError) as error:
         raise InputError(

@@ -5,7 +5,6 @@ import math
 import os
 from collections.abc import Mapping
 from importlib.metadata import version
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import torch
@@ -19,18 +18,14 @@ from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
 from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
+from deepfsi.design.file_content import SCHEMA, damaged, read_content
 from deepfsi.design.own import OwnClassifier
-from deepfsi.errors import InputError
 from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints
 from deepfsi.optics.codes import check_design
 from deepfsi.optics.detection import Detection
 from deepfsi.optics.rails import Rails
-from deepfsi.tables.tensor_files import DamagedError, read_tensors
-
-SCHEMA: Literal[1] = 1
-"""Number of the design file's schema."""
 
 WORDS = ("name", "light", "summed_reflectance", "image_shape", "classes", "info")
 """Fields of a design that its header holds as they are."""
@@ -174,22 +169,12 @@ def pack(
 
 def read_design(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Fields of `artifact.Design` that a file holds, or `InputError` as for `Design.load`."""
-    if not Path(path).exists():
-        raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
-    try:
-        text, arrays = read_tensors(path, "deepfsi", "give a design file")
-        tensors = {name: torch.from_numpy(held) for name, held in arrays.items()}
-        schema = int(json.loads(text)["schema"])
-    except (DamagedError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise error if isinstance(error, InputError) else _damaged(path) from error
-    if schema > SCHEMA:
-        raise InputError(
-            f"{path} has schema {schema}, and this version reads {SCHEMA}: upgrade deepfsi"
-        )
+    text, arrays = read_content(path)
+    tensors = {key: torch.from_numpy(held) for key, held in arrays.items()}
     try:
         return _fields(Header.model_validate_json(text), tensors)
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-        raise _damaged(path) from error
+        raise damaged(path) from error
 
 
 def _fields(header: Header, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
@@ -257,10 +242,3 @@ def _detection(header: Header, labels: Tensor | None) -> Detection:
 def _weights(tensors: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
     """Tensors of a part of a design among those of its file."""
     return {key.removeprefix(part): value for key, value in tensors.items() if key.startswith(part)}
-
-
-def _damaged(path: str | os.PathLike[str]) -> InputError:
-    return InputError(
-        f"{path} is not a whole deepfsi design file: give a .safetensors file that "
-        "`deepfsi design` or Design.save wrote"
-    )

@@ -4,10 +4,12 @@ A design keeps the name or path of its data with the options that load it, the h
 trained on, and the number of training scenes that were left out.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
 
 from deepfsi.datasets import Dataset, Origin
-from deepfsi.design.artifact import Design
 from deepfsi.errors import as_input_error
 
 
@@ -40,9 +42,9 @@ class Memory(BaseModel):
         return kept.hash == self.hash
 
 
-def memory_of(design: Design) -> Memory | None:
-    """Memory of a design of its data; None for one that was made without any."""
-    if "data" not in design.info:
+def memory_of(info: Mapping[str, Any]) -> Memory | None:
+    """Memory of the data in the `info` of a design; None for one that was made without any."""
+    if "data" not in info:
         return None
     with as_input_error("the design's memory of its data", "train it again"):
-        return Memory.model_validate(design.info["data"])
+        return Memory.model_validate(info["data"])

@@ -16,7 +16,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.classifiers import Mlp
 from deepfsi.design.evaluation import check_data, evaluate
-from deepfsi.design.exposure.looks import LARGEST_SCORE
+from deepfsi.design.exposure import LARGEST_SCORE
 from deepfsi.design.memory import memory_of
 from deepfsi.design.stopping import rule_of, stop
 from deepfsi.errors import InputError
@@ -162,7 +162,7 @@ def _rules(design: Design, data: Dataset, seed: int, report: Report) -> list[dic
     held = rule_of(design)
     if held is not None:
         return [asdict(held)]
-    memory, trained = memory_of(design), _trained(design)
+    memory, trained = memory_of(design.info), _trained(design)
     if memory is None or not memory.held_out or not memory.is_of(data) or trained is None:
         return []
     decades = np.log10(trained[1] / trained[0])

@@ -242,7 +242,7 @@ def stop(
 
 def _held_out(design: Design, data: Dataset, count: int | None) -> Dataset:
     """Data with the held-out scenes as its test part, or `InputError` if they were trained on."""
-    memory = memory_of(design)
+    memory = memory_of(design.info)
     if count is None and memory:
         count = memory.held_out or None
     kept = data.hold_out(count)

@@ -22,6 +22,7 @@ from deepfsi.hardware.recording.acquisition import Scene, read_acquisition
 from deepfsi.hardware.recording.counts import Counts, load_counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME
 from deepfsi.hardware.recording.tables import WORDS, TableSettings, count_table
+from deepfsi.imports import torch_needed
 from deepfsi.laboratory.camera import camera_of, dead_time_of
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.laboratory.live.loop import read_loop
@@ -185,7 +186,8 @@ def _nominal(file: str | os.PathLike[str], settings: TableSettings) -> Manifest:
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
-    from deepfsi.design.artifact import Design
+    with torch_needed():
+        from deepfsi.design.artifact import Design
 
     file = Path(design) if patterns is None else _file_shown(design, patterns.manifest)
     made = Design.load(file, trust=trust)
@@ -268,7 +270,8 @@ def _consistency(
     some = often > 0
     exposures = counts.by_readout(usable)
     signal = counts.signal().sum(axis=1, where=exposures)[some]
-    dark = counts.background.clip(min=0) * exposures.sum(axis=1)
+    number = exposures.sum(axis=1)
+    dark = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
     background = (dark + counts.excess.sum(axis=1, where=exposures))[some]
     budget = (budgets * often)[some]
     return design.consistency(design.readouts(signal), budget, design.readouts(background))

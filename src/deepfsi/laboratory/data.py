@@ -28,7 +28,7 @@ def data_of(
     view: Path | None = None,
 ) -> TestData:
     """Load the data to test a design on: what is told, else what it was trained on."""
-    memory = memory_of(design)
+    memory = memory_of(design.info)
     known = memory.origin if memory else None
     if data is None and known is None:
         raise InputError(

@@ -150,7 +150,7 @@ def predict(
 
 def _scenes(design: Design, pictures: Path, skip_bad: bool) -> Display:
     """Pictures as scenes of the design's data, as it saw them."""
-    memory = memory_of(design)
+    memory = memory_of(design.info)
     if memory is None or memory.origin is None:
         raise InputError(
             "this design was trained on data that no file or name holds, such as arrays in memory, "

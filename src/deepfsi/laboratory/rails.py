@@ -4,15 +4,15 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from deepfsi.design.artifact import Design
-from deepfsi.design.classifiers import Mlp
-from deepfsi.design.exposure.looks import LARGEST_SCORE
-from deepfsi.design.stopping import looks_of
+from deepfsi.design.exposure import LARGEST_SCORE
+from deepfsi.design.file_content import damaged, read_content
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import read_regular
@@ -20,80 +20,141 @@ from deepfsi.hardware.patterns.detectors import Detectors
 from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
 from deepfsi.hardware.patterns.sequence import Brightness, FrameSettings
 from deepfsi.hardware.recording.live_settings import StopRule
-from deepfsi.laboratory.live.loop import Layer, Loop, LoopHeader
+from deepfsi.laboratory.live.loop import Loop, LoopHeader, loop_from
+from deepfsi.laws import Light, Readout
 from deepfsi.optics.codes import EVERY_PIXEL
+from deepfsi.optics.detectors import detector_map
 from deepfsi.progress import SILENT, Report
 from deepfsi.tables.tensor_files import LARGEST
+
+
+class _Kind(BaseModel):
+    """Kind of an exposure or a classifier, and of several looks their number."""
+
+    kind: str
+    looks: int = 1
+    shortest: float = 0.0
+
+
+class ShownHeader(BaseModel):
+    """Header of a design file, as far as a device's patterns need it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    light: Light
+    readout: Readout
+    summed_reflectance: float
+    image_shape: tuple[int, ...]
+    classes: tuple[str, ...]
+    exposure: _Kind
+    classifier: _Kind
+    info: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ShownDesign:
+    """A design file as far as patterns need it, read without torch."""
+
+    header: ShownHeader
+    tensors: dict[str, np.ndarray]
+
+    @classmethod
+    def read(cls, path: Path) -> "ShownDesign":
+        """Header and tensors of a design file, or `InputError`."""
+        text, tensors = read_content(path)
+        try:
+            header = ShownHeader.model_validate_json(text)
+            rails = tensors["rails"]
+            if rails.ndim != 3 or rails.dtype != np.float32:
+                raise ValueError(rails.shape)
+        except (ValidationError, KeyError, ValueError) as error:
+            raise damaged(path) from error
+        return cls(header, tensors)
+
+    @property
+    def detectors(self) -> Detectors | None:
+        """Which detector sees each cell; none where one sees all."""
+        labels = self.tensors.get("detectors")
+        if labels is None:
+            return None
+        cells = tuple(detector_map(labels, self.header.image_shape).tolist())
+        light = self.header.info.get("detector_light") or {}
+        known = {"count": max(cells) + 1, "cells": cells, **light}
+        return Detectors.model_validate(known) if max(cells) else None
+
+    @property
+    def loop(self) -> Loop:
+        """Its networks, or `InputError` where it has one look or a classifier of one's own."""
+        header, known = self.header, self.detectors
+        if header.exposure.looks < 2:
+            raise InputError("this design has one look: learn one of several `looks`")
+        if header.classifier.kind != "mlp":
+            raise InputError(
+                "a loop with a classifier of your own is not possible: learn the design with the "
+                "package's own, an Mlp"
+            )
+        rails, masks, _ = self.tensors["rails"].shape
+        with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+            rule = TypeAdapter(StopRule | None).validate_python(header.info.get("stopping"))
+        with as_input_error("the design"):
+            made = LoopHeader(
+                looks=header.exposure.looks,
+                masks=masks,
+                rails=2 if rails == 2 else 1,
+                detectors=1 if known is None else known.count,
+                each_rail=rails == 2 and header.light != "two-arm",
+                readout=header.readout,
+                classes=header.classes,
+                largest_score=LARGEST_SCORE,
+                shortest=header.exposure.shortest,
+                rule=rule,
+                photons=header.info.get("job", {}).get("photons"),
+            )
+        return loop_from(made, dict(map(_in_loop, self.tensors.items())))
+
+
+def _in_loop(held: tuple[str, np.ndarray]) -> tuple[str, np.ndarray]:
+    """A tensor of a design file by its name in a loop, whose weights are (inputs, outputs)."""
+    name, values = held
+    for part, own in (("classifier.layers.", "classifier."), ("exposure.layers.", "chooser.")):
+        if name.startswith(part):
+            turned = np.ascontiguousarray(values.T) if name.endswith(".weight") else values
+            return own + name.removeprefix(part), turned
+    return held
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file, as `export_patterns` takes them."""
     path = Path(file)
-    made = Design.load(path)
-    if made.name in EVERY_PIXEL:
+    made = ShownDesign.read(path)
+    header = made.header
+    if header.name in EVERY_PIXEL:
         raise InputError("impulse imaging has a detector for each pixel: no one device can show it")
-    made.exposure.check_frames()
-    known = made.info.get("brightness")
+    if header.exposure.kind == "patches":
+        raise InputError(
+            "this design is of image patches, each with a detector of its own, which frames of "
+            "one device cannot show: use Design.classify"
+        )
+    known = header.info.get("brightness")
     with as_input_error(str(file)):
         brightness = None if known is None else Brightness.model_validate(known)
-    labels = made.detection.labels
-    cells = None if labels is None else tuple(labels.tolist())
-    detectors = None
-    if cells is not None:
-        light = made.info.get("detector_light") or {}
-        with as_input_error(str(file)):
-            known = {"count": made.detection.count, "cells": cells, **light}
-            detectors = Detectors.model_validate(known)
-    loop = loop_of(made) if made.exposure.chooses else None
+        detectors = made.detectors
+    try:
+        loop = made.loop if header.exposure.looks > 1 else None
+    except (KeyError, IndexError) as error:
+        raise damaged(path) from error
     return DesignRails(
-        made.rails.stacked.numpy(),
-        made.light,
-        made.image_shape,
-        made.summed_reflectance,
+        made.tensors["rails"],
+        header.light,
+        header.image_shape,
+        header.summed_reflectance,
         read_regular(path, LARGEST, "give a design file"),
         brightness,
         detectors,
-        made.detection.readout,
+        header.readout,
         looks=None if loop is None else loop.looks,
         loop=None if loop is None else loop.to_bytes(),
-    )
-
-
-def loop_of(design: Design) -> Loop:
-    """Loop of a design, or `InputError` where it is of one look or its classifier is no `Mlp`."""
-    exposure, classifier = looks_of(design), design.classifier
-    if not isinstance(classifier, Mlp):
-        raise InputError(
-            f"a loop with a {type(classifier).__name__} classifier is not possible: learn the "
-            "design with the package's own, an Mlp"
-        )
-    with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
-        rule = TypeAdapter(StopRule | None).validate_python(design.info.get("stopping"))
-    header = LoopHeader(
-        looks=exposure.looks,
-        masks=design.masks,
-        rails=design.rails.count,
-        detectors=design.detection.count,
-        each_rail=exposure.dwells.each_rail,
-        readout=design.detection.readout,
-        classes=design.classes,
-        largest_score=LARGEST_SCORE,
-        shortest=exposure.shortest,
-        rule=rule,
-        photons=design.info.get("job", {}).get("photons"),
-    )
-    mean, std = (each.detach().cpu().float().numpy() for each in (design.mean, design.std))
-    known = design.temperatures
-    calibration = None if known is None else (known.logs, known.budgets)
-    networks = _layers(classifier), _layers(exposure.network)
-    return Loop(header, mean, std, *networks, calibration, design.distribution)
-
-
-def _layers(network: Mlp) -> tuple[Layer, ...]:
-    """Weights and biases of a network's layers."""
-    return tuple(
-        (np.ascontiguousarray(weight.T, np.float32), bias.astype(np.float32))
-        for weight, bias in network.arrays
     )
 
 

@@ -4,10 +4,12 @@ from pathlib import Path
 
 from deepfsi.datasets import read_display
 from deepfsi.datasets.display import Display
+from deepfsi.design.memory import memory_of
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import DESIGN, read_patterns
 from deepfsi.hardware.recording.acquisition import Scene
 from deepfsi.hardware.recording.scene_list import read_scenes
+from deepfsi.laboratory.rails import ShownDesign
 
 
 def displayed(source: Path, patterns: Path) -> Display:
@@ -15,10 +17,7 @@ def displayed(source: Path, patterns: Path) -> Display:
     images = read_display(source)
     if not images.levels.chosen or read_patterns(patterns).manifest.design_sha256 is None:
         return images
-    from deepfsi.design.artifact import Design  # torch, which a live run does without
-    from deepfsi.design.memory import memory_of
-
-    memory = memory_of(Design.load(patterns / DESIGN))
+    memory = memory_of(ShownDesign.read(patterns / DESIGN).header.info)
     white = memory.origin.white if memory and memory.origin else None
     return images if white is None else read_display(source, white)
 

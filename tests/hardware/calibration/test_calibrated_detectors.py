@@ -63,7 +63,10 @@ def test_a_detector_without_cells_is_named(tmp_path):
             name: np.concatenate([getattr(counts, name), idle], axis=-1)
             for name in ("counts", "arrivals", "variance")
         },
-        "dark_rate": np.concatenate([counts.dark_rate, 0 * counts.dark_rate[..., :1]], axis=-1),
+        **{
+            name: np.concatenate([held := getattr(counts, name), 0 * held[..., :1]], axis=-1)
+            for name in ("dark_rate", "ambient", "ambient_variance")
+        },
         "inputs": (*counts.inputs, 12),
     }
     with pytest.raises(InputError, match="input 13 counts most in no cell"):

@@ -10,7 +10,7 @@ from deepfsi.design.artifact import Design
 from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
 from deepfsi.laboratory.live.loop import read_loop
-from deepfsi.laboratory.rails import loop_of
+from shared.design_files import loop_of
 
 LOOKS = 3
 OPTICS = {

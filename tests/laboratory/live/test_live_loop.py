@@ -11,7 +11,7 @@ from deepfsi.design.stopping import StoppingRule
 from deepfsi.errors import InputError
 from deepfsi.hardware.recording.live_settings import StopRule
 from deepfsi.laboratory.live.loop import read_loop
-from deepfsi.laboratory.rails import loop_of
+from shared.design_files import loop_of
 
 OPTICS = {
     "single": {"light": "free-dwell", "rails": "single"},

@@ -23,7 +23,7 @@ from torch import Tensor
 from deepfsi.design.calibration import find_distribution
 from deepfsi.design.classifiers import Mlp, restored
 from deepfsi.design.consistency import ReadoutDistribution
-from deepfsi.design.exposure import LOOKING, Looks
+from deepfsi.design.exposure import LARGEST_SCORE, LOOKING, Looks
 from deepfsi.design.exposure.trained import STRICT, Observation, Read, Show, TrainedExposure
 from deepfsi.errors import InputError
 from deepfsi.laws import Light, Widths
@@ -82,12 +82,6 @@ class Dwells:
 
 ON_WEIGHT = 0.2
 """Time of the all-ON frames of a scene over the exposure, where their readouts are calibrated."""
-
-LARGEST_SCORE = 4.0
-"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
-
-A mask that is never shown is never learned, and the scores would not come back from there.
-"""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Protocols of the projector and the counter of a live run, so that a laboratory can bring its own.
+"""Protocols of the projector and the counter of a run, so that a laboratory can bring its own.
 
 Both are context managers that let go of their device on every way out, Ctrl-C included.
 """
@@ -39,6 +39,26 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
 
     def halt(self) -> None:
         """Stop the list where it is."""
+
+
+class PassProjector(AbstractContextManager["PassProjector"], Protocol):
+    """Micromirror device that shows all frames of a pattern folder, one pass after another.
+
+    Entering takes hold of the device; leaving stops it and lets go of it. Each frame gives one
+    marker at its start, and is held for the picture time of the folder's manifest.
+    """
+
+    def load(self, folder: Path, report: Report = SILENT) -> None:
+        """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
+
+    def run(self) -> None:
+        """Start one pass; may return before its end."""
+
+    def wait(self) -> None:
+        """Return when the pass has ended."""
+
+    def halt(self) -> None:
+        """Stop the pass where it is."""
 
 
 class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):

@@ -33,6 +33,9 @@ from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.progress import SILENT, Report
 
+USUAL_VERSION = "4.3"
+"""Version of the ALP interface."""
+
 FRAMES_OF_9BIT = 512
 """Frames that entries of 9 bits can name; more need entries of 18."""
 
@@ -72,9 +75,9 @@ class _Board(ABC):
     """A Vialux device that is open, and the frames in it."""
 
     def __init__(
-        self, version: str = "4.3", library: Path | None = None, serial: int | None = None
+        self, version: str | None = None, library: Path | None = None, serial: int | None = None
     ) -> None:
-        self.version, self.library, self.serial = version, library, serial
+        self.version, self.library, self.serial = version or USUAL_VERSION, library, serial
         self._alp: Any = None
         self._flut: Any = None  # structure of a frame list
         self._sequences: list[Any] = []
@@ -262,7 +265,7 @@ class VialuxLooks(_Board):
 
     def __init__(
         self,
-        version: str = "4.3",
+        version: str | None = None,
         library: Path | None = None,
         serial: int | None = None,
         trigger_s: float | None = None,

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.files import hash_file, new_folder, read_regular
+from deepfsi.files import hash_file, new_folder, read_regular, write_atomically
 from deepfsi.frozen import Frozen
 from deepfsi.hardware.patterns.folder import companions, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest, Patterns
@@ -161,6 +161,12 @@ def prepare(
             (draft / "patterns" / name).write_bytes(held)
         (draft / "acquisition.json").write_bytes(acquisition.model_dump_json(indent=1).encode())
     return acquisition
+
+
+def keep_first(folder: Path, acquisition: Acquisition, count: int) -> None:
+    """Write to the folder of a run that was stopped that it has its first scenes alone."""
+    kept = acquisition.model_copy(update={"scenes": acquisition.scenes[:count]})
+    write_atomically(folder / "acquisition.json", kept.model_dump_json(indent=1).encode())
 
 
 def read_acquisition(folder: str | os.PathLike[str]) -> tuple[Acquisition, Patterns]:

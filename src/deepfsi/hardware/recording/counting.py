@@ -1,6 +1,8 @@
 """Photons of a recording counted frame by frame, for the exposure it was made for or another."""
 
 import os
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from deepfsi.hardware.recording.acquisition import (
     read_acquisition,
 )
 from deepfsi.hardware.recording.alignment import find_steps
+from deepfsi.hardware.recording.ambient import Ambient
 from deepfsi.hardware.recording.calibration_file import load_calibration
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import (
@@ -46,6 +49,9 @@ from deepfsi.progress import SILENT, Report
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
 
+Correct = Callable[[np.ndarray], Correction]
+"""Corrections of counts, at their rates."""
+
 SHIFTED = (
     "its first and last frames are not the brightest and darkest: stray light in others, or the "
     "pass is shifted"
@@ -63,15 +69,28 @@ def count(
     inputs: tuple[int, ...] | None = None,
     marker_bit: int | None = None,
     dead_time: DeadTime | None = None,
+    background: str | None = None,
     gains: tuple[float, ...] = (),
     report: Report = SILENT,
 ) -> Counts:
     """Count the photons of each readout and write counts.npz."""
-    # gains: relative efficiency of each detector, as `find_gains` gives them
+    # background: the scene that was dark, or the folder of a recording with the scene dark, of the
+    # same patterns and wiring. gains: relative efficiency of each detector, as `find_gains` gives
+    # them
     recorded, patterns = read_acquisition(folder)
     check_fixed(recorded, folder)
     acquisition, manifest = recorded.rewired(inputs, marker_bit), patterns.manifest
     gates = gates_of(acquisition, manifest, exposure_s, settle_s, repeats)
+    dead, shares = _find_dead_time(Path(folder), dead_time), _check_gains(gains, manifest)
+
+    def correct(rates: np.ndarray) -> Correction:
+        return dead.correction(rates).divided(shares)
+
+    names = [scene.name for scene in acquisition.scenes]
+    own = names.index(background) if background in names else None
+    ambient = Ambient.none(manifest)
+    if background is not None and own is None:
+        ambient = _read_dark(Path(background), acquisition, manifest, gates, correct)
     header = _read_counter(Path(folder) / "photons.ptu", gates, manifest)
     frames = find_frames(header, acquisition, manifest, tolerance_s, report.part(0.0, 0.4))
     check_gates(header, gates, manifest, frames)
@@ -81,6 +100,15 @@ def count(
     (found, seconds), (parted, parted_s) = _count_windows(
         header, starts, frames.until_s, (windows, parts), acquisition.inputs, report.part(0.4, 1.0)
     )
+    if own is not None:
+        dark, kept = (np.flatnonzero(whole) == own, np.flatnonzero(whole) != own)
+        if not dark.any():
+            raise InputError(f"scene {background} was not recorded whole: give another background")
+        ambient = _find_ambient(windows, found[dark], seconds[dark], correct, manifest, gates)
+        found, seconds, parted, parted_s = (
+            each[kept] for each in (found, seconds, parted, parted_s)
+        )
+        whole[own] = False
     photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
     arm = slice(0, manifest.detector_count)
     fits = _show_ends(header, photons[..., arm].sum(axis=-1), spent)
@@ -89,9 +117,8 @@ def count(
     shifted = (Fault(kind="lost", scene=scene, detail=SHIFTED) for scene in lost.tolist())
     whole[whole] = fits
     rates = photons[fits] / np.where(spent > 0, spent, np.nan)[fits, :, None]
-    dead = _find_dead_time(Path(folder), dead_time)
     check_rates(dead, rates, manifest.frames, acquisition.inputs, str(header.path))
-    factors = dead.correction(rates).divided(_check_gains(gains, manifest))
+    factors = correct(rates)
     shape = len(rates), *parts.middles.shape
     parted = parted[fits].reshape(*shape, -1)
     arrivals = parted * factors.arrivals[:, :, None]
@@ -101,6 +128,8 @@ def count(
         arrivals, variance, open_s, parts.middles, scenes, acquisition.inputs, manifest, lost
     )
     _check_lit(header, acquisition, light)
+    flux = ambient.of_flux(light.flux, str(header.path))
+    light = replace(light, flux=flux)
     gated = found[fits][:, windows.gates].swapaxes(1, 2)
     counts = Counts(
         **_by_scene(manifest, whole, gated, rates, light, factors),
@@ -111,12 +140,67 @@ def count(
         lengths_s=lengths_by_readout(manifest, gates.length_s),
         drift=frames.drift,
         inputs=acquisition.inputs,
-        faults=(*frames.faults, *shifted, *late, *light.faults),
+        faults=(*frames.faults, *shifted, *late, *light.faults, *_name_dark(own)),
+        ambient=ambient.counts,
+        ambient_variance=ambient.variance,
         dead_time=dead,
         gains=gains,
     )
     counts.save(Path(folder), recorded)
     return counts
+
+
+def _read_dark(
+    folder: Path, run: Acquisition, manifest: Manifest, gates: Gates, correct: Correct
+) -> Ambient:
+    """Background that a recording with the scene dark has, in the gates of another."""
+    if not folder.is_dir():
+        raise InputError(
+            f"there is no scene and no folder {folder}: give the name of a scene that was dark, "
+            "or the folder of a run with the scene dark"
+        )
+    acquisition = read_acquisition(folder)[0].rewired(run.inputs, run.marker_bit)
+    if acquisition.manifest_sha256 != run.manifest_sha256:
+        raise InputError(
+            f"{folder} was recorded with other patterns: record the dark scene as the others"
+        )
+    header = _read_counter(folder / "photons.ptu", gates, manifest)
+    frames = find_frames(header, acquisition, manifest, None, SILENT)
+    windows = Windows.of(manifest, gates, frames)
+    starts = frames.starts_s[frames.whole]
+    ((found, seconds),) = _count_windows(
+        header, starts, frames.until_s, (windows,), acquisition.inputs, SILENT
+    )
+    return _find_ambient(windows, found, seconds, correct, manifest, gates)
+
+
+def _find_ambient(
+    windows: Windows,
+    found: np.ndarray,
+    seconds: np.ndarray,
+    correct: Correct,
+    manifest: Manifest,
+    gates: Gates,
+) -> Ambient:
+    """Background of passes with the scene dark: photons and times in their windows."""
+    photons, spent = windows.sum_frames(found), windows.sum_frames(seconds)
+    factors = correct(photons / np.where(spent > 0, spent, np.inf)[..., None])
+    gated = found[:, windows.gates].swapaxes(1, 2)  # (P, R, f, inputs)
+    both = (
+        (gated * factor[:, None, manifest.shown]).reshape(-1, *gated.shape[2:])
+        for factor in (factors.arrivals, factors.variance)
+    )
+    whole = (photons * factors.arrivals).sum(axis=0), spent.sum(axis=0)
+    arrivals, variance = both
+    return Ambient.of(manifest, (arrivals, variance), whole, gates.length_s)
+
+
+def _name_dark(scene: int | None) -> tuple[Fault, ...]:
+    """Word on the scene whose pass measured the background."""
+    if scene is None:
+        return ()
+    detail = "it was dark, and its counts are subtracted from those of the others"
+    return (Fault(kind="background", scene=scene, detail=detail),)
 
 
 def _read_counter(path: Path, gates: Gates, manifest: Manifest) -> Header:

@@ -75,6 +75,10 @@ class Counts:
     # (S, rails[, D]): Counts/s of the input that reads each rail, when no mirror sends it light: of
     # all-OFF frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree
     dark_rate: np.ndarray
+    # (rails, m[, D]): Counts of each readout, of light that does not come from the scene, as a pass
+    # with the scene dark measured them, and their variance; 0 where none was
+    ambient: np.ndarray
+    ambient_variance: np.ndarray
     exposure_s: float  # total, seconds
     settle_s: float  # time before the first gate of each frame, seconds
     # (rails, m): For how long each readout is counted, seconds; 0 for a rail that is dark
@@ -88,9 +92,9 @@ class Counts:
 
     @property
     def background(self) -> np.ndarray:
-        """Dark counts that each readout is expected to hold, float64 (S, rails, m[, D])."""
+        """Counts that each readout holds without the scene, float64 (S, rails, m[, D])."""
         lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
-        return self.dark_rate[:, :, None] * lengths
+        return self.dark_rate[:, :, None] * lengths + self.ambient
 
     def signal(self) -> np.ndarray:
         """Arrivals less the background, float64 (S, R, rails, m[, D])."""
@@ -172,6 +176,8 @@ def load_counts(folder: Path, acquisition: Acquisition, manifest: Manifest) -> C
                 "off_rate": ("<f8", (scenes,)),
                 "flux": ("<f8", (scenes,)),
                 "dark_rate": ("<f8", (scenes, rails, *manifest.several)),
+                "ambient": ("<f8", (rails, masks, *manifest.several)),
+                "ambient_variance": ("<f8", (rails, masks, *manifest.several)),
                 "lengths_s": ("<f8", (rails, masks)),
             }
             arrays: dict[str, Any] = {

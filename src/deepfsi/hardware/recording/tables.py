@@ -17,6 +17,7 @@ import numpy as np
 from deepfsi.errors import InputError, check_known, closest
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import MOST_READOUTS, Scene
+from deepfsi.hardware.recording.ambient import Ambient
 from deepfsi.hardware.recording.counts import Counts
 from deepfsi.hardware.recording.dead_time import NO_DEAD_TIME, DeadTime, check_rates
 from deepfsi.hardware.recording.faults import Fault
@@ -46,6 +47,8 @@ class TableSettings:
     gain: float | None = None  # counts for a unit of the table, of an analogue detector
     read_noise: float | None = None  # of each value of an analogue detector, counts rms
     dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
+    # Exposures with the scene dark, whose counts are subtracted; a table as that of the others
+    dark: Table | None = None
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
@@ -101,6 +104,10 @@ def count_table(
     lengths = manifest.shares * exposure
     mean, variance = _correct(read, times, manifest, settings, name)
     light = _find_light(mean, variance, sentinels, place, times, exposure, manifest, settings)
+    ambient = Ambient.none(manifest)
+    if settings.dark is not None:
+        ambient = _find_ambient(settings.dark, sentinels, times, lengths, manifest, settings)
+        light["flux"] = ambient.of_flux(light["flux"], name)
     _check_budget(light["flux"], settings, name)
     repeats = np.bincount(place)
     valid = np.arange(repeats.max()) < repeats[:, None]
@@ -124,10 +131,33 @@ def count_table(
         settle_s=settings.settle_s,
         lengths_s=lengths_by_readout(manifest, lengths),
         drift=0.0,
+        ambient=ambient.counts,
+        ambient_variance=ambient.variance,
         inputs=tuple(range(manifest.inputs)),
         dead_time=settings.dead_time,
     )
     return counts, scenes
+
+
+def _find_ambient(
+    dark: Table,
+    sentinels: bool,
+    times: np.ndarray,
+    lengths_s: np.ndarray,
+    manifest: Manifest,
+    settings: TableSettings,
+) -> Ambient:
+    """Background in a table of exposures with the scene dark."""
+    # sentinels: whether the table of the scenes has all-ON and all-OFF frames; times (F,)
+    name, shown = "the table of the background", manifest.shown
+    read, known = _find_values(dark, manifest, settings, name)
+    if known != sentinels:
+        raise InputError(f"{name} must have all-ON and all-OFF frames if the other has, or none")
+    _check_values(read, settings, name)
+    mean, variance = _correct(read, times, manifest, settings, name)
+    scale = (lengths_s / times[shown])[:, None]
+    gates = mean[:, shown] * scale, variance[:, shown] * scale**2
+    return Ambient.of(manifest, gates, (mean.sum(axis=0), times * len(read) * known), lengths_s)
 
 
 def _correct(

@@ -1,4 +1,4 @@
-"""Virtual projector and counter of a live run, on a clock of their own.
+"""Virtual projector and counter of a run, on a clock of their own.
 
 Nothing waits: the clock is set on by the time that each step takes. What the display shows is seen
 frame by frame as by the virtual camera; photons and markers are written to a PTU file as they
@@ -82,6 +82,12 @@ class VirtualSetup:
         # All that came before the last frame's marker is handed over with it.
         self.now_s = self._handed_over(float(marks[-1]) * TICK_S)
 
+    def rest(self) -> None:
+        """Let time pass until all that was shown is recorded."""
+        end = max(self._ticks(self.now_s), self._end + self._reach)
+        self._see(np.array([self._frame]), np.array([end]))
+        self.now_s = end * TICK_S
+
     def _handed_over(self, time_s: float) -> float:
         """Time at which the computer has decided upon what was recorded until a time."""
         block = self.latencies.block
@@ -121,16 +127,15 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
 
     def __init__(self, setup: VirtualSetup) -> None:
         self._setup = setup
-        self._loaded = False
+        self._times_s = np.zeros(0)  # of the frames that are loaded
 
     def __exit__(self, *error: object) -> None:
         """Do nothing: there is nothing to close."""
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
-        frames = len(check_patterns(folder, report).manifest.frames)
-        self._setup.now_s += frames * self._setup.latencies.load
-        self._loaded = True
+        self._times_s = check_patterns(folder, report).manifest.picture_s
+        self._setup.now_s += len(self._times_s) * self._setup.latencies.load
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One picture for each frame, of its time."""
@@ -138,9 +143,17 @@ class BenchProjector(AbstractContextManager["BenchProjector"]):
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show frames; the clock is then where their counts have come and are decided upon."""
-        if not self._loaded:
+        if not len(self._times_s):
             raise InputError("no patterns are loaded: load a pattern folder first")
         self._setup.show(frames, dwells_s)
+
+    def run(self) -> None:
+        """Show a pass of all frames, each for its picture time."""
+        self.show(np.arange(len(self._times_s)), self._times_s)
+
+    def wait(self) -> None:
+        """Set the clock on to the end of the pass."""
+        self._setup.rest()
 
     def halt(self) -> None:
         """Do nothing: a virtual list has ended."""

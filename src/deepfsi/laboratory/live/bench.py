@@ -1,4 +1,4 @@
-"""Virtual devices of a live run, which see the scenes as a camera does."""
+"""Virtual devices of a run, which see the scenes as a camera does."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def virtual_bench(
     acquisition: Acquisition,
     latencies: Latencies,
     report: Report = SILENT,
-) -> Bench:
+) -> Bench[BenchProjector]:
     """Bench for scenes (S, h, w) with the camera, flux, seed and wiring of an acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
     rates = arrival_rates(patterns, scenes, camera, acquisition.flux or 0.0, report)

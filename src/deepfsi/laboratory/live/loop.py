@@ -157,6 +157,14 @@ def read_loop(path: Path) -> Loop:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again):
         header = LoopHeader.model_validate_json(text)
+    try:
+        return loop_from(header, tensors)
+    except (KeyError, ValueError, IndexError):
+        raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
+
+
+def loop_from(header: LoopHeader, tensors: Mapping[str, np.ndarray]) -> Loop:
+    """Loop of tensors as its file names them, or an error where they do not fit its header."""
     inputs = header.features + header.frames
     known = {
         name.removeprefix("distribution."): held
@@ -164,19 +172,15 @@ def read_loop(path: Path) -> Loop:
         if name.startswith("distribution.")
     }
     readouts = 1, header.rails * header.masks * header.detectors + 1
-    try:
-        loop = Loop(
-            header,
-            _checked(tensors["mean"], header.features),
-            _checked(tensors["std"], header.features),
-            _layers(tensors, "classifier", inputs, len(header.classes)),
-            _layers(tensors, "chooser", inputs + 1, header.frames),
-            _temperatures(tensors, header.looks) if TEMPERATURES[0] in tensors else None,
-            ReadoutDistribution.restored(known, readouts, header.looks) if known else None,
-        )
-    except (KeyError, ValueError, IndexError):
-        raise InputError(f"{path} has networks that do not fit its masks: {again}") from None
-    return loop
+    return Loop(
+        header,
+        _checked(tensors["mean"], header.features),
+        _checked(tensors["std"], header.features),
+        _layers(tensors, "classifier", inputs, len(header.classes)),
+        _layers(tensors, "chooser", inputs + 1, header.frames),
+        _temperatures(tensors, header.looks) if TEMPERATURES[0] in tensors else None,
+        ReadoutDistribution.restored(known, readouts, header.looks) if known else None,
+    )
 
 
 def _checked(values: np.ndarray, *shape: int) -> np.ndarray:

@@ -10,12 +10,16 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import Generic, TextIO, TypeVar
 
 import numpy as np
 
 from deepfsi.errors import InputError, as_input_error
-from deepfsi.hardware.drivers.protocols import StreamingCounter, StreamingProjector
+from deepfsi.hardware.drivers.protocols import (
+    PassProjector,
+    StreamingCounter,
+    StreamingProjector,
+)
 from deepfsi.hardware.patterns.folder import LOOP, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.recording.acquisition import Acquisition, Scene, prepare
@@ -31,11 +35,14 @@ PATIENCE_S = 5.0
 """Time by which counts may come later than their frames end, seconds."""
 
 
-@dataclass(frozen=True)
-class Bench:
-    """Devices of a live run."""
+Projector_co = TypeVar("Projector_co", bound=StreamingProjector | PassProjector, covariant=True)
 
-    projector: StreamingProjector
+
+@dataclass(frozen=True)
+class Bench(Generic[Projector_co]):
+    """Devices of a run."""
+
+    projector: Projector_co
     counter: StreamingCounter
     display: Callable[[int], None]  # shows a scene by its number, and returns when it has settled
     clock: Callable[[], float] = time.monotonic  # seconds; that of virtual devices runs by itself
@@ -125,7 +132,7 @@ def _shortest_gate(manifest: Manifest, look_s: float, shortest_s: float | None) 
 
 
 def run_live(
-    folder: Path, patterns_folder: Path, acquisition: Acquisition, bench: Bench
+    folder: Path, patterns_folder: Path, acquisition: Acquisition, bench: Bench[StreamingProjector]
 ) -> Generator[Decided]:
     """Show, count and decide; gives each decision as it falls."""
     # The folder, new or empty, is as that of any acquisition, with `shown.jsonl` in it. Scenes that
@@ -181,7 +188,9 @@ def _look(
 class _Sequencer:
     """Shows list after list of frames, and gives the counts of each."""
 
-    def __init__(self, bench: Bench, manifest: Manifest, acquisition: Acquisition) -> None:
+    def __init__(
+        self, bench: Bench[StreamingProjector], manifest: Manifest, acquisition: Acquisition
+    ) -> None:
         self._bench, self._manifest = bench, manifest
         self._settle_s = acquisition.settle_s
         self._rests = 0  # all-OFF frames whose counts are still to come, before the next list's

@@ -1,0 +1,103 @@
+"""Recorded runs of a fixed design: a projector and a counter, scene after scene, then counted."""
+
+import contextlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deepfsi.cli import camera, common, live, options, paths
+from deepfsi.cli.settings import laboratory_fields, with_settings
+
+
+@with_settings(laboratory_fields, "exposure", "flux", "dark", "dead_time", "dead_time_model")
+def camera_record(
+    context: typer.Context,
+    settings: dict[str, Any],
+    patterns: Annotated[Path, typer.Argument(help="folder of patterns")],
+    scene: Annotated[
+        Path,
+        typer.Option(
+            help="picture, folder or .zip of the scenes; with real devices also a text file with "
+            "NAME or NAME,LABEL on each line"
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="acquisition folder, new")],
+    projector: options.Projector = "virtual",
+    counter: options.Counter = "virtual",
+    counter_config: options.CounterConfig = None,
+    alp_version: options.AlpVersion = None,
+    virtual: options.Virtual = None,
+    latency: options.Latency = None,
+    settle: options.Settle = None,
+    repeats: options.Repeats = None,
+    inputs: options.Inputs = None,
+    marker: options.Marker = None,
+    seed: options.CameraSeed = 0,
+    yes: options.LargeFile = False,
+    as_json: options.Json = False,
+) -> None:
+    """Show a pass of all frames for each scene, record, count, and name every fault.
+
+    Prints a line for each scene as it is recorded. Ctrl-C keeps the scenes that are finished.
+
+    Example: deepfsi camera record patterns --scene images --exposure 10ms --flux 1e7 -o run_0001
+    """
+    paths.check_there(patterns, "a folder of patterns")
+    paths.check_new_folder(out)
+    simulated = live.check_devices(context, projector, counter, settings)
+    if counter_config is not None:
+        paths.check_there(counter_config, "counter configuration")
+    times = live.latencies_of(latency or [])
+    from deepfsi.hardware.drivers.protocols import PassProjector
+    from deepfsi.hardware.drivers.vialux import VialuxProjector
+    from deepfsi.hardware.patterns.folder import read_patterns
+    from deepfsi.hardware.recording.acquisition import plan_acquisition
+    from deepfsi.hardware.recording.counting import count
+    from deepfsi.hardware.virtual.camera import expected_events
+    from deepfsi.laboratory.camera import camera_of, dead_time_of, flux_of
+    from deepfsi.laboratory.live.bench import virtual_bench
+    from deepfsi.laboratory.live.run import Bench
+    from deepfsi.laboratory.record import record_run
+    from deepfsi.laboratory.scenes import displayed, listed, scenes_of
+
+    shown, known = read_patterns(patterns), camera_of(patterns, **settings)
+    told = {"flux": known.flux, **options.wiring(inputs, marker)}
+    if simulated:
+        flux_of(known)
+        images, seen = displayed(scene, patterns), camera.find_camera(virtual, patterns, settings)
+        told |= {"seed": seed, "camera": seen.model_dump(mode="json")}
+        if not yes:
+            camera.ask_for_room(expected_events(shown, images.x, seen, known.flux or 0.0))
+    acquisition = plan_acquisition(
+        shown.manifest,
+        scenes_of(images) if simulated else listed(scene),
+        exposure_s=known.exposure,
+        settle_s=options.optional_seconds("settle", settle),
+        repeats=repeats,
+        **told,
+    )
+    bench: Bench[PassProjector]
+    if simulated:
+        with common.progress("light of the scenes", quiet=as_json) as report:
+            bench = virtual_bench(patterns, images.x, acquisition, times, report)
+    else:
+        devices = live.real_counter(counter, acquisition, counter_config)
+        bench = Bench(VialuxProjector(alp_version), *devices)
+    with contextlib.closing(record_run(out, patterns, acquisition, bench)) as recorded:
+        for each in recorded:
+            if not as_json:
+                print(
+                    f"{each.scene.name}: {each.masks_rate:.4g} counts/s in the masks' frames, all "
+                    f"ON {each.on_rate:.4g}, all OFF {each.off_rate:.4g}"
+                    f"{'' if each.lit else ': NO LIGHT'}",
+                    flush=True,
+                )
+    if counter == "followed":
+        live.ask("end the recording in the counter's software")
+    dead = dead_time_of(known, settings)
+    with common.progress("counting", quiet=as_json) as report:
+        counts = count(out, dead_time=dead, report=report)
+    camera.print_counts(counts, out, as_json, "camera.record")
+    if not as_json:
+        print(f"run: {out}; then: deepfsi camera classify {patterns} {out}")

@@ -1,0 +1,70 @@
+"""Commands at the camera on a computer that has Windows and no torch."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import deepfsi
+from conftest import quick
+from deepfsi.imports import NO_TORCH
+from shared import lab_pc
+
+LIGHT = "--flux 1e7 --exposure 3ms --virtual ideal"
+COMMANDS = f"""
+dmd devices
+dmd export raster --size 8x8 -o scan
+dmd check scan
+data export digits --per-class 1 -o images
+camera describe fixed.safetensors
+dmd export fixed.safetensors --device dlp7000 --dwell 1ms -o frames
+camera simulate frames --scene images {LIGHT} -o run
+camera inspect run/photons.ptu
+camera count run
+camera image run
+camera count run --json
+dmd export looks.safetensors --device dlp7000 --dwell 1ms -o looks
+camera live looks --scene images {LIGHT} -o live
+camera live looks.safetensors --scene images {LIGHT} -o live2
+camera count live
+camera classify looks.safetensors live
+camera prepare frames --scenes images --input 1 -o lab
+""".strip().splitlines()
+DECIDED = "camera classify fixed.safetensors run"
+
+
+@pytest.fixture(scope="module")
+def designs(digits, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("lab")
+    light = {"light": "free-dwell", "rails": "single", "epochs": 1}
+    quick(digits, masks=4, **light).save(folder / "fixed.safetensors")
+    quick(digits, masks=4, looks=2, **light).save(folder / "looks.safetensors")
+    return folder
+
+
+def test_a_lab_s_computer_shows_counts_and_decides_without_torch(designs, tmp_path):
+    for file in designs.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    done = subprocess.run(
+        [sys.executable, "-X", "warn_default_encoding", lab_pc.__file__],
+        input="\n".join([*COMMANDS, DECIDED]),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        encoding="cp1252",
+        env={**os.environ, "PYTHONIOENCODING": "cp1252"},
+    )
+    exits = [line for line in done.stdout.splitlines() if line.startswith("exit ")]
+    assert exits == [*(f"exit 0: {line}" for line in COMMANDS), f"exit 2: {DECIDED}"], done.stderr
+    assert f"deepfsi: {NO_TORCH}" in done.stderr.splitlines()
+    assert "as decided in the run, bit for bit: 10 of 10 scenes" in done.stdout
+
+
+def test_python_says_what_to_install_where_torch_is_missing(monkeypatch):
+    for name in [each for each in sys.modules if each.startswith("deepfsi.training")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(deepfsi.InputError, match=r'pip install "deepfsi\[design\]"'):
+        deepfsi.learn  # noqa: B018

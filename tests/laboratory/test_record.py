@@ -1,0 +1,141 @@
+"""`camera record`: a projector and a counter record a fixed design, which is then counted."""
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi.datasets import write_pictures
+from deepfsi.devices import find_device
+from deepfsi.errors import InputError
+from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+from deepfsi.hardware.recording.acquisition import Scene, plan_acquisition, read_acquisition
+from deepfsi.hardware.recording.counting import count
+from deepfsi.hardware.recording.counts import read_counts
+from deepfsi.hardware.virtual.bench import Latencies
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.laboratory import record
+from deepfsi.laboratory.live.bench import virtual_bench
+
+FLUX, EXPOSURE, SCENES = 1e7, 10e-3, 5
+LIGHT = ("--flux", f"{FLUX:g}", "--exposure", "10ms", "--virtual", "ideal")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits) -> Path:
+    folder = tmp_path_factory.mktemp("record")
+    frames = FrameSettings(find_device("64x48"), 1e-3)
+    export_patterns(scan_rails("raster", (8, 8)), frames, folder / "patterns")
+    pictures = {f"{digits.y_test[k]}/{k}.png": digits.x_test[k].reshape(8, 8) for k in range(5)}
+    write_pictures(pictures, folder / "images")
+    return folder
+
+
+def planned(lab: Path, scenes: np.ndarray, **settings):
+    """Acquisition of some scenes, and its virtual bench."""
+    shown = tuple(Scene(name=str(k)) for k in range(len(scenes)))
+    told = {"flux": FLUX, "camera": CAMERAS["ideal"].model_dump(mode="json"), "seed": 1}
+    manifest = read_patterns(lab / "patterns").manifest
+    acquisition = plan_acquisition(manifest, shown, exposure_s=EXPOSURE, repeats=1, **told)
+    acquisition = acquisition.model_copy(update=settings)
+    return acquisition, virtual_bench(lab / "patterns", scenes, acquisition, Latencies())
+
+
+def test_one_command_records_counts_and_names(done, lab, tmp_path):
+    words = ("--scene", lab / "images", *LIGHT, "-o", tmp_path / "run")
+    out = done("camera", "record", lab / "patterns", *words)
+    lines = [line for line in out.splitlines() if "counts/s in the masks' frames" in line]
+    assert len(lines) == SCENES
+    assert not any("NO LIGHT" in line for line in lines)
+    assert "of them whole" in out
+    acquisition, _ = read_acquisition(tmp_path / "run")
+    assert [scene.label for scene in acquisition.scenes] == sorted(
+        scene.label for scene in acquisition.scenes
+    )
+    assert read_counts(tmp_path / "run").valid.all()
+    told = json.loads(
+        done("camera", "record", lab / "patterns", *words[:-1], tmp_path / "2", "--json")
+    )
+    assert told["schema"] == "deepfsi.camera.record/1"
+    assert told["faults"] == []
+    assert told["counts"] == read_counts(tmp_path / "run").counts.tolist()  # of one seed
+
+
+def test_counts_are_those_that_the_light_says(lab, digits, tmp_path):
+    """Each readout's sum over the scenes is Poisson about rate times gate; all of them: chi²."""
+    scenes = digits.x_test[:40].reshape(40, 8, 8)
+    acquisition, bench = planned(lab, scenes)
+    recorded = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, bench))
+    assert all(each.lit for each in recorded)
+    counts = count(tmp_path / "run")
+    manifest = read_patterns(lab / "patterns").manifest
+    rates = arrival_rates(lab / "patterns", scenes, CAMERAS["ideal"], FLUX)
+    wanted = (rates[:, manifest.shown, 0] * counts.gate_s).sum(axis=0)
+    found = counts.counts[:, 0, 0].sum(axis=0)
+    chi2 = ((found - wanted) ** 2 / wanted).sum()
+    assert abs(chi2 - len(wanted)) < 5 * np.sqrt(2 * len(wanted))
+    on = np.array([each.on_rate for each in recorded])
+    assert on.mean() == pytest.approx(rates[:, 0].mean(), rel=5 / np.sqrt(FLUX * 2e-3 * 40) + 1e-3)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_run_that_is_stopped_keeps_its_finished_scenes(lab, digits, tmp_path, late):
+    """Before a pass, and while one is shown."""
+    acquisition, bench = planned(lab, digits.x_test[:4].reshape(4, 8, 8))
+    run = bench.projector.run
+
+    def stopped() -> None:
+        frames = np.arange(20)
+        bench.projector.show(frames, read_patterns(lab / "patterns").manifest.picture_s[frames])
+        raise KeyboardInterrupt
+
+    def display(scene: int) -> None:
+        if scene == 2:
+            if not late:
+                raise KeyboardInterrupt
+            bench.projector.run = stopped
+        bench.projector._setup.display(scene)
+
+    told = record.record_run(
+        tmp_path / "run", lab / "patterns", acquisition, replace(bench, display=display)
+    )
+    with pytest.raises(KeyboardInterrupt):
+        list(told)
+    bench.projector.run = run
+    assert [scene.name for scene in read_acquisition(tmp_path / "run")[0].scenes] == ["0", "1"]
+    assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
+
+
+def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
+    lab, digits, tmp_path, monkeypatch
+):
+    scenes = np.stack([digits.x_test[0].reshape(8, 8), np.zeros((8, 8))])
+    acquisition, bench = planned(lab, scenes)
+    told = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, bench))
+    assert [each.lit for each in told] == [True, False]
+    monkeypatch.setattr(record, "PATIENCE_S", 0.2)
+    acquisition, bench = planned(lab, scenes)
+    bench.counter._bit = 2  # the trigger is on another input
+    bench.counter.start = lambda path: (
+        type(bench.counter).start(bench.counter, path),
+        setattr(bench.projector._setup, "wiring", ((0,), 1)),
+    )
+    with pytest.raises(InputError, match="trigger is wired"):
+        list(record.record_run(tmp_path / "2", lab / "patterns", acquisition, bench))
+
+
+def test_real_devices_are_asked_by_the_same_options(refuse, lab, tmp_path, monkeypatch):
+    scenes = tmp_path / "scenes.csv"
+    scenes.write_text("first,3\nsecond,4\n")
+    words = ("camera", "record", lab / "patterns", "--scene", scenes, "-o", tmp_path / "run")
+    assert "ALP4lib" in refuse(*words, "--projector", "vialux", "--counter", "picoquant")
+    assert "do not go together" in refuse(*words, "--projector", "vialux")
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    assert "for virtual devices" in refuse(
+        *words, "--projector", "vialux", "--counter", "picoquant", "--flux", "1e6"
+    )
