@@ -112,7 +112,7 @@ class Point(Frozen):
     best: bool = Field(
         description="whether its mask count was chosen on validation data, or nothing was chosen"
     )
-    confusion: tuple[tuple[int, ...], ...] = Field(
+    confusion: tuple[tuple[Count, ...], ...] = Field(
         (),
         description="at a chosen mask count: rows true classes, columns answers, over all trials "
         "and noise draws",
