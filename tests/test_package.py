@@ -28,7 +28,17 @@ def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
     assert {name for own in TUNED.values() for name in own} <= set(Training.model_fields)
 
 
-HAVE_FIELDS = {"learn", "evaluate", "Camera", "Job", "Training", "Fixed", "Range", "Nested"}
+HAVE_FIELDS = {
+    "learn",
+    "evaluate",
+    "predict",
+    "Camera",
+    "Job",
+    "Training",
+    "Fixed",
+    "Range",
+    "Nested",
+}
 HAVE_FIELDS |= {"Looks", "Patches"}
 """Those whose keywords are the fields of a model, which says what it does not know."""
 
@@ -82,7 +92,7 @@ def test_data_may_be_a_name_or_arrays(digits):
 
 @pytest.mark.parametrize("data", [[1, 2], np.zeros((3, 4)), None, 7])
 def test_data_of_another_kind_says_what_to_give(data):
-    with pytest.raises(deepfsi.InputError, match="give a Dataset, a name") as error:
+    with pytest.raises(deepfsi.InputError, match="give a Dataset of deepfsi, a name") as error:
         learn(data, **BRIEF)
     assert "\n" not in str(error.value)
 

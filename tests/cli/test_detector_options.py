@@ -57,7 +57,7 @@ def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
         'readout = ["both", "difference"]\n'
     )
     table = tmp_path / "all.csv"
-    done("sweep", tmp_path / "one.toml", "-o", tmp_path, "--workers", 1, "--table", table)
+    done("sweep", tmp_path / "one.toml", "-o", tmp_path / "one", "--workers", 1, "--table", table)
     rows = list(csv.DictReader(table.read_text().splitlines()))
     found = {(row["detectors"], row["readout"]) for row in rows}
     assert len(found) == 4

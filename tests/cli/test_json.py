@@ -30,12 +30,14 @@ STEPS = {
     "data download": "mnist",
     "data check": "digits",
     "data export": "digits -o images",
+    "predict": "one.safetensors images --photons 1e4",
     "dmd export": "one.safetensors --device 64x64 -o patterns",
     "dmd check": "patterns",
     "dmd devices": "",
     "camera describe": "one.safetensors",
     "camera prepare": "patterns --scenes images -o lab",
     "camera simulate": "patterns --scene images --flux 1e7 --exposure 2ms --virtual ideal -o run",
+    "camera record": "patterns --scene images --flux 1e7 --exposure 2ms --virtual ideal -o shown",
     "camera count": "run",
     "camera classify": "one.safetensors run",
     "camera image": "run",
@@ -44,8 +46,8 @@ STEPS = {
 }
 """Words after each command, in an order in which each finds what it needs."""
 
-ELSEWHERE = {"camera spots", "camera calibrate", "camera import"}
-"""Commands whose JSON is tested where a calibration is made, and with other counters' files."""
+ELSEWHERE = {"camera spots", "camera calibrate", "camera check", "camera import"}
+"""Commands whose JSON is tested with calibrations, the reference target and other counters."""
 
 
 def commands(group: typer.core.TyperGroup, before: str = "") -> dict[str, typer.core.TyperCommand]:

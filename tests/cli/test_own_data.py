@@ -80,7 +80,7 @@ def test_a_design_remembers_what_was_held_out(done, refuse, tmp_path):
     assert found["notes"] == []
     assert "321" in done("show", file, "-o", tmp_path / "x.png")
     assert "without its last 300" in refuse(*stop, "--hold-out", 300)
-    done("design", *words)
+    done("design", *words, "--force")
     assert "learn it with" in refuse(*stop)
 
 
@@ -138,7 +138,7 @@ def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
     table = done("evaluate", file, "--photons", "1e2")
     assert f"{tested['balanced']:.3f}" in table
     assert f"{min(tested['rates']):.3f} (" in table
-    done(*words, "--balance", "-o", file)
+    done(*words, "--balance", "-o", file, "--force")
     assert Design.load(file).info["job"]["training"]["balance"] is True
     words = ["--designs", "pca", "--photons", "1e2", "--masks", "2,3", "--epochs", 2]
     words += ["--workers", 1, "--data", folder, "-o", out, "--balance"]

@@ -91,7 +91,7 @@ def test_options_stand_under_headings_those_that_most_need_first(done, command):
         ("--photons 1e3 --masks 0", "masks = 0: input should be greater than or equal to 1"),
         ("--masks 3", "photons"),
         ("--photons 1e3 --masks 3 --light colum", "light = 'colum'"),
-        ("--photons 1e3 --masks 3 --camera nofile.toml", "no file nofile.toml"),
+        ("--photons 1e3 --masks 3 --camera nofile.toml", "nofile.toml is missing: give a"),
         ("--photons 1e3 --masks 3 --camera papr", "did you mean 'paper'"),
         ("--photons 1e3 --masks 3 --camera key.toml", "key.toml has an unknown key 'lihgt'"),
         ("--photons 1e3 --masks 3 --camera unit.toml", "unit.toml cannot be used at exposure"),

@@ -121,7 +121,7 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, tmp_path):
             ["camera", "classify", lab.design, table, "--settle", "1us"],
             "the folder of its patterns",
         ),
-        ([*words[:2], tmp_path / "run", table], "design.safetensors"),
+        ([*words[:2], tmp_path / "run", table], "manifest.json is missing: make patterns"),
     ):
         assert said in refuse(*given)
 

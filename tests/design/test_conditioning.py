@@ -60,7 +60,8 @@ def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
         level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
         last = torch.tensor([level, masks / 8]).expand(20, 2)
         with torch.no_grad():
-            by_hand = design.classifier(torch.cat([scaled, last], dim=-1)).softmax(dim=-1)
+            logits = design.classifier(torch.cat([scaled, last], dim=-1))
+        by_hand = (logits / design.temperatures.of_stops(5e3)[masks - 3]).softmax(dim=-1)
         np.testing.assert_allclose(chance, by_hand.numpy(), atol=2e-5)
 
 

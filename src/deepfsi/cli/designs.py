@@ -250,7 +250,7 @@ def _print_results(
         )
         for r in sorted(results, key=lambda r: r.photons)
     ]
-    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted", "calibration")
+    heads = ("photons", "accuracy", "balanced", "worst class", "counts", "counted", "ECE")
     common.print_table(f"{made.name}, {common.size(made)}, {noise} noise", heads, rows)
     for result in sorted(results, key=lambda r: r.photons):
         _print_confusion(result, made.classes)
@@ -266,7 +266,7 @@ def _print_results(
     print(f"± half of the 95 % interval: {results[0].covers}")
     print("counts: photons that detectors count, in the mean over test scenes")
     print("counted: share of the budget that they count, in the mean over training scenes")
-    print("calibration: mean distance of an answer's probability and how often such are right")
+    print("ECE: expected calibration error, between probabilities and how often they are right")
 
 
 def _print_confusion(result: "Result", classes: Sequence[str]) -> None:

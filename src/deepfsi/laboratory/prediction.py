@@ -20,6 +20,7 @@ from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.recording.calibration_file import load_calibration
 from deepfsi.laboratory.light import dim_scenes
 from deepfsi.optics.budget import check_budget
+from deepfsi.optics.camera import CameraSource
 
 AT_ONCE = 1024
 """Pictures that are exposed together."""
@@ -75,6 +76,7 @@ def predict(
     pictures: str | os.PathLike[str],
     photons: float,
     *,
+    camera: CameraSource = None,
     seed: int = 0,
     skip_bad: bool = False,
     **settings: Any,
@@ -92,12 +94,14 @@ def predict(
         file names and labels. Those that ``deepfsi data export`` wrote are mapped already.
     photons : float
         Budget Φ.
+    camera : Camera, str, path or mapping, optional
+        Whose noise, dark counts and read noise are in force; the design's own unless given.
     seed : int
         Of the noise.
     skip_bad : bool
         Leave pictures that cannot be read out, which `preprocessing` then names.
     settings
-        Fields of the camera in place of the design's own, such as ``noise="none"``.
+        Fields of the camera in place of its own, such as ``noise="none"``.
 
     Returns
     -------
@@ -122,8 +126,8 @@ def predict(
     """
     budget = check_budget(photons)
     check_draws(1, seed)
-    camera = camera_for(design, None, **settings)
-    scanner = scanner_for(design, camera)
+    tested = camera_for(design, camera, **settings)
+    scanner = scanner_for(design, tested)
     shown = _scenes(design, Path(pictures).expanduser(), skip_bad)
     generator = torch.Generator(design.mean.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
@@ -145,7 +149,7 @@ def predict(
     )
     remarks = tuple(fault.detail for fault in dim_scenes(design, np.array([budget])))
     said = shown.preprocessing
-    return Predictions(budget, camera.noise_name, said, remarks, design.classes, found)
+    return Predictions(budget, tested.noise_name, said, remarks, design.classes, found)
 
 
 def _scenes(design: Design, pictures: Path, skip_bad: bool) -> Display:

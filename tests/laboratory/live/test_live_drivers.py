@@ -63,7 +63,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     assert not library.allocated
 
     lists = [each for scene in read_shown(folder) for each in scene.lists]
-    assert len(library.lists) == len(lists) == SCENES * (LOOKS + 1)
+    assert len(library.lists) == len(lists) == SCENES * (LOOKS + 2)
     for (pictures, us), each in zip(library.lists, lists, strict=True):
         assert len(pictures) <= entries
         assert pictures == np.repeat([*each.frames, 1], each.markers).tolist()

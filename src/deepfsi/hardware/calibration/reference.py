@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from scipy import optimize
-from scipy.stats import chi2
 
 from deepfsi.errors import InputError
 from deepfsi.files import write_atomically
@@ -213,6 +212,8 @@ class _Readouts:
 
 def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) -> ReferenceFit:
     """Place of the target in a recording of it alone, all passes and exposures together."""
+    from scipy.stats import chi2
+
     readouts, model = _readouts(counts, patterns), _Model(patterns.manifest)
     found = []
     every = model.exported.orientations()

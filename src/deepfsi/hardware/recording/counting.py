@@ -159,11 +159,12 @@ def _read_dark(
             f"there is no scene and no folder {folder}: give the name of a scene that was dark, "
             "or the folder of a run with the scene dark"
         )
-    acquisition = read_acquisition(folder)[0].rewired(run.inputs, run.marker_bit)
-    if acquisition.manifest_sha256 != run.manifest_sha256:
+    recorded = read_acquisition(folder)[0]
+    if recorded.manifest_sha256 != run.manifest_sha256:
         raise InputError(
             f"{folder} was recorded with other patterns: record the dark scene as the others"
         )
+    acquisition = recorded.rewired(run.inputs, run.marker_bit)
     header = _read_counter(folder / "photons.ptu", gates, manifest)
     frames = find_frames(header, acquisition, manifest, None, SILENT)
     windows = Windows.of(manifest, gates, frames)
