@@ -203,10 +203,11 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, run):
     assert json.loads(done(*words, "--json"))["consistency"] is None
 
 
-def test_a_looks_design_says_why_no_run_is_of_it(refuse, run, tmp_path, digits):
+def test_a_looks_design_is_not_the_one_whose_patterns_a_run_showed(refuse, run, tmp_path, digits):
     looks = quick(digits, masks=4, light="free-dwell", rails="single", looks=2)
     looks.save(tmp_path / "looks.safetensors")
-    assert "a live run" in refuse("camera", "classify", tmp_path / "looks.safetensors", run)
+    words = ["camera", "classify", tmp_path / "looks.safetensors", run]
+    assert "whose patterns were shown" in refuse(*words)
 
 
 def test_patterns_are_read_once(done, lab, run, monkeypatch):
@@ -338,7 +339,7 @@ def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, tmp_p
     out = done(*words, "-o", tmp_path / "c", "--json")
     assert any("times the light" in doubt for doubt in json.loads(out)["warnings"])
     assert json.loads(out)["dead_time"] == {"seconds": 1e-9, "paralysable": False}
-    code, out, errors = call(*words, "-o", tmp_path / "c")
+    code, out, errors = call(*words, "-o", tmp_path / "c", "--force")
     assert code == 0
     assert "of 25 spots" in out
     assert errors.startswith("deepfsi: warning: ")

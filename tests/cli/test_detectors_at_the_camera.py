@@ -77,7 +77,9 @@ def test_patterns_say_what_the_design_detects(done, lab):
     for name, readout in (("one", "difference"), ("two", "both")):
         manifest = json.loads((lab / name / "manifest.json").read_text())
         tiles = Design.load(lab / f"{name}.safetensors").detection.labels.tolist()
-        assert manifest["detectors"] == {"count": 4, "cells": tiles}
+        detectors = manifest["detectors"]
+        assert (detectors["count"], detectors["cells"]) == (4, tiles)
+        np.testing.assert_allclose(np.sum(detectors["shares"], axis=1), 1)
         assert manifest["readout"] == readout
 
 

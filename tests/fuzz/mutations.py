@@ -6,6 +6,7 @@ import random
 import struct
 import zipfile
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -70,15 +71,15 @@ def _changed(rng: random.Random, held: Any) -> Any:
         if kind == 0:
             del held[key]
         elif kind == 1:
-            held["unknown"] = rng.choice(VALUES)
+            held["unknown"] = deepcopy(rng.choice(VALUES))
         else:
-            held[key] = rng.choice(VALUES)
+            held[key] = deepcopy(rng.choice(VALUES))
     elif kind == 0:
         del held[rng.randrange(len(held))]
     elif kind == 1:
-        held.append(rng.choice([*held, *VALUES]))
+        held.append(deepcopy(rng.choice([*held, *VALUES])))
     else:
-        held[rng.randrange(len(held))] = rng.choice(VALUES)
+        held[rng.randrange(len(held))] = deepcopy(rng.choice(VALUES))
     return held
 
 

@@ -5,6 +5,7 @@ import json
 import os
 import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -232,6 +233,24 @@ def test_a_bomb_in_matlabs_format(tmp_path, refused):
     savemat(path, {"x": np.zeros((6000, 6000))}, do_compression=True)
     assert path.stat().st_size < 1e6
     refused("mat masks", path, "would unpack")
+
+
+@pytest.mark.parametrize("deflated", [False, True])
+def test_numbers_of_a_type_that_is_none_in_matlabs_format(tmp_path, refused, deflated):
+    """They ended the process: scipy's reader follows a pointer that is not there."""
+    from scipy.io import savemat
+
+    path = tmp_path / "x.mat"
+    savemat(path, {"x": np.random.default_rng(0).random((9, 9))})
+    content = path.read_bytes()
+    numbers = struct.pack("<II", 9, 9 * 9 * 8)
+    assert content.count(numbers) == 1
+    content = content.replace(numbers, struct.pack("<II", 0, 9 * 9 * 8))
+    if deflated:
+        part = zlib.compress(content[128:])
+        content = content[:128] + struct.pack("<II", 15, len(part)) + part
+    path.write_bytes(content)
+    refused("mat masks", path, "type 0")
 
 
 def test_a_matrix_of_usual_size_is_no_bomb(tmp_path):

@@ -1,6 +1,5 @@
 """The page to play with, in Chromium: its numbers are the package's, and everyone can use it."""
 
-import json
 import time
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from deepfsi.design.payload import playable
 from deepfsi.report.playground.page import write_page
 from shared.browser import CONTRASTS, CUT, OVERFLOW, chromium, look, requests_of
 from shared.design_files import loop_of
-from shared.playground import KINDS, VECTORS, ask, fits, read_counts
+from shared.playground import KINDS, VECTORS, ask, fits, read_counts, verdict_at
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 AGREES = 1e-5
@@ -146,14 +145,6 @@ def test_an_exposure_is_one_of_classify_live(opened, designs, kind):
     wanted = design.classify_live(show, 300)
     np.testing.assert_allclose(chances, wanted, atol=AGREES, rtol=0)
     np.testing.assert_allclose(sum(frame[3] for frame in frames), 1, atol=AGREES)
-
-
-def verdict_at(browser, exponent):
-    browser.execute_script(
-        "const l = document.getElementById('light'); l.value = arguments[0];"
-        "l.dispatchEvent(new Event('input'))", exponent
-    )  # fmt: skip
-    return browser.find_element(By.ID, "verdict").text
 
 
 def test_too_little_light_is_said_and_no_stop_is_offered_far_from_its_rule(opened):
@@ -503,16 +494,3 @@ def test_names_that_users_give_stay_text(opened, designs, digits, tmp_path):
     assert name in browser.find_element(By.TAG_NAME, "h1").text
     assert name in browser.find_element(By.ID, "answer").text
     assert browser.get_log("browser") == []
-
-
-def test_the_command_writes_a_page_and_says_where(done, refuse, designs, tmp_path):
-    file = designs["looks"].save(tmp_path / "looks.safetensors")
-    out = tmp_path / "looks.html"
-    assert done("page", file, "-o", out).splitlines()[-1] == f"page to play with: {out}"
-    text = out.read_text()
-    assert text.count("<script") == 3
-    told = json.loads(done("page", file, "-o", out, "--json"))
-    assert len(told["curve"]) == 13
-    assert told["rules"][0]["photons"] == 1e4
-    assert out.read_text() == text  # the same seed gives the same page
-    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "looks")

@@ -1,8 +1,12 @@
-"""The page of a design says how many detectors its optics have, without a browser."""
+"""The page of a design and what it says of its optics, without a browser."""
+
+import json
 
 import pytest
 
+from conftest import quick
 from deepfsi.report.playground.words import detectors_text, way_text
+from shared.playground import KINDS
 
 
 @pytest.mark.parametrize(
@@ -21,3 +25,17 @@ def test_the_detectors_are_those_of_the_optics(optics, said):
     way, column = way_text(payload), optics["light"] == "column"
     assert ("no single mirror device does this" in way) == column
     assert ("one detector counts" in way) == (said == "1")
+
+
+def test_the_command_writes_a_page_and_says_where(done, refuse, digits, tmp_path):
+    kept = digits.hold_out(237)
+    file = quick(kept, **KINDS["looks"]).save(tmp_path / "looks.safetensors")
+    out = tmp_path / "looks.html"
+    assert done("page", file, "-o", out).splitlines()[-1] == f"page to play with: {out}"
+    text = out.read_text()
+    assert text.count("<script") == 3
+    told = json.loads(done("page", file, "-o", out, "--json", "--force"))
+    assert len(told["curve"]) == 13
+    assert told["rules"][0]["photons"] == 1e4
+    assert out.read_text() == text  # the same seed gives the same page
+    assert "end the name in .html" in refuse("page", file, "-o", tmp_path / "looks")

@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from scipy import stats
+from selenium.webdriver.common.by import By
 
 from conftest import generator, synthetic
 from deepfsi.datasets import Dataset
@@ -42,6 +43,15 @@ def ask(browser, body, **given):
     names = ["page", "model", "Exposure", "LeastSquares", "Random", "poisson"]
     head = f"const {{{', '.join(names)}}} = window.playground; const given = arguments[0];"
     return browser.execute_script(head + body, given)
+
+
+def verdict_at(browser, exponent: float) -> str:
+    """What the page says at a budget of 10 to this power."""
+    browser.execute_script(
+        "const l = document.getElementById('light'); l.value = arguments[0];"
+        "l.dispatchEvent(new Event('input'))", exponent
+    )  # fmt: skip
+    return browser.find_element(By.ID, "verdict").text
 
 
 def fits(counts: np.ndarray, rate: float) -> float:

@@ -395,7 +395,8 @@ def test_companions_differ_in_budget_sigma_and_seed():
 
 def test_a_device_that_cannot_show_the_scenes_is_a_fault_of_the_job(digits):
     job = Job(masks=6, photons=1e3, camera={"device": "4x4"})
-    assert any("use a larger device or fewer pixels" in fault for fault in job.faults(digits))
+    [fault] = job.faults(digits)
+    assert "use a larger device or region, or fewer pixels" in fault
     assert not Job(masks=6, photons=1e3, camera={"device": "dlp7000"}).faults(digits)
 
 

@@ -18,7 +18,7 @@ from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
 from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
-from deepfsi.design.file_content import SCHEMA, damaged, read_content
+from deepfsi.design.file_content import SCHEMA, Info, damaged, read_content
 from deepfsi.design.own import OwnClassifier
 from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
@@ -143,14 +143,12 @@ class Header(BaseModel):
         Field(discriminator="kind"),
     ]
     classifier: Annotated[MlpSize | VitSize | OwnShape, Field(discriminator="kind")]
-    info: dict[str, Any]
+    info: Info
 
     @model_validator(mode="after")
     def _consistent(self) -> "Header":
         if (self.classifier.kind == "vit") != (self.exposure.kind == "patches"):
             raise ValueError("a transformer reads patches, and nothing else does")
-        if any(not isinstance(self.info.get(part, {}), dict) for part in ("job", "data")):
-            raise ValueError("the provenance is no table")
         return self
 
 

@@ -1,17 +1,32 @@
 """The bytes of a design file: its header, and its tensors in NumPy, as a camera has no torch."""
 
 import json
+import math
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator
 
 from deepfsi.errors import InputError
 from deepfsi.tables.tensor_files import DamagedError, read_tensors
 
 SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
+
+
+def _check_info(info: dict[str, Any]) -> dict[str, Any]:
+    if any(not isinstance(info.get(part, {}), dict) for part in ("job", "data", "detector_light")):
+        raise ValueError("the provenance is no table")
+    budget = info.get("job", {}).get("photons", 1.0)
+    if type(budget) not in (int, float) or not 0 < budget < math.inf:
+        raise ValueError("the training has no budget")
+    return info
+
+
+Info = Annotated[dict[str, Any], AfterValidator(_check_info)]
+"""Provenance of a design: job and data of its training, and what was measured of it."""
 
 
 def read_content(path: str | os.PathLike[str]) -> tuple[str, dict[str, np.ndarray]]:

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deepfsi.design.exposure import LARGEST_SCORE
-from deepfsi.design.file_content import damaged, read_content
+from deepfsi.design.file_content import Info, damaged, read_content
 from deepfsi.devices import find_device
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import read_regular
@@ -49,7 +48,7 @@ class ShownHeader(BaseModel):
     classes: tuple[str, ...]
     exposure: _Kind
     classifier: _Kind
-    info: dict[str, Any]
+    info: Info
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,12 @@ class ShownDesign:
                 rule=rule,
                 photons=header.info.get("job", {}).get("photons"),
             )
-        return loop_from(made, dict(map(_in_loop, self.tensors.items())))
+        try:
+            return loop_from(made, dict(map(_in_loop, self.tensors.items())))
+        except (KeyError, ValueError, IndexError):
+            raise InputError(
+                "the design's networks do not fit its masks: give a whole design file"
+            ) from None
 
 
 def _in_loop(held: tuple[str, np.ndarray]) -> tuple[str, np.ndarray]:
@@ -140,10 +144,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     with as_input_error(str(file)):
         brightness = None if known is None else Brightness.model_validate(known)
         detectors = made.detectors
-    try:
-        loop = made.loop if header.exposure.looks > 1 else None
-    except (KeyError, IndexError) as error:
-        raise damaged(path) from error
+    loop = made.loop if header.exposure.looks > 1 else None
     return DesignRails(
         made.tensors["rails"],
         header.light,

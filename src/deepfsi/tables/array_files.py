@@ -8,7 +8,7 @@ import io
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -42,7 +42,10 @@ MATLAB_HDF5 = b"MATLAB 7.3"
 """Beginning of a ``.mat`` file that is an HDF5 file."""
 
 MAT_HEADER, MAT_PLAIN, MAT_DEFLATED = 128, 14, 15
-"""Bytes of the header of a ``.mat`` file before 7.3, and kinds of its variables."""
+"""Bytes of the header of a ``.mat`` file before 7.3, and types of its variables."""
+
+MAT_TAG, MAT_PARTS = 8, {*range(1, 8), 9, *range(12, 19)}
+"""Bytes of a tag in a ``.mat`` file, which holds type and length, and the types that there are."""
 
 DOUBLE, INFLATED_AT_ONCE = 8, 2**20
 """Bytes of a number, and those that are inflated at once to be counted."""
@@ -225,32 +228,48 @@ def _open_hdf5(path: Path) -> Iterator[dict[str, Any]]:
 def _open_mat(path: Path) -> Iterator[IO[bytes]]:
     """Open a ``.mat`` file for scipy."""
     with open_regular(path, LARGEST_FILE, "give a .mat file") as file:
-        _check_deflated(file, path)
         try:
+            _check_mat(file, path)
             yield file
+        except InputError:
+            raise
         except Exception as error:  # scipy raises almost anything on a damaged file
             raise InputError(
                 f"cannot read {path} as a .mat file ({error}); save it again"
             ) from error
 
 
-def _check_deflated(file: IO[bytes], path: Path) -> None:
-    """Raise `InputError` for a variable that inflates to far more than a file explains."""
-    # scipy inflates all that there is, whatever shape the variable claims
+def _check_mat(file: IO[bytes], path: Path) -> None:
+    """Raise an error for a variable that scipy's reader does not survive."""
+    # scipy inflates all that there is, whatever shape the variable claims, and a part of an
+    # unknown type ends the process
     header = file.read(MAT_HEADER)
     order = {b"IM": "<", b"MI": ">"}.get(header[-2:], "")
     found, size = 0, path.stat().st_size
-    while order and len(tag := file.read(8)) == 8:
+    while order and len(tag := file.read(MAT_TAG)) == MAT_TAG:
         kind, length = struct.unpack(f"{order}II", tag)
         if kind == MAT_PLAIN:
-            file.seek(length, io.SEEK_CUR)
+            _check_parts(file, order, min(file.tell() + length, size))
         elif kind == MAT_DEFLATED:
             inflate, left = zlib.decompressobj(), file.read(min(length, size))
-            with suppress(zlib.error):  # scipy says what is wrong
-                while left and not inflate.eof:
-                    found += len(inflate.decompress(left, INFLATED_AT_ONCE))
-                    left = inflate.unconsumed_tail
-                    check_unpacked(found / DOUBLE, size, str(path), UNCOMPRESSED)
+            inflated = io.BytesIO()
+            while left and not inflate.eof:
+                found += inflated.write(inflate.decompress(left, INFLATED_AT_ONCE))
+                left = inflate.unconsumed_tail
+                check_unpacked(found / DOUBLE, size, str(path), UNCOMPRESSED)
+            inflated.seek(MAT_TAG)
+            _check_parts(inflated, order, inflated.getbuffer().nbytes)
         else:
             break
     file.seek(0)
+
+
+def _check_parts(file: IO[bytes], order: str, end: int) -> None:
+    """Raise `ValueError` for a part of a variable of an unknown type; go to the variable's end."""
+    while file.tell() + MAT_TAG <= end:
+        kind, length = struct.unpack(f"{order}II", file.read(MAT_TAG))
+        if (kind & 0xFFFF) not in MAT_PARTS:
+            raise ValueError(f"a part of type {kind}")
+        if kind < 1 << 16:  # else the values are in the tag
+            file.seek(-(-length // MAT_TAG) * MAT_TAG, io.SEEK_CUR)
+    file.seek(end)

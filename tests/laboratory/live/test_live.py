@@ -291,7 +291,7 @@ def test_counts_of_other_files_are_refused(copied):
     with pytest.raises(InputError, match="other files"):
         read_live_counts(copied)
     (copied / "counts.npz").write_bytes(b"x")
-    with pytest.raises(InputError, match="as a zip file .*count again"):
+    with pytest.raises(InputError, match="File is not a zip file"):
         read_live_counts(copied)
     (copied / "counts.npz").unlink()
     with pytest.raises(InputError, match="is missing"):

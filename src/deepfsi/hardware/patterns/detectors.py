@@ -17,9 +17,10 @@ class Detectors(Frozen):
     # Detector of each cell, 0 .. D-1; None where that is not known, as before a calibration
     cells: tuple[Annotated[int, Field(ge=0)], ...] | None = None
 
-    # Share of each detector in the light of each class of the training, (classes, D), and the
-    # standard deviation of a scene's about it, (D,); None where that is not known
+    # Share of each detector in the light of each class of the training, (classes, D); None where
+    # that is not known
     shares: tuple[tuple[Annotated[float, Field(ge=0, le=1)], ...], ...] | None = None
+    # Standard deviation of a scene's shares about those of its class, (D,)
     spread: tuple[Annotated[float, Field(ge=0, allow_inf_nan=False)], ...] = ()
 
     @model_validator(mode="after")

@@ -172,7 +172,7 @@ def loop_from(header: LoopHeader, tensors: Mapping[str, np.ndarray]) -> Loop:
         if name.startswith("distribution.")
     }
     readouts = 1, header.rails * header.masks * header.detectors + 1
-    return Loop(
+    loop = Loop(
         header,
         _checked(tensors["mean"], header.features),
         _checked(tensors["std"], header.features),
@@ -181,6 +181,9 @@ def loop_from(header: LoopHeader, tensors: Mapping[str, np.ndarray]) -> Loop:
         _temperatures(tensors, header.looks) if TEMPERATURES[0] in tensors else None,
         ReadoutDistribution.restored(known, readouts, header.looks) if known else None,
     )
+    with np.errstate(all="ignore"):  # of weights near the largest number
+        _checked(loop.first.astype(np.float32), header.frames)
+    return loop
 
 
 def _checked(values: np.ndarray, *shape: int) -> np.ndarray:
