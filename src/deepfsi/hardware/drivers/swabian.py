@@ -213,7 +213,7 @@ class _Tags:
 
 
 def _describe(kind: int, at_s: float, missed: int) -> str:
-    """What a tag says that is none of a signal."""
+    """Words for a tag of an error or of tags that were lost."""
     if kind == ERROR:
         return (
             f"the Time Tagger tells of an error {at_s:.6g} s after its first tag: check its clock "
