@@ -249,6 +249,6 @@ def _in_one_line(doing: str) -> Iterator[None]:
         raise
     except (RuntimeError, ValueError, TypeError, IndexError, OverflowError) as error:
         raise InputError(
-            f"the Time Tagger cannot {doing}: {error}; check that it is on, connected and not used "
-            "by another program"
+            f"the Time Tagger cannot {doing}: {str(error).rstrip('.')}; check that it is on, "
+            "connected and not used by another program"
         ) from None
