@@ -41,7 +41,9 @@ def signals() -> tuple[np.ndarray, np.ndarray]:
 def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
     found: list[list[int]] = []
     while len(found) < frames:
-        found += counter.counts_since_marker(60).counts.tolist()
+        more = counter.counts_since_marker(20).counts.tolist()
+        assert more, f"{len(found)} frames came, of {frames}"
+        found += more
     return np.array(found)
 
 
