@@ -26,6 +26,7 @@ def camera_record(
     projector: options.Projector = "virtual",
     counter: options.Counter = "virtual",
     counter_config: options.CounterConfig = None,
+    marker_channel: options.MarkerChannel = None,
     alp_version: options.AlpVersion = None,
     virtual: options.Virtual = None,
     latency: options.Latency = None,
@@ -82,7 +83,7 @@ def camera_record(
         with common.progress("light of the scenes", quiet=as_json) as report:
             bench = virtual_bench(patterns, images.x, acquisition, times, report)
     else:
-        devices = live.real_counter(counter, acquisition, counter_config)
+        devices = live.real_counter(counter, acquisition, counter_config, marker_channel)
         bench = Bench(VialuxProjector(alp_version), *devices)
     with contextlib.closing(record_run(out, patterns, acquisition, bench)) as recorded:
         for each in recorded:
