@@ -170,6 +170,7 @@ def test_class_pairs_are_differences_of_means_the_nearest_first(digits):
 def test_random_masks_follow_their_seed(digits):
     first, again, other = (sensing_matrix("random", 40, digits, seed) for seed in (1, 1, 2))
     assert (first == again).all()
+    assert (sensing_matrix("random", 40, digits) == sensing_matrix("random", 40, digits, 0)).all()
     assert (first != other).any()
     assert set(np.unique(first)) == {-1, 1}
     assert abs(first.mean()) < 5 / math.sqrt(first.size)
@@ -207,7 +208,7 @@ def test_mask_count_refuses_a_bad_ratio(ratio):
     ],
 )
 def test_a_design_refuses_a_count_that_it_cannot_have(digits, design, masks):
-    with pytest.raises(InputError, match=f"masks are not allowed for {design}"):
+    with pytest.raises(InputError, match=f"masks are not allowed for {design} on digits: give"):
         tiles.check_count(design, masks, digits)
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepfsi.optics.features import FeatureNoise
+from deepfsi.optics.features import FeatureNoise, mean_over_exposures
 
 DRAWS = 200_000
 GAINS, SIGMAS = [4.0, 50.0], [3.0, 0.5]
@@ -42,3 +42,24 @@ def test_a_part_of_the_trainings_has_their_own_noise(kind):
     part = noise(kind).part(slice(1, 2))
     assert part.gain.tolist() == [[50.0]]
     assert part.unit.item() == pytest.approx(50**-0.5)
+
+
+def test_noise_over_exposures_is_the_mean_over_those_that_show_a_mask():
+    """Against the sum over numbers of masks shown and budgets, of two jobs that differ.
+
+    With n masks shown, and used(n) of their light law, the noise of a budget Φ is that of
+    Φ used(m) / used(n); budgets are drawn log-uniformly from a hundredth to all of the largest.
+    """
+    used = torch.tensor([[0.2, 0.5, 0.6, 1.0], [0.1, 0.3, 0.9, 1.5]], dtype=torch.float64)
+    chances = torch.tensor([0.4, 0.0, 0.1, 0.5], dtype=torch.float64)
+    places = (torch.arange(100_000, dtype=torch.float64) + 0.5) / 100_000
+    dim = float((100.0**-places).mean())
+    factor, often = mean_over_exposures(used, 100.0, chances)
+    for mask in range(4):
+        seen = chances[mask:]
+        assert float(often[mask]) == pytest.approx(float(seen.sum()))
+        for job in range(2):
+            mean = float((seen * used[job, mask:] / used[job, -1]).sum() / seen.sum())
+            assert float(factor[job, mask]) == pytest.approx(dim * mean, rel=1e-6)
+    one, _ = mean_over_exposures(used, 1.0, chances)
+    assert torch.allclose(one * dim, factor, rtol=1e-6)

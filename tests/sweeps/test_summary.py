@@ -123,6 +123,11 @@ def test_the_worst_class_is_that_of_the_mean_over_trials(digits):
     assert (point.worst, point.worst_class) == (pytest.approx(0.5), 3)
 
 
+def test_a_class_that_is_never_recognised_is_the_worst_with_none(digits):
+    (point,) = summary(digits, [unlike(record(1e3, 3, 0, 0.8, 0.9), 0.8, [0.9] * 4 + [0.0, None])])
+    assert (point.worst, point.worst_class) == (0.0, 4)
+
+
 @pytest.mark.parametrize("balance", [False, True])
 def test_a_balanced_training_is_chosen_by_balanced_accuracy(digits, balance):
     records = [

@@ -38,6 +38,18 @@ def test_each_seed_has_its_own_noise(kind):
     assert not torch.equal(first, other)
 
 
+@pytest.mark.parametrize("rails", [1, 2])
+def test_readouts_of_a_seed_are_those_of_its_jobs_and_of_masks_that_all_share(rails):
+    noise = FeatureNoise.of("poisson", [5.0] * 3, [1.0] * 3, [0, 1, 1], LABELS.device)
+    second = SeedStream(1, slice(1, 3), noise, LABELS, batch=100)
+    time = torch.rand(rails, 3, 4, generator=torch.Generator().manual_seed(2))
+    own = second.readouts(Readouts(time > 0.5, time))
+    assert torch.equal(own.time, time[:, 1:])
+    assert torch.equal(own.shown, time[:, 1:] > 0.5)
+    shared = Readouts(time[:, :1] > 0.5, time[:, :1])
+    assert second.readouts(shared) is shared
+
+
 def test_each_seed_has_its_own_initial_weights(digits):
     """A training that does not move keeps them."""
     still = {"lr": 1e-30, "decay": 0.0}

@@ -1,6 +1,7 @@
 """Swabian's driver against a fake of the Time Tagger's library that keeps its rules."""
 
 import sys
+import time
 
 import numpy as np
 import ptufile
@@ -66,6 +67,15 @@ def test_counts_are_those_of_the_file_that_is_left(device, signals, tmp_path):
     assert device.levels == {1: 0.1, 8: -0.5}
     assert "TimeTagStream [8, 3, 1]" in device.steps
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+
+
+@pytest.mark.parametrize("wait_s", [0.0, 0.4])
+def test_it_waits_for_a_marker_as_long_as_it_is_told(device, tmp_path, wait_s):
+    with TaggerCounter(trigger=8) as counter:
+        counter.start(tmp_path / "photons.ptu")
+        began = time.monotonic()
+        assert not len(counter.counts_since_marker(wait_s).counts)
+        assert time.monotonic() - began >= wait_s
 
 
 def test_the_file_holds_every_tag_also_those_that_come_last(device, signals, tmp_path):

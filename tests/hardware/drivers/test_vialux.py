@@ -84,6 +84,19 @@ def test_rows_of_every_length_reach_the_mirrors(library, tmp_path, columns):
             np.testing.assert_array_equal(sequence["frames"][place], wanted.ravel())
 
 
+def test_numbers_that_the_device_is_told_are_those_of_its_header():
+    """The fake takes its numbers from the driver, so it cannot know a wrong one."""
+    asked = {"AVAIL_MEMORY": 2003, "QUEUE_AVAIL": 2317, "PROJ_STATE": 2400, "PROJ_ACTIVE": 1200}
+    asked |= {"MIN_PICTURE_TIME": 2211, "MAX_PICTURE_TIME": 2213, "FLUT_MAX_ENTRIES9": 2324}
+    told = {"BIN_MODE": 2104, "BIN_UNINTERRUPTED": 2106, "PROJ_MODE": 2300, "MASTER": 2301}
+    told |= {"SLAVE": 2302, "DATA_FORMAT": 2110, "DATA_MSB_ALIGN": 0, "DATA_BINARY_TOPDOWN": 2}
+    told |= {"QUEUE_MODE": 2314, "SEQUENCE_QUEUE": 1, "RESET_QUEUE": 2319, "DEFAULT": 0}
+    told |= {"FLUT_MODE": 2118, "FLUT_9BIT": 1, "FLUT_18BIT": 2, "FLUT_ENTRIES9": 2120}
+    told |= {"FLUT_WRITE_9BIT": 2325, "FLUT_WRITE_18BIT": 2326}
+    for name, number in (asked | told).items():
+        assert getattr(vialux, name) == number, name
+
+
 def test_library_output_stays_off_stdout(library, capsys):
     with vialux.VialuxProjector():
         pass

@@ -9,11 +9,12 @@ import pytest
 import recording_samples
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_samples import made, many, named
+from recording_samples import made, many, named, patterns_of
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording import acquisition
-from deepfsi.hardware.recording.acquisition import prepare
+from deepfsi.hardware.recording.acquisition import Scene, plan_acquisition, prepare
 from deepfsi.hardware.recording.counting import count
 from deepfsi.hardware.recording.counts import read_counts
 from deepfsi.hardware.recording.picture import reconstruct
@@ -169,3 +170,17 @@ def sign(folder: Path) -> None:
     digest = sha256(path.read_bytes()).hexdigest()
     about = json.loads((folder / "acquisition.json").read_text())
     (folder / "acquisition.json").write_text(json.dumps(about | {"manifest_sha256": digest}))
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])
+@pytest.mark.parametrize("repeats", [None, 3])
+def test_gates_of_the_usual_exposure_end_before_a_late_marker_could_cut_one(
+    tmp_path, light, repeats
+):
+    """In the frame with the least room they leave just the usual tolerance, in none less."""
+    manifest = patterns_of(tmp_path / "p", light).manifest
+    found = plan_acquisition(manifest, (Scene(name="a"),), settle_s=1e-5, repeats=repeats)
+    assert found.repeats == (repeats or 1)
+    opened = 1e-5 + manifest.shares * found.exposure_s * found.repeats
+    left = manifest.picture_s[manifest.shown] - opened
+    assert left.min() == pytest.approx(usual_tolerance(manifest), rel=1e-6)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from recording_samples import SHAPE, patterns_of
 
 from deepfsi.errors import InputError
@@ -49,6 +50,13 @@ def test_rates_go_there_and_back():
         assert dead.most_registered == pytest.approx(
             float(Detector(dead_time_s=TAU, paralysable=paralysable).registered(np.array(most)))
         )
+
+
+def test_a_dead_time_of_more_than_ten_microseconds_is_refused():
+    """Gates of a shortest picture time, some 100 µs, must hold many of them."""
+    assert DeadTime(seconds=1e-5).most_registered == pytest.approx(5e4)
+    with pytest.raises(ValidationError, match="less than or equal to"):
+        DeadTime(seconds=1.01e-5)
 
 
 FLUX, EXPOSURE, REPEATS = 1.5e7, 2.5e-3, 2

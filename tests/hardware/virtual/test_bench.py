@@ -5,8 +5,10 @@ import pytest
 from virtual_samples import SHAPE, patterns
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.ptu.reader import count_gates, inspect, read_markers
 from deepfsi.hardware.virtual.bench import BenchCounter, BenchProjector, Latencies, VirtualSetup
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.camera import MARKER, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.detector import TICK_S
 
 
 def test_virtual_devices_say_what_comes_first(tmp_path):
@@ -21,3 +23,36 @@ def test_virtual_devices_say_what_comes_first(tmp_path):
     (folder / "frames.npy").write_bytes(b"")
     with pytest.raises(InputError, match="is not a numpy file"):
         BenchProjector(setup).load(folder)
+
+
+def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path):
+    """Frames of three rates, twice, between times that nothing is shown anew; stamps jitter.
+
+    Every event of what was shown is in the file, to the end of the last frame, and none after it.
+    """
+    rates = np.array([[[0.0], [1e6], [3e6]]])
+    camera, dwells = VirtualCamera(jitter_s=1e-7), np.array([2e-3, 1e-3, 4e-3])
+    setup = VirtualSetup(rates, camera, Latencies(trigger=1e-6, command=5e-3, display=50e-3))
+    counter, path = BenchCounter(setup, (0,)), tmp_path / "run.ptu"
+    counter.start(path)
+    starts = []
+    for _ in range(2):
+        setup.display(0)
+        shown_s = setup.now_s + 5e-3
+        setup.show(np.array([1, 2, 0]), dwells)
+        starts.append(shown_s + np.array([0, *np.cumsum(dwells[:-1])]))
+    setup.rest()
+    assert setup.now_s == pytest.approx(starts[-1][0] + dwells.sum() + 8e-7, abs=2 * TICK_S)
+    counter.stop()
+    times, bits = read_markers(path)
+    assert (bits == MARKER).all()
+    np.testing.assert_allclose(times * TICK_S, np.concatenate(starts) + 1e-6, atol=2 * TICK_S)
+    edges, shown = np.concatenate(starts), np.tile(dwells, 2)
+    gates = (np.rint(each / TICK_S).astype(np.int64) for each in (edges, edges + shown))
+    found = count_gates(path, *gates)[:, 0]
+    expected = np.tile(rates[0, [1, 2, 0], 0], 2) * shown
+    # Some 0.3 counts come into a gate from beside it, or leave it
+    assert (abs(found - expected) < 5 * np.sqrt(expected) + 5).all()
+    waited = 1e6 * starts[0][0]  # frame 1 is seen until the first list
+    whole = waited + expected.sum()
+    assert abs(inspect(path).photons[0] - whole) < 5 * np.sqrt(whole)
