@@ -14,8 +14,11 @@ from deepfsi.design.stopping import stop
 from deepfsi.errors import InputError
 from deepfsi.optics import codes
 from deepfsi.optics.budget import photons_per_pixel
+from deepfsi.optics.features import FeatureNoise
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.scanner import Scanner
+from deepfsi.training.draws import SeedStream
+from deepfsi.training.features import PatchFeatures
 from deepfsi.training.learning import train
 from deepfsi.training.masks import initial_masks
 from deepfsi.training.training_set import TrainingSet
@@ -182,6 +185,19 @@ def test_features_are_standardised_as_they_were_in_training(data, patches, desig
     readouts = scaled.numel() / scaled.shape[-1]
     assert scaled.mean(dim=(0, 1)).abs().max() < 6 * scaled.std(dim=(0, 1)).max() / readouts**0.5
     assert float(scaled.square().mean()) == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("scale", ["each", "common"])
+def test_features_of_a_step_are_standardised_over_its_images_and_patches(patches, scale):
+    labels = patches.training_set.labels
+    noise = FeatureNoise.of("ml_gauss", [BUDGET], [1.0], [0], labels.device)
+    stream = SeedStream(0, slice(0, 1), noise, labels, batch=30)
+    stream.shuffle()
+    features = PatchFeatures([stream], patches.masks("pca"), patches.x, scale).at(0)
+    assert features.shape == (30, 1, *patches.x.shape[1:2], 16)
+    power = features.detach().square().mean(dim=(0, 1, 2))
+    assert float(power.mean()) == pytest.approx(1, rel=1e-4)
+    assert torch.allclose(power, torch.ones(16), rtol=1e-4) == (scale == "each")
 
 
 @pytest.mark.parametrize("design", ["raster", "deepfsi"])
