@@ -34,6 +34,7 @@ class Controller:
         self.pictures: dict[tuple[int, int], np.ndarray] = {}  # by controller and index
         self.coming: list = [None, None]  # index, bytes to come and those that came
         self.busy, self.stuck, self.error, self.opened = 0, False, 0, False
+        self.begins = False  # whether a start shows the first pattern first
         self.refuse: dict[int, int] = {}  # error codes of commands that are to fail
         self.silent: set[int] = set()  # commands that are not answered
         self.interrupt_at: int | None = None  # report after which Ctrl-C comes
@@ -155,11 +156,13 @@ class Controller:
 
     def _start(self, data):
         if data[0] != STARTED:
-            self.busy = STOPPED
+            self.busy, self.begins = STOPPED, True
             return
         if self.busy:
             raise Refused(NOT_ALLOWED)
         assert self.mode == ON_THE_FLY
+        assert self.begins, "a stop makes the next start begin with the first pattern"
+        self.begins = False
         assert self.count, "0 repeats the sequence for ever"
         patterns = [self._pattern(place % self.entries) for place in range(self.count)]
         self.shown.append(patterns)
