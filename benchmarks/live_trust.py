@@ -47,6 +47,7 @@ class Case:
     camera: dict[str, float | bool] = field(default_factory=dict)
     lamp: tuple[float, float, float] = (1.0, 1.0, 1.0)  # before, from and at the end of the change
     ambient: float = 0.0  # in all-ON frames, over the scenes' mean light
+    background: bool = False  # measured first, with the scenes dark
     blackouts: int = 0
 
 
@@ -69,6 +70,7 @@ CASES = {
     "lamp fades by 80 %": Case(lamp=(0.0, 1.0, 0.2)),
     "100 blackouts of 8 ms": Case(blackouts=100),
     "ambient light as strong as the scenes": Case(ambient=1.0),
+    "the same, with `--background`": Case(ambient=1.0, background=True),
     "2 % of the light after half": step(0.02),
 }
 
@@ -106,10 +108,11 @@ def run(
     """Answers for scenes, of a run and of its replay, which are the same."""
     x = data.x_test[places].reshape(-1, *data.image_shape)
     camera = VirtualCamera(**case.camera)
-    rates = arrival_rates(patterns, x, camera, FLUX)
-    stray = arrival_rates(patterns, 0 * x[:1], VirtualCamera(ambient=FLUX), FLUX)
+    dark = np.zeros_like(x[:1])  # the last one
+    rates = arrival_rates(patterns, np.concatenate([x, dark]), camera, FLUX)
+    stray = arrival_rates(patterns, dark, VirtualCamera(ambient=FLUX), FLUX)
     rates += case.ambient * FLUX * stray / stray[0, 0].sum()
-    rates *= lamp_of(case, len(x))[:, None, None]
+    rates[:-1] *= lamp_of(case, len(x))[:, None, None]
     named = tuple(
         Scene(name=str(k), label=data.classes[y]) for k, y in enumerate(data.y_test[places])
     )
@@ -120,7 +123,7 @@ def run(
     counter = BenchCounter(setup, (0,))
     bench = Bench(BenchProjector(setup), counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
-    acquisition = plan_live(patterns, named, EXPOSURE_S, photons=stated)
+    acquisition = plan_live(patterns, named, EXPOSURE_S, photons=stated, background=case.background)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run"
         found = [

@@ -39,7 +39,8 @@ def bench(
     patterns: Path, scenes: np.ndarray, flux: float, camera: VirtualCamera = CAMERAS["ideal"],
     latencies: Latencies | None = None, seed: int = 0,
 ) -> Bench:  # fmt: skip
-    rates = arrival_rates(patterns, scenes, camera, flux)
+    every = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last one is the darkness
+    rates = arrival_rates(patterns, every, camera, flux)
     latencies = latencies or Latencies()
     setup = VirtualSetup(rates, camera, latencies, seed)
     return Bench(

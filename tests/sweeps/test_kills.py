@@ -14,6 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from safetensors.numpy import load_file
 
 from shared.waiting import PATIENCE, until
 
@@ -38,8 +39,16 @@ def written(folder: Path) -> dict[Path, tuple[int, int]]:
 
 
 def left_over(folder: Path) -> list[Path]:
-    """Drafts of files, and locks."""
-    return [*folder.rglob(".*"), *folder.rglob("locks*")]
+    """Drafts of files, locks, and what is not in its place yet."""
+    return [*folder.rglob(".*"), *folder.rglob("locks*"), *folder.rglob("finished*")]
+
+
+def tensors(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Bits of all tensors of each design, by the name of its file."""
+    return {
+        path.name: {name: held.tobytes() for name, held in load_file(path).items()}
+        for path in folder.glob("designs/*")
+    }
 
 
 def sweep(tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MASKS) -> list[str]:
@@ -86,24 +95,27 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("writes", [1, 4])
-def test_a_kill_while_a_file_is_written_leaves_nothing(done, tmp_path, writes):
-    """It comes when so many files are whole but one, which is a draft still."""
+@pytest.mark.parametrize("moves", [1, 2, 4, 7])
+def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(done, tmp_path, moves):
+    """Trials that were trained together are kept together: alone one of them rounds otherwise."""
+    done(*sweep(tmp_path, trials=1, workers=1, masks=(1, 2)))
+    (tmp_path / "out").rename(tmp_path / "sound")
     recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2))
     kill = (
         "import os, sys; from deepfsi import files; from deepfsi.cli import main\n"
         f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
         "def replace(*paths):\n"
-        f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {writes} else None\n"
+        f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {moves} else None\n"
         "    real(*paths)\n"
         "os.replace = replace; main()"
     )
     killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
     assert killed.returncode == -signal.SIGKILL
-    assert len(list((tmp_path / "out").rglob(".*.draft"))) == 1
+    assert left_over(tmp_path / "out")
     done(*recipe)
     assert not left_over(tmp_path / "out")
     assert len(written(tmp_path / "out")) == 2 * 2 * 2
+    assert tensors(tmp_path / "out") == tensors(tmp_path / "sound")
 
 
 def working(process: subprocess.Popen, folder: Path) -> list[psutil.Process]:

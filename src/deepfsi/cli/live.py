@@ -53,6 +53,13 @@ def camera_live(
         ),
     ] = None,
     photons: options.Budget = None,
+    background: Annotated[
+        bool,
+        typer.Option(
+            "--background",
+            help="first show all masks with the scenes dark, and subtract what they count",
+        ),
+    ] = False,
     inputs: options.Inputs = None,
     marker: options.Marker = None,
     seed: options.CameraSeed = 0,
@@ -84,7 +91,8 @@ def camera_live(
 
     known = camera_of(source, **settings)
     exposure_s, shortest_s = exposure_of(known), known.shortest_dwell or None
-    told: dict[str, Any] = {"flux": known.flux, **options.wiring(inputs, marker)}
+    told: dict[str, Any] = {"flux": known.flux, "background": background}
+    told |= options.wiring(inputs, marker)
     if dead := dead_time_of(known, settings):
         told["dead_time"] = dead
     if simulated:
@@ -168,7 +176,7 @@ def real_counter(
     from deepfsi.hardware.drivers.picoquant import SnapiCounter
 
     def display(scene: int) -> None:
-        ask(f"show {acquisition.scenes[scene].name}")
+        ask(f"show {acquisition.scenes[scene].name}" if scene >= 0 else "make the scenes dark")
 
     def wait_for(path: Path, seconds: float) -> None:
         print(

@@ -82,7 +82,7 @@ def _test_trained(
             left.append(trial)
             continue
         report(place / len(trials), f"testing {design.name} again")
-        records.write(trial, context.record(trial, design.to(context.processor)), None)
+        records.write([(trial, context.record(trial, design.to(context.processor)), None)])
     return left
 
 
@@ -180,11 +180,7 @@ def _train(context: SweepContext, batch: Batch) -> list[Done]:
 
 def _recorded(finished: Sequence[Done], records: Records) -> list[Trial]:
     """Write the records of a batch; return the trials that have none."""
-    lost = []
-    for trial, record, design in finished:
-        if record is None:
-            lost.append(trial)
-            records.release([trial])
-        else:
-            records.write(trial, record, design)
+    lost = [trial for trial, record, _ in finished if record is None]
+    records.release(lost)
+    records.write([(trial, held, made) for trial, held, made in finished if held is not None])
     return lost

@@ -5,14 +5,18 @@ A folder holds
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
     locks/KEY/OWNER          while a process trains the design
+    finished/KEY             files of trials that were trained together, before they are moved
 
 KEY is a hash of everything that the result depends on, the data included, so a record is valid for
-whoever finds it. Files are written whole or not at all, the record after its design.
+whoever finds it. What was trained together is written all or not at all: a trial whose companions
+are kept would be trained alone, and a sum of numbers in another order rounds otherwise.
 """
 
 import io
 import json
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +26,13 @@ from pydantic import BaseModel, Field, FiniteFloat
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Result
 from deepfsi.errors import InputError
-from deepfsi.files import check_ending, read_regular, remove_drafts, write_atomically
+from deepfsi.files import (
+    check_ending,
+    new_folder,
+    read_regular,
+    remove_drafts,
+    write_atomically,
+)
 from deepfsi.sweeps.locks import Locks
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
@@ -30,6 +40,9 @@ from deepfsi.sweeps.trial import Trial
 MEASURED = ("accuracy", "low", "high", "balanced", "counts", "throughput")
 """Numbers of a test that are columns of the table."""
 
+
+Finished = tuple[Trial, Mapping[str, Any], bytes | None]
+"""A trial, its record, and its design file where it was trained now."""
 
 LARGEST_FILE = 2**26
 """Bytes of a record at most."""
@@ -66,8 +79,9 @@ class Records:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._locks = Locks(folder)
-        for part in ("trials", "designs"):
-            remove_drafts(folder / part)
+        remove_drafts(folder / "finished")
+        for left in (folder / "finished").glob("[!.]*"):
+            self._move(left)
 
     def read(self, trial: Trial) -> dict[str, Any] | None:
         """Record of a trial, or None if it or its design is missing, damaged or of other schema."""
@@ -88,12 +102,31 @@ class Records:
         except InputError:
             return None
 
-    def write(self, trial: Trial, record: Mapping[str, Any], design: bytes | None) -> None:
-        """Keep what a trial gave, and give up the lock on it."""
-        if design is not None:
-            write_atomically(self._design_path(trial), design)
-        write_atomically(self._record_path(trial), json.dumps(record, indent=1).encode())
-        self.release([trial])
+    def write(self, finished: Sequence[Finished]) -> None:
+        """Keep what trials gave that were trained together, and give up the locks on them."""
+        if not finished:
+            return
+        folder = self.folder / "finished" / finished[0][0].key
+        with new_folder(folder) as draft:
+            for trial, record, design in finished:
+                if design is not None:
+                    write_atomically(draft / self._design_path(trial).name, design)
+                record_file = draft / self._record_path(trial).name
+                write_atomically(record_file, json.dumps(record, indent=1).encode())
+        self._move(folder)
+        self.release(trial for trial, _, _ in finished)
+
+    def _move(self, finished: Path) -> None:
+        """Move finished files to their places, each record after its design."""
+        places = {".safetensors": "designs", ".json": "trials"}
+        for path in sorted(finished.iterdir(), key=lambda path: path.suffix, reverse=True):
+            place = self.folder / places[path.suffix]
+            place.mkdir(exist_ok=True)
+            with suppress(FileNotFoundError):  # another process that found them moved it
+                os.replace(path, place / path.name)
+        for left in (finished, finished.parent):
+            with suppress(OSError):  # of other trials, or removed
+                left.rmdir()
 
     def lock(self, trials: Iterable[Trial]) -> bool:
         """Claim trials for this process, all or none; False where another one has any of them."""

@@ -25,11 +25,12 @@ def patterns(request, digits, tmp_path_factory):
     return make_patterns(tmp_path_factory.mktemp("decisions"), digits, request.param)
 
 
-def observe(patterns, rates, scenes=1, **settings):
+def observe(patterns, rates, scenes=1, background=None, **settings):
     """Decisions on scenes whose counts are their means, and the lists that were asked for."""
     acquisition = plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
     loop, manifest = read_loop(patterns / "loop.safetensors"), read_patterns(patterns).manifest
     observer, asked = Observer(loop, manifest, acquisition), []
+    rates = rates if background is None else np.concatenate([rates, background[None]])
 
     def count(scene):
         def counts(lists):
@@ -40,6 +41,9 @@ def observe(patterns, rates, scenes=1, **settings):
 
         return counts
 
+    if background is not None:
+        observer.measure_background(count(-1))
+        asked.clear()
     decided = [list(observer.observe(scene, count(scene))) for scene in range(scenes)]
     return decided, asked
 
@@ -62,6 +66,34 @@ def test_dark_counts_change_no_decision(digits, patterns):
     for one, other in zip(asked, again, strict=True):
         assert np.array_equal(one.frames, other.frames)
         np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+
+
+def test_ambient_light_changes_no_decision_where_it_was_measured(digits, patterns):
+    """As strong as the scene's own, and of its own pattern over the device."""
+    rates = rates_of(patterns, digits)
+    uneven = np.linspace(0.5, 1.5, digits.pixels).reshape(1, *digits.image_shape)
+    stray = arrival_rates(patterns, uneven, CAMERAS["ideal"], FLUX)[0]
+    stray *= rates[0, 0].sum() / stray[0].sum()
+    stray += FLUX * np.linspace(0.2, 0.4, rates.shape[2])  # dark counts
+    (clean,), asked = observe(patterns, rates)
+    (measured,), again = observe(patterns, rates + stray, background=stray)
+    (fooled,), _ = observe(patterns, rates + stray)
+    for one, other in zip(clean, measured, strict=True):
+        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
+        assert other.photons == pytest.approx(one.photons, rel=1e-6)
+    for one, other in zip(asked, again, strict=True):
+        assert np.array_equal(one.frames, other.frames)
+        np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+    assert fooled[-1].photons == pytest.approx(2 * clean[-1].photons, rel=1e-3)
+    assert abs(fooled[-1].chances - clean[-1].chances).max() > 0.01
+
+
+def test_a_black_scene_in_ambient_light_is_not_decided_upon(digits, patterns):
+    rates = rates_of(patterns, digits, 2)
+    stray = rates[1].copy()
+    rates[0] = 0
+    decided, _ = observe(patterns, rates + stray, 2, background=stray)
+    assert [len(each) for each in decided] == [0, LOOKS]
 
 
 @pytest.mark.parametrize("paralysable", [False, True])

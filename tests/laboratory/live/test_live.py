@@ -13,10 +13,10 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.recording.acquisition import read_acquisition
 from deepfsi.hardware.virtual.bench import Latencies
-from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.laboratory.live import run as runs
 from deepfsi.laboratory.live.replay import count_live, read_live_counts
-from deepfsi.laboratory.live.shown import NAME, read_shown
+from deepfsi.laboratory.live.shown import DARK, NAME, read_shown
 from shared.live_samples import LOOKS, OPTICS, bench, live, make_patterns, replay, scenes_of
 
 EXPOSURE_S = 10e-3
@@ -173,6 +173,26 @@ def test_a_longer_shortest_dwell_shows_fewer_frames(digits, patterns, tmp_path):
     assert max(map(len, gates)) < 6
     count_live(tmp_path / "run")
     assert all(each.answer.agrees for each in replay(tmp_path / "run"))
+
+
+def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, patterns, tmp_path):
+    """Ambient light as strong as the scenes': the counts of the last look have no more of it."""
+    stray = 1e7 / read_patterns(patterns).manifest.used
+    camera = VirtualCamera(ambient=stray, dark=300.0)
+    folder, words = tmp_path / "run", {"flux": 1e7, "camera": camera, "count": 8}
+    decided = live(folder, patterns, digits, background=True, **words)
+    sound = live(tmp_path / "sound", patterns, digits, flux=1e7, count=8)
+    (dark, *_) = read_shown(folder)
+    assert (dark.scene, len(dark.lists), dark.chances) == (DARK, 1, ())
+    budgets = [[one.decision.photons for one in each if one.answer] for each in (decided, sound)]
+    on, measured = 1e7 * 1e-3, 1e7 * 10e-3 / LOOKS  # counts of an all-ON frame of either pass
+    np.testing.assert_allclose(*budgets, rtol=5 * np.sqrt(3 / on + 2 / measured))
+    count_live(folder)
+    replayed = replay(folder)
+    assert len(replayed) == 8
+    assert all(each.answer.agrees for each in replayed)
+    again = [one.chances for each in replayed for one in each.decisions]
+    assert np.array_equal([each.decision.chances for each in decided], again)
 
 
 def test_without_light_nothing_is_decided(digits, patterns, tmp_path):

@@ -1,10 +1,10 @@
 """Pictures of 24 frames as a DLPC900 takes them over USB: a header and run-length encoding.
 
 Programmer's guide DLPU018J, Image Header (2.4.2) and Pattern Image Compression (2.4.3), enhanced
-run-length encoding; a count of 128 or more has two bytes, the lower seven bits first. The guide
-does not say which byte of a pixel holds which bit positions. TI's program and Pycrafter6500 send
-16 to 23, then 8 to 15, then 0 to 7, which are red, green and blue of an exported picture. Both end
-lines by their length alone, or do not need the marker of an end: TI calls it optional.
+run-length encoding. A count of 128 or more has two bytes, the lower seven bits first. Markers at the ends of
+lines are left out, as TI's program does; TI calls them optional (E2E thread 1117715). The guide
+does not say which byte of a pixel holds which bit positions: TI's program and Pycrafter6500 send
+16 to 23, then 8 to 15, then 0 to 7, which are red, green and blue of an exported picture.
 """
 
 import struct
@@ -12,8 +12,12 @@ import struct
 import numpy as np
 
 SIGNATURE = bytes([0x53, 0x70, 0x6C, 0x64])
+
 ENHANCED = 2
+"""Compression, as the header names it."""
+
 COPY, END = b"\0\1", b"\0\1\0"
+"""Bytes before the number of pixels that are as those above, and at the end of a picture."""
 
 
 def encode_picture(picture: np.ndarray) -> bytes:

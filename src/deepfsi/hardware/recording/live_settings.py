@@ -42,4 +42,5 @@ class Live(Frozen):
     photons: float | None = Field(None, gt=0, allow_inf_nan=False)
     rule: StopRule | None = None  # When an exposure stops; never before its last look if None
     dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
+    background: bool = False  # True if a pass with the scenes dark comes first
     latencies: dict[str, float] | None = None  # Of virtual devices, seconds

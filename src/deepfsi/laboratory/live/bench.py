@@ -21,7 +21,9 @@ def virtual_bench(
 ) -> Bench[BenchProjector]:
     """Bench for scenes (S, h, w) with the camera, flux, seed and wiring of an acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
-    rates = arrival_rates(patterns, scenes, camera, acquisition.flux or 0.0, report)
+    # the last one is the darkness before a run
+    every = np.concatenate([scenes, np.zeros_like(scenes[:1])])
+    rates = arrival_rates(patterns, every, camera, acquisition.flux or 0.0, report)
     laboratory = VirtualSetup(rates, camera, latencies, acquisition.seed or 0)
     return Bench(
         BenchProjector(laboratory),

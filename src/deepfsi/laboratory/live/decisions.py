@@ -11,6 +11,9 @@ is to stay dim; the dark counts are those of the all-OFF frames that agree. Afte
 light of the scene is tested as that of a recorded one (`live_light`), and its counts against the
 training (`trust`); a scene that fails has faults, and gets no class.
 
+Where the masks' own background was measured first, with the scenes dark, it is subtracted as the
+dark counts are, and what all-ON frames hold of it from the budget.
+
 Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
 rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
 """
@@ -88,6 +91,21 @@ class Observer:
                 "to be counted: export with a longer --dwell"
             )
         self._sentinels = FrameList(SENTINELS, np.array([ON, OFF]), gates)
+        # Counts/s of each input in each frame of the masks that are no scene's, and their variance
+        self._stray = np.zeros((2, len(manifest.shown), manifest.inputs))
+
+    def measure_background(self, count: Count) -> None:
+        """Measure what frames count beyond the dark counts while the scenes are dark."""
+        frames = np.concatenate([[ON, OFF], self._manifest.shown])
+        gate = self._exposure_ns // self.loop.header.looks
+        found = self._arrivals(count, FrameList(0, frames, np.full(len(frames), gate)))
+        rates = found.photons.sum(axis=1) / (gate * 1e-9)
+        noise = found.variance.sum(axis=1) / (gate * 1e-9) ** 2
+        first = slice(0, self._manifest.detector_count)
+        dark, dark_noise = rates[ON].copy(), noise[ON].copy()  # of the arm that then sees no mirror
+        dark[first], dark_noise[first] = rates[OFF][first], noise[OFF][first]
+        self._stray = np.stack([rates - dark, noise + dark_noise])[:, 2:]
+        self._light.stray = float((rates[ON] - dark)[first].sum())
 
     def observe(self, scene: int, count: Count) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none if there is no light."""
@@ -151,13 +169,16 @@ class Observer:
         return FrameList(look, self._manifest.shown[kept], own[kept]), gates
 
     def _by_rail(self, found: ShownFrames, shown: FrameList) -> tuple[np.ndarray, np.ndarray]:
-        """Counts (rails, m, D) of a look less their dark counts, and noise beyond their own."""
+        """Counts (rails, m, D) of a look that are a scene's, and noise beyond their own."""
         manifest, header = self._manifest, self.loop.header
         every = np.zeros((2, len(manifest.shown), manifest.inputs))
         rows = np.searchsorted(manifest.shown, shown.frames)
         counts, variance = found.photons.sum(axis=1), found.variance.sum(axis=1)
-        dark = self._light.dark * (shown.gate_ns * 1e-9)[:, None]
-        every[:, rows] = counts - dark, dark + (variance - counts).clip(min=0)
+        seconds = (shown.gate_ns * 1e-9)[:, None]
+        stray, stray_noise = self._stray[:, rows]
+        dark = (self._light.dark + stray) * seconds
+        noise = dark.clip(min=0) + stray_noise * seconds**2 + (variance - counts).clip(min=0)
+        every[:, rows] = counts - dark, noise
         held = by_readout(manifest, every)
         read, noise = held.reshape(2, header.rails, header.masks, header.detectors)
         return read, noise
@@ -170,5 +191,5 @@ class Observer:
             for each in ([one.photons for one in ends], [one.variance for one in ends])
         )
         seconds = sum(float(each.seconds[ON].sum()) for each in ends)
-        dark = float(self._light.dark[arm].sum()) * seconds
+        dark = (float(self._light.dark[arm].sum()) + self._light.stray) * seconds
         return counts - dark, dark + max(variance - counts, 0.0), seconds

@@ -26,7 +26,7 @@ from deepfsi.hardware.recording.streaming import FrameCounts
 from deepfsi.laboratory.live import shown
 from deepfsi.laboratory.live.decisions import Decision, FrameList, Observer
 from deepfsi.laboratory.live.loop import Loop
-from deepfsi.laboratory.live.shown import ShownList, ShownScene, read_shown
+from deepfsi.laboratory.live.shown import DARK, ShownList, ShownScene, read_shown
 from deepfsi.laboratory.results import LiveScene
 from deepfsi.progress import SILENT, Report
 from deepfsi.tables.array_files import read_npz
@@ -138,6 +138,9 @@ def replay_run(run: LiveCounts, loop: Loop) -> tuple[Replayed, ...]:
     out = []
     for scene, counts in run.by_scene:
         left = list(zip(scene.lists, counts, strict=True))
+        if scene.scene == DARK:
+            observer.measure_background(partial(_recall, left))
+            continue
         decisions = tuple(observer.observe(scene.scene, partial(_recall, left)))
         last = decisions[-1] if decisions else None
         found = () if last is None else tuple(last.chances.tolist())

@@ -44,7 +44,8 @@ class Bench(Generic[Projector_co]):
 
     projector: Projector_co
     counter: StreamingCounter
-    display: Callable[[int], None]  # shows a scene by its number, and returns when it has settled
+    # shows a scene by its number, or darkness for -1, and returns when it has settled
+    display: Callable[[int], None]
     clock: Callable[[], float] = time.monotonic  # seconds; that of virtual devices runs by itself
     latencies: dict[str, float] | None = None  # of virtual devices, seconds
 
@@ -67,6 +68,7 @@ def plan_live(
     photons: float | None = None,
     until: float | None = None,
     dead_time: DeadTime = NO_DEAD_TIME,
+    background: bool = False,
     **others: object,
 ) -> Acquisition:
     """Settings of a live run of the patterns in a folder."""
@@ -90,7 +92,13 @@ def plan_live(
             exposure_s=exposure_s,
             settle_s=manifest.device.settle_us * 1e-6,
             repeats=1,
-            live=Live(shortest_ns=shortest_ns, photons=photons, rule=rule, dead_time=dead_time),
+            live=Live(
+                shortest_ns=shortest_ns,
+                photons=photons,
+                rule=rule,
+                dead_time=dead_time,
+                background=background,
+            ),
             **{"inputs": tuple(range(manifest.inputs)), **others},
         )
 
@@ -151,10 +159,30 @@ def run_live(
         bench.counter.start(folder / "photons.ptu")
         show = _Sequencer(bench, patterns.manifest, acquisition)
         record = stack.enter_context((folder / shown.NAME).open("x", encoding="utf-8", buffering=1))
+        if live.background:
+            bench.display(shown.DARK)
+            _measure(bench.clock, observer, show, record)
         for place, scene in enumerate(acquisition.scenes):
             bench.display(place)
             yield from _look(place, scene, bench.clock, observer, show, record)
         bench.counter.stop()
+
+
+def _measure(
+    clock: Callable[[], float], observer: Observer, show: "_Sequencer", record: TextIO
+) -> None:
+    """Measure the masks' own background, and record what was shown for it."""
+    start = clock()
+    observer.measure_background(show)
+    line = shown.ShownScene(
+        scene=shown.DARK,
+        first_marker=0,
+        lists=tuple(show.lists),
+        chances=(),
+        light_s=0.0,
+        clock_s=clock() - start,
+    )
+    record.write(line.model_dump_json() + "\n")
 
 
 def _look(

@@ -15,6 +15,9 @@ from deepfsi.frozen import Frozen
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.laboratory.live.decisions import FrameList
 
+DARK = -1
+"""Number of the pass before the scenes, with these dark, by which their background is measured."""
+
 NAME = "shown.jsonl"
 """File of the record in the folder of a run."""
 
@@ -52,7 +55,7 @@ class ShownList(Frozen):
 class ShownScene(Frozen):
     """A scene as it was shown, and what was decided."""
 
-    scene: int = Field(ge=0)  # From 0
+    scene: int = Field(ge=DARK)  # From 0; -1 for the pass before, with the scenes dark
     first_marker: int = Field(ge=0)  # Markers before those of this scene
     lists: tuple[ShownList, ...]  # In their order
     chances: tuple[float, ...]  # Probabilities of the classes; none if there was no light
@@ -86,8 +89,10 @@ def read_shown(folder: Path) -> tuple[ShownScene, ...]:
         scenes = tuple(ShownScene.model_validate_json(line) for line in lines)
     except ValidationError:
         raise InputError(f"{path} is damaged: run `deepfsi camera live` again") from None
-    if not scenes:
+    if not scenes or scenes[-1].scene == DARK:
         raise InputError(f"{path} has no finished scene: run `deepfsi camera live` again")
-    if [each.scene for each in scenes] != list(range(len(scenes))):
+    if [each.scene for each in scenes] != list(
+        range(min(scenes[0].scene, 0), scenes[-1].scene + 1)
+    ):
         raise InputError(f"{path} has scenes that do not follow each other: it was changed")
     return scenes
