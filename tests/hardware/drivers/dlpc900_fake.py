@@ -34,6 +34,7 @@ class Controller:
         self.pictures: dict[tuple[int, int], np.ndarray] = {}  # by controller and index
         self.coming: list = [None, None]  # index, bytes to come and those that came
         self.busy, self.stuck, self.error, self.opened = 0, False, 0, False
+        self.unplugged = False
         self.begins = False  # whether a start shows the first pattern first
         self.refuse: dict[int, int] = {}  # error codes of commands that are to fail
         self.silent: set[int] = set()  # commands that are not answered
@@ -231,6 +232,8 @@ def install(monkeypatch) -> Controller:
             fake.opened = True
 
         def write(self, buff):
+            if fake.unplugged:
+                return -1
             fake.take(buff)
             return len(buff)
 

@@ -221,6 +221,16 @@ def test_a_sequencer_that_aborts_is_named(board, tmp_path):
         show(patterns(tmp_path / "patterns"), while_it_runs=abort)
 
 
+def test_a_board_that_is_unplugged_is_named(board, tmp_path):
+    def unplug():
+        board.unplugged = True
+
+    with pytest.raises(InputError, match=r"not sent.*connected") as caught:
+        show(patterns(tmp_path / "patterns"), while_it_runs=unplug)
+    assert "\n" not in str(caught.value)
+    assert not board.opened
+
+
 def test_a_pass_that_does_not_end_is_named(board, tmp_path, monkeypatch):
     monkeypatch.setattr(dlpc900, "GRACE_S", 0.05)
     board.stuck = True

@@ -1,10 +1,11 @@
 """Pictures of 24 frames as a DLPC900 takes them over USB: a header and run-length encoding.
 
 Programmer's guide DLPU018J, Image Header (2.4.2) and Pattern Image Compression (2.4.3), enhanced
-run-length encoding. A count of 128 or more has two bytes, the lower seven bits first. Markers at the ends of
-lines are left out, as TI's program does; TI calls them optional (E2E thread 1117715). The guide
-does not say which byte of a pixel holds which bit positions: TI's program and Pycrafter6500 send
-16 to 23, then 8 to 15, then 0 to 7, which are red, green and blue of an exported picture.
+run-length encoding. A count of 128 or more has two bytes, the lower seven bits first. Markers at
+the ends of lines are left out, as TI's program does; TI calls them optional (E2E thread 1117715).
+The guide does not say which byte of a pixel holds which bit positions: TI's program and
+Pycrafter6500 send 16 to 23, then 8 to 15, then 0 to 7, which are red, green and blue of an exported
+picture.
 """
 
 import struct
