@@ -105,9 +105,9 @@ def test_a_sweep_survives_the_death_of_a_node(nodes, connected, tmp_path):
         if killed_at_work:
             nodes.remove_node(second, allow_graceful=False)
 
-    def write(self, trial, record, design):
-        written.append(trial.key)
-        real(self, trial, record, design)
+    def write(self, finished):
+        written.extend(trial.key for trial, _, _ in finished)
+        real(self, finished)
 
     with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor() as pool:
         patch.setattr(Records, "write", write)
