@@ -14,6 +14,7 @@ from deepfsi.devices import DEVICES, find_device
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
+from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene, plan_acquisition, read_acquisition
@@ -23,7 +24,7 @@ from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.laboratory import record
 from deepfsi.laboratory.live.bench import virtual_bench
-from hardware.drivers.dlpc900_fake import install
+from hardware.drivers import dlpc900_fake, swabian_fake
 
 FLUX, EXPOSURE, SCENES = 1e7, 10e-3, 5
 LIGHT = ("--flux", f"{FLUX:g}", "--exposure", "10ms", "--virtual", "ideal")
@@ -114,6 +115,54 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(lab, digits, tmp_path, 
     assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
 
 
+def tagged(lab: Path, scenes: np.ndarray, monkeypatch):
+    """The same bench, whose photons and triggers are tags of a fake of a Time Tagger."""
+    acquisition, bench = planned(lab, scenes)
+    device = swabian_fake.install(monkeypatch)
+    bench.projector._setup.written = device
+    counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=8)
+    return device, acquisition, replace(bench, counter=counter)
+
+
+def test_a_time_tagger_records_what_the_virtual_counter_does(lab, digits, tmp_path, monkeypatch):
+    """Tags on channels in blocks that end anywhere become the same run: count by count."""
+    scenes = digits.x_test[:3].reshape(3, 8, 8)
+    acquisition, bench = planned(lab, scenes)
+    usual = list(record.record_run(tmp_path / "usual", lab / "patterns", acquisition, bench))
+    device, *settings = tagged(lab, scenes, monkeypatch)
+    told = list(record.record_run(tmp_path / "run", lab / "patterns", *settings))
+    assert told == usual
+    counts = count(tmp_path / "run")
+    assert counts.valid.all()
+    assert np.array_equal(counts.counts, count(tmp_path / "usual").counts)
+    assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+
+
+@pytest.mark.parametrize("loss", [False, True])
+def test_ctrl_c_or_a_loss_lets_go_of_the_time_tagger_and_keeps_scenes(
+    lab, digits, tmp_path, monkeypatch, loss
+):
+    device, acquisition, bench = tagged(lab, digits.x_test[:4].reshape(4, 8, 8), monkeypatch)
+
+    def display(scene: int) -> None:
+        if scene == 2 and not loss:
+            raise KeyboardInterrupt
+        if scene == 2:
+            last = [bench.projector._setup._end]
+            device.add(times=last, channels=[0], types=[swabian_fake.OVERFLOW_BEGIN], missed=[0])
+        bench.projector._setup.display(scene)
+
+    told = record.record_run(
+        tmp_path / "run", lab / "patterns", acquisition, replace(bench, display=display)
+    )
+    with pytest.raises(InputError if loss else KeyboardInterrupt) as end:
+        list(told)
+    assert ("overflowed" in str(end.value)) == loss
+    assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+    assert [scene.name for scene in read_acquisition(tmp_path / "run")[0].scenes] == ["0", "1"]
+    assert count(tmp_path / "run").valid.tolist() == [[True], [True]]
+
+
 def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
     lab, digits, tmp_path, monkeypatch
 ):
@@ -135,7 +184,7 @@ def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
 def test_a_dlpc900_shows_the_frames_of_a_recorded_run(lab, digits, tmp_path, monkeypatch):
     """What its bytes make it show is what the counter sees; counts are then those of the light."""
     scenes = digits.x_test[:3].reshape(3, 8, 8)
-    board = install(monkeypatch)
+    board = dlpc900_fake.install(monkeypatch)
     device = DEVICES["dlp6500"].model_copy(update={"columns": 64, "rows": 48})
     monkeypatch.setitem(DEVICES, "dlp6500", device)
     board.size = 64, 48
@@ -175,4 +224,17 @@ def test_real_devices_are_asked_by_the_same_options(refuse, lab, tmp_path, monke
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     assert "for virtual devices" in refuse(
         *words, "--projector", "vialux", "--counter", "picoquant", "--flux", "1e6"
+    )
+    swabian = ("--projector", "vialux", "--counter", "swabian")
+    assert "needs --marker-channel" in refuse(*words, *swabian)
+    assert "no detector's" in refuse(*words, *swabian, "--marker-channel", "1")
+    assert "ALP4lib" in refuse(*words, *swabian, "--marker-channel", "-8")
+    levels = tmp_path / "levels.toml"
+    levels.write_text("[trigger_levels]\n1 = 'high'\n")
+    config = (*swabian, "--marker-channel", "8", "--counter-config", levels)
+    assert "trigger_levels.1" in refuse(*words, *config)
+    levels.write_text("[trigger_levels]\n1 = 0.1\n8 = 1.2\n")
+    assert "ALP4lib" in refuse(*words, *config)
+    assert "is for --counter swabian" in refuse(
+        *words, "--projector", "vialux", "--counter", "picoquant", "--marker-channel", "8"
     )

@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from deepfsi.hardware.virtual.bench import Latencies
     from deepfsi.laboratory.results import LiveScene
 
-PROJECTORS, COUNTERS = ("virtual", "vialux", "dlpc900"), ("virtual", "picoquant", "followed")
+PROJECTORS = ("virtual", "vialux", "dlpc900")
+COUNTERS = ("virtual", "picoquant", "swabian", "followed")
 """Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
 _OWN = {
-    "counter_config": "--counter picoquant",
-    "alp_version": "--projector vialux",
-    **dict.fromkeys(("flux", "dark", "virtual", "latency", "seed", "yes"), "virtual devices"),
+    "counter_config": ("--counter picoquant", "--counter swabian"),
+    "marker_channel": ("--counter swabian",),
+    "alp_version": ("--projector vialux",),
+    **dict.fromkeys(("flux", "dark", "virtual", "latency", "seed", "yes"), ("virtual devices",)),
 }
 """Parameters that only some devices take."""
 
@@ -43,6 +45,7 @@ def camera_live(
     projector: options.Projector = "virtual",
     counter: options.Counter = "virtual",
     counter_config: options.CounterConfig = None,
+    marker_channel: options.MarkerChannel = None,
     alp_version: options.AlpVersion = None,
     virtual: options.Virtual = None,
     latency: options.Latency = None,
@@ -111,7 +114,7 @@ def camera_live(
             with common.progress("light of the scenes", quiet=as_json) as report:
                 bench = virtual_bench(patterns, images.x, acquisition, times, report)
         else:
-            devices = real_counter(counter, acquisition, counter_config)
+            devices = real_counter(counter, acquisition, counter_config, marker_channel)
             bench = Bench(VialuxLooks(alp_version), *devices)
         answers = []
         with contextlib.closing(run_live(out, patterns, acquisition, bench)) as decided:
@@ -135,10 +138,10 @@ def check_devices(
         raise InputError("virtual and real devices do not go together: give both, or neither")
     chosen = f"--counter {counter}", "virtual devices" if virtual else f"--projector {projector}"
     words = {each.name: each.opts[0] for each in context.command.params}
-    for parameter, owner in _OWN.items():
+    for parameter, owners in _OWN.items():
         given = parameter in settings or common.is_given(context, parameter)
-        if owner not in chosen and given:
-            raise InputError(f"{words[parameter]} is for {owner}: leave it out")
+        if given and not set(owners) & set(chosen):
+            raise InputError(f"{words[parameter]} is for {' or '.join(owners)}: leave it out")
     return virtual
 
 
@@ -169,7 +172,7 @@ def latencies_of(given: list[str]) -> "Latencies":
 
 
 def real_counter(
-    counter: str, acquisition: "Acquisition", config: Path | None
+    counter: str, acquisition: "Acquisition", config: Path | None, marker_channel: int | None
 ) -> "tuple[StreamingCounter, Callable[[int], None]]":
     """A counter, and a display: someone shows the scenes, whose names are asked for."""
     from deepfsi.hardware.drivers.followed import FollowedCounter
@@ -187,7 +190,22 @@ def real_counter(
     wiring = acquisition.inputs, acquisition.marker_bit
     if counter == "followed":
         return FollowedCounter(*wiring, waits=wait_for), display
+    if counter == "swabian":
+        return _tagger(*wiring, config, marker_channel), display
     return SnapiCounter(*wiring, config=config), display
+
+
+def _tagger(
+    inputs: tuple[int, ...], marker_bit: int, config: Path | None, channel: int | None
+) -> "StreamingCounter":
+    """Time Tagger, with the channel of the trigger and the settings of a TOML file."""
+    from deepfsi.files import read_toml
+    from deepfsi.hardware.drivers.swabian import TaggerCounter, TaggerSettings
+
+    if channel is None:
+        raise InputError("--counter swabian needs --marker-channel, the trigger's: such as 8")
+    settings = None if config is None else TaggerSettings(**read_toml(config))
+    return TaggerCounter(inputs, marker_bit, trigger=channel, settings=settings)
 
 
 def ask(what: str) -> None:

@@ -119,8 +119,8 @@ Inputs = Annotated[
     list[int] | None,
     typer.Option(
         "--input",
-        help="input of the counter, 1 for the first, as `inspect` numbers them; one for each "
-        "detector, on two arms first those that see mirrors ON",
+        help="input, or channel, of the counter, 1 for the first, as `inspect` numbers them; one "
+        "for each detector, on two arms first those that see mirrors ON",
     ),
 ]
 Marker = Annotated[
@@ -187,11 +187,21 @@ Scenes = Annotated[
 ]
 Projector = Annotated[str, typer.Option(help="virtual, vialux; for recorded runs also dlpc900")]
 Counter = Annotated[
-    str, typer.Option(help="virtual, picoquant, or followed: its software writes OUT/photons.ptu")
+    str,
+    typer.Option(
+        help="virtual, picoquant, swabian, or followed: its software writes OUT/photons.ptu"
+    ),
 ]
 CounterConfig = Annotated[
     Path | None,
-    typer.Option(help="picoquant: snAPI's .ini file with the trigger levels of the inputs"),
+    typer.Option(
+        help="file with the trigger levels of the inputs. picoquant: snAPI's .ini file; swabian: "
+        "TOML, a table [trigger_levels] of channels and volts"
+    ),
+]
+MarkerChannel = Annotated[
+    int | None,
+    typer.Option(help="swabian: channel of the trigger, negative for falling edges"),
 ]
 AlpVersion = Annotated[
     str | None, typer.Option(help="vialux: version of the ALP interface, 4.3 unless given")

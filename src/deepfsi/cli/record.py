@@ -26,6 +26,7 @@ def camera_record(
     projector: options.Projector = "virtual",
     counter: options.Counter = "virtual",
     counter_config: options.CounterConfig = None,
+    marker_channel: options.MarkerChannel = None,
     alp_version: options.AlpVersion = None,
     virtual: options.Virtual = None,
     latency: options.Latency = None,
@@ -84,7 +85,7 @@ def camera_record(
         with common.progress("light of the scenes", quiet=as_json) as report:
             bench = virtual_bench(patterns, images.x, acquisition, times, report)
     else:
-        devices = live.real_counter(counter, acquisition, counter_config)
+        devices = live.real_counter(counter, acquisition, counter_config, marker_channel)
         own = Dlpc900Projector() if projector == "dlpc900" else VialuxProjector(alp_version)
         bench = Bench(own, *devices)
     told_load = SILENT if as_json else None

@@ -1,17 +1,21 @@
-"""The loop on the drivers of real devices: a fake of a Vialux device, and a file that grows."""
+"""The loop on the drivers of real devices: fakes of two devices, and a file that grows."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers.swabian import TaggerCounter
 from deepfsi.hardware.drivers.vialux import VialuxLooks
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.laboratory.live.replay import count_live
 from deepfsi.laboratory.live.run import Bench, plan_live, run_live
 from deepfsi.laboratory.live.shown import read_shown
+from hardware.drivers import swabian_fake
 from hardware.drivers.vialux_fake import install
-from shared.live_samples import LOOKS, make_patterns, replay, scenes_of
+from shared.live_samples import LOOKS, bench, live, make_patterns, replay, scenes_of
 
 SCENES, FLUX = 3, 1e7
 
@@ -77,3 +81,25 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     assert [each.answer.agrees for each in replayed] == [True] * SCENES
     again = [one.chances for each in replayed for one in each.decisions]
     assert np.array_equal([each.decision.chances for each in decided], again)
+
+
+def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_path, monkeypatch):
+    """The same light, through tags of channels in blocks that end anywhere: the same decisions."""
+    patterns = make_patterns(tmp_path, digits, epochs=1)
+    x, scenes = scenes_of(digits, SCENES)
+    device = swabian_fake.install(monkeypatch, trigger=-4)
+    devices = bench(patterns, x, FLUX)
+    devices.projector._setup.written = device
+    folder, acquisition = tmp_path / "run", plan_live(patterns, scenes, 20e-3)
+    counter = TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
+    decided = list(run_live(folder, patterns, acquisition, replace(devices, counter=counter)))
+    assert len(decided) == SCENES * LOOKS
+    assert device.steps[-2:] == ["stop", "freeTimeTagger"]
+
+    count_live(folder)
+    replayed = replay(folder)
+    assert [each.answer.agrees for each in replayed] == [True] * SCENES
+    chances = [each.decision.chances for each in decided]
+    assert np.array_equal(chances, [one.chances for each in replayed for one in each.decisions])
+    usual = live(tmp_path / "usual", patterns, digits, SCENES, FLUX, 20e-3)
+    assert np.array_equal(chances, [each.decision.chances for each in usual])

@@ -1,0 +1,254 @@
+"""Swabian Instruments Time Taggers through the vendor's library: a channel is the trigger's.
+
+**Untested on hardware.** It was written from the vendor's package, version 2.22.6, and manual, and
+is tested against a fake of them. In the manual
+(https://www.swabianinstruments.com/static/documentation/TimeTagger/), `api/TimeTaggerLibrary.html`
+tells of channel numbers and units, `api/TimeTagger.html` of trigger levels and blocks,
+`api/measurements/time_tag_streaming.html` of `TimeTagStream` and the format of tags, and
+`InDepthGuides/PipelineSynchronization.html` of `sync`.
+
+A thread takes tags all the while, and writes them to a PTU file, from which they are counted while
+it grows: what is counted is what the file holds. Tags of the trigger become markers there, and
+channel 1 becomes input 1. The first tag is at 0. A recording lasts 10 hours at most.
+"""
+
+import importlib
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import FiniteFloat
+
+from deepfsi.errors import InputError
+from deepfsi.frozen import Settings
+from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.ptu.writer import Writer
+from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
+
+MODULES = "Swabian.TimeTagger", "TimeTagger"
+"""The library as installed by pip, and by the vendor's installer."""
+
+TICK_S = 1e-12
+"""Unit of the tags' times, seconds."""
+
+MOST_TAGS = 2**22
+"""Tags that may wait for the thread."""
+
+BLOCK = 2**17, 1
+"""Tags of a block that the device hands over at most, and its latency at most, milliseconds."""
+
+SYNC_MS = 5000
+"""Longest wait for the tags that the device still holds, milliseconds."""
+
+POLL_S = 0.0002
+"""Time between two questions for tags, seconds."""
+
+LOOK_S = 0.05
+"""Time between two looks for a fault of the thread, seconds."""
+
+ERROR = 1
+"""Type of a tag of an error; those above tell of tags that were lost, and 0 is a signal's."""
+
+
+class TaggerSettings(Settings):
+    """Settings of a Time Tagger, as a TOML file has them."""
+
+    trigger_levels: dict[int, FiniteFloat]  # of channels, V; the others have the device's own
+
+
+class TaggerCounter(AbstractContextManager["TaggerCounter"]):
+    """Streaming counter of a Time Tagger. Untested on hardware: see the module."""
+
+    def __init__(
+        self,
+        inputs: tuple[int, ...] = (0,),
+        marker_bit: int = 1,
+        *,
+        trigger: int,
+        settings: TaggerSettings | None = None,
+    ) -> None:
+        # The channel of the trigger, negative for falling edges
+        channels = [each + 1 for each in inputs]
+        if trigger == 0 or abs(trigger) in channels:
+            raise InputError(
+                f"channel {trigger} for the trigger is not allowed: give one that is no detector's "
+                f"({', '.join(map(str, channels))}), negative for falling edges"
+            )
+        self._codes = {trigger: -marker_bit, **dict(zip(channels, inputs, strict=True))}
+        self._levels = {} if settings is None else settings.trigger_levels
+        self._followed = FollowedCounter(inputs, marker_bit)
+        self._module: Any = None
+        self._tagger: Any = None
+        self._recording = ExitStack()
+        self._fault: Exception | None = None  # of the thread
+
+    def __enter__(self) -> Self:
+        """Take hold of the first device that is found."""
+        self._module = _find_module()
+        with _in_one_line("be used"):
+            self._tagger = self._module.createTimeTagger()
+        try:
+            with _in_one_line("take its settings"):
+                for channel, level in self._levels.items():
+                    self._tagger.setTriggerLevel(channel, level)
+                self._tagger.setStreamBlockSize(*BLOCK)
+        except BaseException:
+            self._free()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the recording and let go of the device."""
+        try:
+            self._recording.close()
+        finally:
+            self._free()
+
+    def start(self, path: Path) -> None:
+        """Begin to record into a new file."""
+        if self._tagger is None:
+            raise InputError("the Time Tagger is not open: use `with` to open it")
+        self.stop()
+        if path.exists():
+            raise InputError(f"{path} is there already: give a new file")
+        with ExitStack() as stack:
+            with _in_one_line("record these channels"):
+                self._sync()  # levels are settled, and what came before is gone
+                stream = self._module.TimeTagStream(self._tagger, MOST_TAGS, list(self._codes))
+            stack.callback(stream.stop)
+            writer = stack.enter_context(Writer(path, TICK_S, growing=True))
+            self._followed.start(path)
+            stack.callback(self._followed.stop)
+            tags, ending = _Tags(stream, writer, self._codes, path), threading.Event()
+            thread = threading.Thread(target=self._read, args=(tags, ending), daemon=True)
+            thread.start()
+            stack.callback(thread.join)
+            stack.callback(ending.set)
+            self._recording = stack.pop_all()
+
+    def expect(self, gates: FrameGates) -> None:
+        """Tell the gates of the frames that are shown next, before they are shown."""
+        self._followed.expect(gates)
+
+    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
+        """Frames whose gates have ended since the last call, as `StreamingCounter` says."""
+        end = time.monotonic() + timeout_s
+        while True:
+            if self._fault is not None:
+                raise self._fault
+            left = end - time.monotonic()
+            found = self._followed.counts_since_marker(min(max(left, 0.0), LOOK_S))
+            if len(found.counts) or left <= 0:
+                return found
+
+    def stop(self) -> None:
+        """End the recording; its file is then whole. Without one, do nothing."""
+        self._recording.close()
+        fault, self._fault = self._fault, None
+        if fault is not None:
+            raise fault
+
+    def _read(self, tags: "_Tags", ending: threading.Event) -> None:
+        """Write all tags until the end; what goes wrong is for the other side."""
+        try:
+            with _in_one_line("hand over its tags"):
+                while not ending.wait(POLL_S):
+                    tags.take()
+                self._sync()
+                tags.take()
+        except Exception as error:
+            self._fault = error
+
+    def _sync(self) -> None:
+        """Wait until all tags of what has come are handed over."""
+        if not self._tagger.sync(SYNC_MS):
+            raise InputError(
+                f"the Time Tagger does not answer within {SYNC_MS / 1000:g} s: check its cable"
+            )
+
+    def _free(self) -> None:
+        tagger, self._tagger = self._tagger, None
+        if tagger is not None:
+            self._module.freeTimeTagger(tagger)
+
+
+class _Tags:
+    """Tags of a recording, from the device's stream to the file."""
+
+    def __init__(self, stream: Any, writer: Writer, codes: dict[int, int], path: Path) -> None:
+        self._stream, self._writer, self._codes, self._path = stream, writer, codes, path
+        self._first: int | None = None  # time of the first tag, ps
+
+    def take(self) -> None:
+        """Write what has come; raise `InputError` if something was lost."""
+        block = self._stream.getData()
+        if not block.size:
+            return
+        types = block.getEventTypes()
+        lost = np.flatnonzero(types)
+        whole = int(lost[0]) if len(lost) else block.size
+        times, channels = block.getTimestamps(), block.getChannels()
+        if self._first is None:
+            self._first = int(times[0])
+        times = times - self._first
+        self._write(times[:whole], channels[:whole])
+        if len(lost):
+            at_s, missed = times[whole] * TICK_S, int(block.getMissedEvents().sum())
+            raise InputError(f"{self._path}: {_describe(int(types[whole]), at_s, missed)}")
+        if block.size >= MOST_TAGS:
+            raise InputError(
+                f"{self._path}: more tags came than the {MOST_TAGS} that may wait, and some were "
+                "lost: give less light, or free the computer of other work"
+            )
+
+    def _write(self, times: np.ndarray, channels: np.ndarray) -> None:
+        codes = np.zeros(len(channels), np.int64)
+        for channel, code in self._codes.items():
+            codes[channels == channel] = code
+        self._writer.write(times, codes)
+
+
+def _describe(kind: int, at_s: float, missed: int) -> str:
+    """Words for a tag of an error or of tags that were lost."""
+    if kind == ERROR:
+        return (
+            f"the Time Tagger tells of an error {at_s:.6g} s after its first tag: check its clock "
+            "and its cable, and record again"
+        )
+    return (
+        f"the Time Tagger overflowed {at_s:.6g} s after its first tag, and lost {missed} tags or "
+        "more: give less light, and record again"
+    )
+
+
+def _find_module() -> Any:
+    for name in MODULES:
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError:
+            continue
+        except (ImportError, OSError) as error:
+            raise InputError(
+                f"the Time Tagger's library cannot be loaded: {error}; install it again"
+            ) from None
+    raise InputError(
+        "Time Taggers need their library, which is not installed: pip install Swabian-TimeTagger"
+    )
+
+
+@contextmanager
+def _in_one_line(doing: str) -> Iterator[None]:
+    """Turn what the library raises into one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError, IndexError, OverflowError) as error:
+        raise InputError(
+            f"the Time Tagger cannot {doing}: {str(error).rstrip('.')}; check that it is on, "
+            "connected and not used by another program"
+        ) from None
