@@ -16,14 +16,14 @@ test: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n logical --dist worksteal
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n logical --dist worksteal
 
 quick: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -m core -n logical --dist worksteal tests
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m core -n logical --dist worksteal tests
 
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --jobs auto docs docs/_build/html

@@ -191,6 +191,14 @@ def test_real_devices_refuse_words_of_virtual_ones(refuse, lab, tmp_path, words,
     assert message in refuse("camera", "live", lab / "patterns", *run, *real)
 
 
+def test_live_runs_with_a_dlpc900_are_refused(refuse, lab, tmp_path):
+    words = ["--scene", lab / "images", "--exposure", "10ms", "-o", tmp_path / "run"]
+    real = ["--projector", "dlpc900", "--counter", "picoquant"]
+    told = refuse("camera", "live", lab / "patterns", *words, *real)
+    assert "deepfsi camera record" in told
+    assert not (tmp_path / "run").exists()
+
+
 def test_virtual_devices_need_a_flux(refuse, lab, tmp_path):
     words = ["--scene", lab / "images", "--exposure", "10ms", "-o", tmp_path / "run"]
     assert "--flux" in refuse("camera", "live", lab / "patterns", *words)

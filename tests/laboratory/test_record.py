@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 
 from deepfsi.datasets import write_pictures
-from deepfsi.devices import find_device
+from deepfsi.devices import DEVICES, find_device
 from deepfsi.errors import InputError
 from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.swabian import TaggerCounter
-from deepfsi.hardware.patterns.folder import export_patterns, read_patterns
+from deepfsi.hardware.patterns.folder import export_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.hardware.recording.acquisition import Scene, plan_acquisition, read_acquisition
 from deepfsi.hardware.recording.counting import count
@@ -22,7 +24,7 @@ from deepfsi.hardware.virtual.bench import Latencies
 from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
 from deepfsi.laboratory import record
 from deepfsi.laboratory.live.bench import virtual_bench
-from hardware.drivers import swabian_fake
+from hardware.drivers import dlpc900_fake, swabian_fake
 
 FLUX, EXPOSURE, SCENES = 1e7, 10e-3, 5
 LIGHT = ("--flux", f"{FLUX:g}", "--exposure", "10ms", "--virtual", "ideal")
@@ -179,11 +181,45 @@ def test_a_scene_without_light_and_a_missing_trigger_are_said_at_once(
         list(record.record_run(tmp_path / "2", lab / "patterns", acquisition, bench))
 
 
+def test_a_dlpc900_shows_the_frames_of_a_recorded_run(lab, digits, tmp_path, monkeypatch):
+    """What its bytes make it show is what the counter sees; counts are then those of the light."""
+    scenes = digits.x_test[:3].reshape(3, 8, 8)
+    board = dlpc900_fake.install(monkeypatch)
+    device = DEVICES["dlp6500"].model_copy(update={"columns": 64, "rows": 48})
+    monkeypatch.setitem(DEVICES, "dlp6500", device)
+    board.size = 64, 48
+    acquisition, bench = planned(lab, scenes)
+    frames = {frame.tobytes(): k for k, frame in enumerate(read_frames(lab / "patterns"))}
+    bench.projector.load(lab / "patterns")
+
+    def seen(patterns) -> None:
+        shown = np.array([frames[frame.tobytes()] for frame, _, _ in patterns])
+        bench.projector.show(shown, np.array([us * 1e-6 for _, us, _ in patterns]))
+
+    board.on_start = seen
+    run = replace(bench, projector=Dlpc900Projector())
+    told = list(record.record_run(tmp_path / "run", lab / "patterns", acquisition, run))
+    assert [each.lit for each in told] == [True] * 3
+    assert len(board.shown) == 3
+    assert not board.opened
+    counts = count(tmp_path / "run")
+    assert counts.valid.all()
+    manifest = read_patterns(lab / "patterns").manifest
+    rates = arrival_rates(lab / "patterns", scenes, CAMERAS["ideal"], FLUX)
+    wanted = rates[:, manifest.shown, 0] * counts.gate_s
+    chi2 = ((counts.counts[:, 0, 0] - wanted) ** 2 / wanted).sum()
+    assert abs(chi2 - wanted.size) < 5 * np.sqrt(2 * wanted.size + (1 / wanted).sum())
+
+
 def test_real_devices_are_asked_by_the_same_options(refuse, lab, tmp_path, monkeypatch):
     scenes = tmp_path / "scenes.csv"
     scenes.write_text("first,3\nsecond,4\n")
     words = ("camera", "record", lab / "patterns", "--scene", scenes, "-o", tmp_path / "run")
     assert "ALP4lib" in refuse(*words, "--projector", "vialux", "--counter", "picoquant")
+    monkeypatch.setitem(sys.modules, "hid", None)
+    own = ("--projector", "dlpc900", "--counter", "picoquant")
+    assert "pip install hidapi" in refuse(*words, *own)
+    assert "for --projector vialux" in refuse(*words, *own, "--alp-version", "4.1")
     assert "do not go together" in refuse(*words, "--projector", "vialux")
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     assert "for virtual devices" in refuse(

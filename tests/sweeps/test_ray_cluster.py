@@ -296,7 +296,7 @@ def test_what_work_raises_arrives_once_as_it_is(connected, tmp_path):
 
 
 @pytest.mark.parametrize("end", ["close", "error"])
-def test_stopping_early_cancels_the_rest(joined, tmp_path, end):
+def test_stopping_early_cancels_the_rest(connected, tmp_path, end):
     def work(folder: Path, task: int) -> int:
         if task == 1:
             (folder / "part").write_text(str(os.getpid()))
@@ -308,7 +308,7 @@ def test_stopping_early_cancels_the_rest(joined, tmp_path, end):
             raise InputError("enough")
         return task
 
-    results = run_on_ray(work, tmp_path, [0, 1, 2] if end == "error" else [0, 1], address=joined)
+    results = run_on_ray(work, tmp_path, [0, 1, 2] if end == "error" else [0, 1], address=connected)
     assert next(results) == (0, 0)
     pid = int((tmp_path / "pid").read_text())
     assert alive(pid)

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from deepfsi.hardware.virtual.bench import Latencies
     from deepfsi.laboratory.results import LiveScene
 
-PROJECTORS, COUNTERS = ("virtual", "vialux"), ("virtual", "picoquant", "swabian", "followed")
+PROJECTORS = ("virtual", "vialux", "dlpc900")
+COUNTERS = ("virtual", "picoquant", "swabian", "followed")
 """Devices by name; `followed` is a PicoQuant counter whose software writes the photon file."""
 _OWN = {
     "counter_config": ("--counter picoquant", "--counter swabian"),
@@ -76,6 +77,11 @@ def camera_live(
     """
     paths.check_new_folder(out)
     simulated = check_devices(context, projector, counter, settings)
+    if projector == "dlpc900":
+        raise InputError(
+            "live runs choose frames while they run, and a DLPC900 shows a table that is loaded "
+            "before: use --projector vialux, or `deepfsi camera record` of a fixed design"
+        )
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times = latencies_of(latency or [])

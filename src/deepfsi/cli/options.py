@@ -185,7 +185,7 @@ def optional_seconds(option: str, text: str | None) -> float | None:
 Scenes = Annotated[
     Path, typer.Option(help="image, or folder of images, with or without a folder for each class")
 ]
-Projector = Annotated[str, typer.Option(help="virtual, or vialux")]
+Projector = Annotated[str, typer.Option(help="virtual, vialux; for recorded runs also dlpc900")]
 Counter = Annotated[
     str,
     typer.Option(

@@ -50,6 +50,7 @@ def camera_record(
     if counter_config is not None:
         paths.check_there(counter_config, "counter configuration")
     times = live.latencies_of(latency or [])
+    from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
     from deepfsi.hardware.drivers.protocols import PassProjector
     from deepfsi.hardware.drivers.vialux import VialuxProjector
     from deepfsi.hardware.patterns.folder import read_patterns
@@ -61,6 +62,7 @@ def camera_record(
     from deepfsi.laboratory.live.run import Bench
     from deepfsi.laboratory.record import record_run
     from deepfsi.laboratory.scenes import displayed, listed, scenes_of
+    from deepfsi.progress import SILENT
 
     shown, known = read_patterns(patterns), camera_of(patterns, **settings)
     told = {"flux": known.flux, **options.wiring(inputs, marker)}
@@ -84,8 +86,10 @@ def camera_record(
             bench = virtual_bench(patterns, images.x, acquisition, times, report)
     else:
         devices = live.real_counter(counter, acquisition, counter_config, marker_channel)
-        bench = Bench(VialuxProjector(alp_version), *devices)
-    with contextlib.closing(record_run(out, patterns, acquisition, bench)) as recorded:
+        own = Dlpc900Projector() if projector == "dlpc900" else VialuxProjector(alp_version)
+        bench = Bench(own, *devices)
+    told_load = SILENT if as_json else None
+    with contextlib.closing(record_run(out, patterns, acquisition, bench, told_load)) as recorded:
         for each in recorded:
             if not as_json:
                 print(

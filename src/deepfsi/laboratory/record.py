@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi import progress
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers.protocols import PassProjector, StreamingCounter
 from deepfsi.hardware.patterns.folder import read_patterns
@@ -28,6 +29,7 @@ from deepfsi.hardware.recording.live_settings import margin_ns
 from deepfsi.hardware.recording.streaming import FrameGates
 from deepfsi.hardware.recording.tails import excess_chance
 from deepfsi.laboratory.live.run import PATIENCE_S, Bench
+from deepfsi.progress import Report
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,11 @@ class RecordedScene:
 
 
 def record_run(
-    folder: Path, patterns_folder: Path, acquisition: Acquisition, bench: Bench[PassProjector]
+    folder: Path,
+    patterns_folder: Path,
+    acquisition: Acquisition,
+    bench: Bench[PassProjector],
+    report: Report | None = None,
 ) -> Generator[RecordedScene]:
     """Show and record scene after scene; gives each when its pass has ended."""
     # The folder is new. Scenes that are finished are kept whenever the run is stopped, and the
@@ -52,7 +58,8 @@ def record_run(
     with ExitStack() as stack:
         stack.enter_context(bench.projector)
         stack.enter_context(bench.counter)
-        bench.projector.load(patterns_folder)
+        with progress.shown(report, "loading the frames") as loading:
+            bench.projector.load(patterns_folder, loading)
         prepared = prepare(folder, patterns_folder, acquisition)
         bench.counter.start(folder / "photons.ptu")
         show = _Passes(bench.projector, bench.counter, manifest, acquisition.settle_s)

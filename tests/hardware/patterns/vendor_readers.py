@@ -50,7 +50,8 @@ def play_dlpc900(folder: Path) -> list[Shown]:
     assert {name for name, _ in commands[1:-1]} == {"MBOX_DATA"}
     name, config = commands[-1]
     assert name == "PAT_CONFIG"
-    assert config == [(len(lines) - 2) & 255, (len(lines) - 2) >> 8, 1, 0, 0, 0]  # runs once
+    total = list((len(lines) - 2).to_bytes(2, "little"))
+    assert config == [*total, *total, 0, 0]  # patterns of the table, and patterns to show
     out = []
     for place, (_, entry) in enumerate(commands[1:-1]):
         assert len(entry) == 12

@@ -23,8 +23,18 @@ from deepfsi.errors import InputError
 from deepfsi.files import open_regular, read_regular
 from deepfsi.hardware.patterns.sequence import Manifest
 
+DISPLAY_MODE, DEFINE_PATTERN, CONFIGURE_TABLE = 0x1A1B, 0x1A34, 0x1A31
+"""USB commands of a DLPC900: programmer's guide DLPU018."""
+
+BATCH_NAMES = {
+    DISPLAY_MODE: "DISP_MODE",
+    DEFINE_PATTERN: "MBOX_DATA",
+    CONFIGURE_TABLE: "PAT_CONFIG",
+}
+"""The same in batch files of TI's program."""
+
 ON_THE_FLY = 3
-"""Display mode of a DLPC900 in which its pictures come over USB (guide DLPU018, 0x1A1B)."""
+"""Display mode of a DLPC900 in which its pictures come over USB."""
 
 LARGEST_PICTURE = 2**31
 """Bytes of a picture of frames at most."""
@@ -42,15 +52,21 @@ def place_frames(manifest: Manifest) -> list[Place]:
 def write_planes(folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
     """Write frames, each (rows, bytes of a row), as they come."""
     (folder / "images").mkdir()
+    for image, picture in enumerate(pack_planes(frames, total, device)):
+        Image.fromarray(picture).save(folder / _file(image))
+
+
+def pack_planes(frames: Iterable[np.ndarray], total: int, device: Device) -> Iterator[np.ndarray]:
+    """Pictures of frames, each (rows, columns, red green blue), as the frames come."""
     together = device.packed_frames(total)
     picture = np.zeros((device.rows, device.columns, 3), np.uint8)
     for place, frame in enumerate(frames):
-        image, bit = divmod(place, together)
+        bit = place % together
         lit = np.unpackbits(frame, axis=1, count=device.columns)
         picture[..., _channel(device, bit)] |= lit << bit % 8
         if bit == together - 1 or place == total - 1:
-            Image.fromarray(picture).save(folder / _file(image))
-            picture[:] = 0
+            yield picture
+            picture = np.zeros_like(picture)
 
 
 def load_planes(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
@@ -143,21 +159,26 @@ def _table(manifest: Manifest) -> str:
     return out.getvalue()
 
 
-def _commands(manifest: Manifest) -> str:
-    """Batch file for a DLPC900: the mode, the pattern look-up table, and its length."""
-    # One command a line, "NAME : bytes", as the batch files of DLPC900REF-SW; the bytes are those
-    # of the programmer's guide DLPU018 (display mode 0x1A1B, LUT definition 0x1A34 and
-    # configuration 0x1A31). Lamps of the board stay off, no frame waits for a trigger, and the
-    # sequence runs once when it is started
-    lines = [("DISP_MODE", bytes([ON_THE_FLY]))]
+def dlpc900_commands(manifest: Manifest) -> list[tuple[int, bytes]]:
+    """USB commands that give a DLPC900 its mode, its pattern table, and how much of it to show."""
+    # Guide DLPU018J: Display Mode Selection 0x1A1B, Pattern Display LUT Definition 0x1A34 and
+    # Configuration 0x1A31. Lamps of the board stay off, no frame waits for a trigger, and a start
+    # shows as many patterns as the table has, that is, each once
+    commands = [(DISPLAY_MODE, bytes([ON_THE_FLY]))]
     every = enumerate(zip(place_frames(manifest), _times(manifest), strict=True))
     for pattern, ((image, bit), (exposure, dark)) in every:
         entry = pattern.to_bytes(2, "little") + exposure.to_bytes(3, "little")
         entry += b"\0"  # do not clear, 1 bit, no lamp, no trigger in
         entry += dark.to_bytes(3, "little") + b"\0"  # trigger out 2 marks its start
-        lines.append(("MBOX_DATA", entry + (image | bit << 11).to_bytes(2, "little")))
+        commands.append((DEFINE_PATTERN, entry + (image | bit << 11).to_bytes(2, "little")))
     total = len(manifest.frames)
-    lines.append(("PAT_CONFIG", total.to_bytes(2, "little") + (1).to_bytes(4, "little")))
+    commands.append((CONFIGURE_TABLE, total.to_bytes(2, "little") + total.to_bytes(4, "little")))
+    return commands
+
+
+def _commands(manifest: Manifest) -> str:
+    """Batch file for a DLPC900, a command a line as those of DLPC900REF-SW: "NAME : bytes"."""
     return "".join(
-        f"{name} : {' '.join(f'0x{byte:02X}' for byte in content)}\n" for name, content in lines
+        f"{BATCH_NAMES[command]} : {' '.join(f'0x{byte:02X}' for byte in content)}\n"
+        for command, content in dlpc900_commands(manifest)
     )

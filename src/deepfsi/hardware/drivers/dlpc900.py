@@ -1,0 +1,328 @@
+"""Boards with TI's DLPC900 (DLP6500, DLP9000, DLP670S, DLP500YX) over USB, pattern on the fly.
+
+**Untested on hardware.** It was written from TI's programmer's guide DLPU018J, and is tested
+against a fake that reads its bytes by that guide. Watch its first runs with an oscilloscope on
+TRIG_OUT_2, whose polarity and delay are left as they are set on the board.
+
+The sections of the guide that say what is sent: USB Interface (1.2; reports, flags, replies),
+Hardware Status (2.1.1, 0x1A0A), Main Status (2.1.3, 0x1A0C), Reading Hardware Configuration (2.1.5,
+0x0206), Read Error Code (2.1.6, 0x0100), Display Mode Selection (0x1A1B), Pattern Display
+Start/Stop (0x1A24), Pattern Display LUT Definition (0x1A34) and Configuration (0x1A31), Initialize
+Pattern BMP Load (0x1A2A, of the second controller 0x1A2C), Pattern BMP Load (0x1A2B and 0x1A2D),
+and the Pattern On-The-Fly example for their order. Not from the guide: the USB numbers, that
+reports have 64 bytes, that a load is not to be answered (TI's program), and which bit of the main
+status says that the sequencer runs, as its readers in public programs have it. That this bit
+falls at the end of a pass is assumed.
+
+Pictures are loaded once, 24 frames each; the table says for how long each frame is shown, and a
+start shows all of it once.
+"""
+
+import contextlib
+import importlib
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+from deepfsi.devices import DEVICES, PLANES, Device
+from deepfsi.errors import InputError
+from deepfsi.hardware.drivers.dlpc900_images import encode_picture
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.limits import check_limits
+from deepfsi.hardware.patterns.planes import (
+    DISPLAY_MODE,
+    ON_THE_FLY,
+    dlpc900_commands,
+    pack_planes,
+)
+from deepfsi.hardware.patterns.sequence import Manifest
+from deepfsi.progress import SILENT, Report
+
+VENDOR, PRODUCT = 0x0451, 0xC900
+
+DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
+"""Devices by the hardware type that a board reports."""
+
+MOST_PATTERNS = 400
+"""Entries of the pattern table; data sheets allow more for some devices, the guide does not."""
+
+# Commands
+ERROR_CODE, HARDWARE, HARDWARE_STATUS, MAIN_STATUS = 0x0100, 0x0206, 0x1A0A, 0x1A0C
+START_STOP, STOP, START = 0x1A24, b"\0", b"\2"
+LOADS = (0x1A2A, 0x1A2B), (0x1A2C, 0x1A2D)
+"""Beginning and data of a picture, for the first controller and the second."""
+
+# Bits of the hardware status and the main status
+READY, SECOND, FAULTS = 1 << 0, 1 << 4, 1 << 1 | 1 << 2 | 1 << 3 | 1 << 6 | 1 << 7
+RUNS = 1 << 1
+
+# Bits of the flag byte
+READ, REPLY, FAILED = 1 << 7, 1 << 6, 1 << 5
+
+REPORT_BYTES, PACKET_BYTES = 64, 504
+"""Bytes of a report, and of a picture that one command holds."""
+
+REPLY_S, GRACE_S, POLL_S = 2.0, 5.0, 0.002
+"""Time for an answer, for a mode or a pass to end late, and between two questions, seconds."""
+
+ENCODING = 0.1
+"""Share of the time to load that is for encoding; most is for USB."""
+
+ERRORS = {
+    2: "the device failed",
+    3: "invalid command number",
+    4: "controller and micromirror device do not fit",
+    5: "not allowed in its mode",
+    6: "invalid parameter",
+    8: "out of memory",
+    9: "invalid compression of a picture",
+    10: "bit position is out of range",
+    12: "dark time is out of range",
+    14: "exposure is out of range",
+    15: "pattern number is out of range",
+    16: "invalid pattern",
+    17: "picture is out of the memory's range",
+    255: "internal error",
+}
+"""Error codes that patterns may give, in words."""
+
+
+class _Link:
+    """Commands to a DLPC900 as reports of a HID device, and its replies."""
+
+    def __init__(self, device: Any) -> None:
+        self._device, self._sequence = device, 0
+
+    def write(self, command: int, data: bytes, reply: bool = True) -> None:
+        """Send a command; with a reply, wait for it and raise what it refuses."""
+        self._send(REPLY if reply else 0, command, data)
+        if reply:
+            self._answer(command)
+
+    def read(self, command: int) -> int:
+        """First byte of what a command reads."""
+        self._send(READ | REPLY, command)
+        answer = self._answer(command)
+        if not answer:
+            raise InputError(f"the DLPC900's answer to command 0x{command:04X} is empty")
+        return answer[0]
+
+    def check(self, command: int) -> None:
+        """Raise what the last command refused, if it did."""
+        if code := self.read(ERROR_CODE):
+            reason = ERRORS.get(code, f"error {code}")
+            raise InputError(f"the DLPC900 refused command 0x{command:04X}: {reason}")
+
+    def _send(self, flags: int, command: int, data: bytes = b"") -> None:
+        self._sequence = (self._sequence + 1) % 256
+        message = bytes([flags, self._sequence]) + (2 + len(data)).to_bytes(2, "little")
+        message += command.to_bytes(2, "little") + data
+        places = iter(range(0, len(message), REPORT_BYTES))
+        try:
+            self._reports(message, places)
+        except KeyboardInterrupt:
+            self._reports(message, places)  # it takes what comes next as the rest of this command
+            raise
+
+    def _reports(self, message: bytes, places: Iterator[int]) -> None:
+        for place in places:
+            report = message[place : place + REPORT_BYTES].ljust(REPORT_BYTES, b"\0")
+            if self._device.write(b"\0" + report) < 0:  # the report's number comes first
+                raise OSError("a report was not sent")
+
+    def _answer(self, command: int) -> bytes:
+        """Data of the reply to the last command; replies to earlier ones are passed over."""
+        until = time.monotonic() + REPLY_S
+        while (left := until - time.monotonic()) > 0:
+            reply = bytes(self._device.read(REPORT_BYTES, max(1, round(left * 1e3))))
+            if reply[1:2] == bytes([self._sequence]):
+                break
+        else:
+            raise InputError(
+                f"the DLPC900 does not answer command 0x{command:04X}: switch the board off and on"
+            )
+        if reply[0] & FAILED:
+            if command != ERROR_CODE:
+                self.check(command)
+            raise InputError(f"the DLPC900 refused command 0x{command:04X} and gives no reason")
+        return reply[4 : 4 + int.from_bytes(reply[2:4], "little")]
+
+
+class Dlpc900Projector:
+    """Projector of pattern folders on a DLPC900 board. Untested on hardware: see the module."""
+
+    def __init__(self) -> None:
+        self._device: Any = None
+        self._board: tuple[_Link, Device, int] | None = None  # and its number of controllers
+        self._pass_s = self._due = 0.0  # of the frames that are loaded; when a pass is to end
+
+    def __enter__(self) -> Self:
+        """Open the first board that is found, and ask what it is."""
+        try:
+            device = importlib.import_module("hid").device()
+        except (ImportError, AttributeError):  # another package has the same name
+            raise InputError(
+                "DLPC900 boards need hidapi, which is not installed: pip install hidapi"
+            ) from None
+        with _refusals("be opened"):
+            device.open(VENDOR, PRODUCT)
+            try:
+                link = _Link(device)
+                kind = link.read(HARDWARE)
+                if kind not in DMDS:
+                    raise InputError(
+                        f"the DLPC900 has a device of hardware type {kind}, which is none of "
+                        f"{', '.join(DMDS.values())}"
+                    )
+                controllers = 2 if _healthy(link) & SECOND else 1
+            except BaseException:
+                device.close()
+                raise
+        self._device, self._board = device, (link, DEVICES[DMDS[kind]], controllers)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Stop and close the board; what went wrong before goes before what goes wrong here."""
+        quiet = contextlib.suppress(InputError) if kind else contextlib.nullcontext()
+        with quiet, contextlib.ExitStack() as stack:
+            stack.callback(self._close)
+            self.halt()
+
+    def load(self, folder: Path, report: Report = SILENT) -> None:
+        """Send the frames of a folder of any format to the board, in place of earlier ones."""
+        link, device, controllers = self._open()
+        manifest = read_patterns(folder).manifest
+        _check(manifest, folder, device)
+        manifest = manifest.model_copy(update={"device": device})
+        self.halt()
+        self._pass_s = 0.0
+        pictures = _encoded(folder, manifest, controllers, report.part(0.0, ENCODING))
+        with _refusals("load frames"):
+            for command, data in dlpc900_commands(manifest):
+                link.write(command, data)
+                if command == DISPLAY_MODE:
+                    _wait_for_mode(link)
+            _load(link, pictures, report.part(ENCODING, 1.0))
+        self._pass_s = manifest.pass_s
+
+    def run(self) -> None:
+        """Start one pass."""
+        link, _, _ = self._open()
+        if not self._pass_s:
+            raise InputError("no patterns on the DLPC900: load a pattern folder first")
+        with _refusals("show patterns"):
+            if link.read(MAIN_STATUS) & RUNS:
+                raise InputError("the DLPC900 still shows a pass: wait for it or halt it")
+            link.write(START_STOP, STOP)  # so that a start begins with the first pattern
+            link.write(START_STOP, START)
+        self._due = time.monotonic() + self._pass_s
+
+    def wait(self) -> None:
+        """Return when the pass has ended; Ctrl-C is heard meanwhile."""
+        link, _, _ = self._open()
+        with _refusals("show patterns"):
+            # It may say that it stands before the first pattern is shown
+            while time.monotonic() < self._due or link.read(MAIN_STATUS) & RUNS:
+                if time.monotonic() > self._due + GRACE_S:
+                    raise InputError(
+                        f"the frames should have ended {GRACE_S:g} s ago and have not: check that "
+                        "no other program drives the DLPC900"
+                    )
+                time.sleep(POLL_S)
+            _healthy(link)
+
+    def halt(self) -> None:
+        """Stop at once."""
+        link, _, _ = self._open()
+        with _refusals("be halted"):
+            link.write(START_STOP, STOP)
+
+    def _open(self) -> tuple[_Link, Device, int]:
+        if self._board is None:
+            raise InputError("the DLPC900 is not open: use `with` to open it")
+        return self._board
+
+    def _close(self) -> None:
+        device, self._device, self._board = self._device, None, None
+        self._pass_s = 0.0
+        device.close()
+
+
+def _healthy(link: _Link) -> int:
+    """Hardware status, if it has no fault."""
+    status = link.read(HARDWARE_STATUS)
+    if status & FAULTS or not status & READY:
+        raise InputError(
+            f"the DLPC900 reports a fault, hardware status 0x{status:02X}: check the board and its "
+            "firmware, then switch it off and on"
+        )
+    return status
+
+
+def _check(manifest: Manifest, folder: Path, device: Device) -> None:
+    """Refuse what a board cannot show."""
+    made = manifest.device
+    if (made.columns, made.rows) != (device.columns, device.rows):
+        raise InputError(
+            f"'{folder}' is made for {made.columns} x {made.rows} mirrors and the board's "
+            f"{device.name} has {device.columns} x {device.rows}: export for that device"
+        )
+    check_limits(manifest.model_copy(update={"device": device}))
+    if len(manifest.frames) > MOST_PATTERNS:
+        raise InputError(
+            f"{len(manifest.frames)} frames do not fit a DLPC900, whose table of patterns has "
+            f"{MOST_PATTERNS} entries: export fewer masks"
+        )
+
+
+def _encoded(
+    folder: Path, manifest: Manifest, controllers: int, report: Report
+) -> list[tuple[bytes, ...]]:
+    """Pictures of a folder, each in as many halves, left first, as a board has controllers."""
+    total, device = len(manifest.frames), manifest.device
+    width, out = device.columns // controllers, []
+    for picture in pack_planes(read_frames(folder), total, device):
+        halves = (picture[:, k * width : (k + 1) * width] for k in range(controllers))
+        out.append(tuple(encode_picture(half) for half in halves))
+        report(min(len(out) * PLANES / total, 1.0))
+    return out
+
+
+def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Report) -> None:
+    """Send pictures, the last one first, as the guide wants them."""
+    total = sum(len(half) for halves in pictures for half in halves)
+    sent = 0
+    for index, halves in reversed(list(enumerate(pictures))):
+        for content, (begin, fill) in zip(halves, LOADS, strict=False):
+            link.write(begin, index.to_bytes(2, "little") + len(content).to_bytes(4, "little"))
+            for place in range(0, len(content), PACKET_BYTES):
+                packet = content[place : place + PACKET_BYTES]
+                link.write(fill, len(packet).to_bytes(2, "little") + packet, reply=False)
+                sent += len(packet)
+                report(sent / total)
+            link.check(fill)
+
+
+def _wait_for_mode(link: _Link) -> None:
+    """Return when the board loads patterns on the fly."""
+    until = time.monotonic() + GRACE_S
+    while link.read(DISPLAY_MODE) & 3 != ON_THE_FLY:
+        if time.monotonic() > until:
+            raise InputError("the DLPC900 does not load patterns on the fly: update its firmware")
+        time.sleep(POLL_S)
+
+
+@contextlib.contextmanager
+def _refusals(doing: str) -> Iterator[None]:
+    """Say in one line what the HID device refused."""
+    # hidapi raises `OSError`, and `ValueError` for a device that was closed
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"the DLPC900 cannot {doing}: {error}; check that it is on, connected and not used by "
+            "another program"
+        ) from error
