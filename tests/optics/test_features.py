@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepfsi.optics.features import FeatureNoise, mean_over_exposures
+from deepfsi.optics.features import FeatureNoise, mean_over_exposures, standardise
 
 DRAWS = 200_000
 GAINS, SIGMAS = [4.0, 50.0], [3.0, 0.5]
@@ -63,3 +63,20 @@ def test_noise_over_exposures_is_the_mean_over_those_that_show_a_mask():
             assert float(factor[job, mask]) == pytest.approx(dim * mean, rel=1e-6)
     one, _ = mean_over_exposures(used, 1.0, chances)
     assert torch.allclose(one * dim, factor, rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", ["each", "common"])
+def test_features_of_each_job_are_brought_to_a_mean_square_of_one_in_their_batch(scale):
+    """Each mask by itself, or all masks of a job by one factor; masks not shown count for none."""
+    features = torch.randn(50, 2, 3, generator=torch.Generator().manual_seed(1))
+    features *= torch.tensor([[1.0, 2.0, 4.0], [30.0, 20.0, 10.0]])
+    features -= features.mean(dim=0)
+    shown = torch.arange(3) < torch.arange(50).remainder(3).add(1)[:, None, None]
+    for found, seen in (
+        (standardise(features, scale), torch.ones(50, 1, 3)),
+        (standardise(features, scale, shown), shown),
+    ):
+        over = 0 if scale == "each" else (0, 2)
+        power = (features.square() * seen).sum(dim=over, keepdim=True)
+        expected = features / (power / seen.sum(dim=over, keepdim=True)).sqrt()
+        assert torch.allclose(found, expected, rtol=1e-5, atol=1e-6)

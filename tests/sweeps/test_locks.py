@@ -133,3 +133,8 @@ def test_a_lock_shows_that_its_process_lives(tmp_path, monkeypatch):
     os.utime(path, (1, 1))
     until(lambda: path.stat().st_mtime > 1)
     mine.give_up_all()
+
+
+def test_one_of_another_host_that_goes_while_it_is_looked_at_is_over(tmp_path):
+    """Its file may go between the list of the folder and the look at it."""
+    assert Locks(tmp_path)._over(tmp_path / "a" / ELSEWHERE)
