@@ -45,7 +45,7 @@ class Locks:
         mine = self.folder / key / str(this_process())
         self._owned[key] = mine
         self._make(mine)
-        if any(other != mine and not self._over(other) for other in _locks_in(mine.parent)):
+        if any(other != mine and not self._over(other) for other in inside(mine.parent)):
             self.give_up(key)
             return False
         self._beat()
@@ -100,12 +100,11 @@ class Locks:
 
     def _remove_old(self) -> None:
         """Take away what processes left that are gone."""
-        if self.folder.is_dir():
-            for key in list(self.folder.iterdir()):
-                for lock in _locks_in(key):
-                    self._over(lock)
-                _remove_empty(key)
-            _remove_empty(self.folder)
+        for key in inside(self.folder):
+            for lock in inside(key):
+                self._over(lock)
+            _remove_empty(key)
+        _remove_empty(self.folder)
 
     def _beat(self) -> None:
         """Show that this process lives, from now until all locks are given up."""
@@ -121,7 +120,8 @@ class Locks:
                     os.utime(mine)
 
 
-def _locks_in(folder: Path) -> Iterator[Path]:
+def inside(folder: Path) -> Iterator[Path]:
+    """Give what a folder holds, nothing where another process took it away."""
     try:
         yield from list(folder.iterdir())
     except (FileNotFoundError, NotADirectoryError):

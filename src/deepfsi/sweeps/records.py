@@ -5,7 +5,7 @@ A folder holds
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
     locks/KEY/OWNER          while a process trains the design
-    finished/KEY             files of trials that were trained together, before they are moved
+    finished-KEY/            files of trials that were trained together, before they are moved
 
 KEY is a hash of everything that the result depends on, the data included, so a record is valid for
 whoever finds it. What was trained together is written all or not at all: a trial whose companions
@@ -33,7 +33,7 @@ from deepfsi.files import (
     remove_drafts,
     write_atomically,
 )
-from deepfsi.sweeps.locks import Locks
+from deepfsi.sweeps.locks import Locks, inside
 from deepfsi.sweeps.results import SCHEMA
 from deepfsi.sweeps.trial import Trial
 
@@ -79,8 +79,8 @@ class Records:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._locks = Locks(folder)
-        remove_drafts(folder / "finished")
-        for left in (folder / "finished").glob("[!.]*"):
+        remove_drafts(folder)
+        for left in folder.glob("finished-*"):
             self._move(left)
 
     def read(self, trial: Trial) -> dict[str, Any] | None:
@@ -106,7 +106,7 @@ class Records:
         """Keep what trials gave that were trained together, and give up the locks on them."""
         if not finished:
             return
-        folder = self.folder / "finished" / finished[0][0].key
+        folder = self.folder / f"finished-{finished[0][0].key}"
         with new_folder(folder) as draft:
             for trial, record, design in finished:
                 if design is not None:
@@ -118,15 +118,13 @@ class Records:
 
     def _move(self, finished: Path) -> None:
         """Move finished files to their places, each record after its design."""
-        places = {".safetensors": "designs", ".json": "trials"}
-        for path in sorted(finished.iterdir(), key=lambda path: path.suffix, reverse=True):
-            place = self.folder / places[path.suffix]
-            place.mkdir(exist_ok=True)
-            with suppress(FileNotFoundError):  # another process that found them moved it
-                os.replace(path, place / path.name)
-        for left in (finished, finished.parent):
-            with suppress(OSError):  # of other trials, or removed
-                left.rmdir()
+        for place, suffix in (("designs", ".safetensors"), ("trials", ".json")):
+            (self.folder / place).mkdir(exist_ok=True)
+            for path in (each for each in inside(finished) if each.suffix == suffix):
+                with suppress(FileNotFoundError):  # another process that found them moved it
+                    os.replace(path, self.folder / place / path.name)
+        with suppress(OSError):
+            finished.rmdir()
 
     def lock(self, trials: Iterable[Trial]) -> bool:
         """Claim trials for this process, all or none; False where another one has any of them."""
