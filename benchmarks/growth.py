@@ -98,7 +98,7 @@ def records(count: int) -> None:
             own = {"key": trial.key, "design": trial.design_key}
             own["trial"] = trial.model_dump(mode="json")
             written.lock([trial])
-            written.write(trial, {**record, **own}, content)
+            written.write([(trial, {**record, **own}, content)])
         times.append(time.process_time())
         found = run_trials(trials, context, folder)
         times.append(time.process_time())
