@@ -6,18 +6,16 @@ import time
 import numpy as np
 import pytest
 from dlpc900_fake import decode, install
+from driver_samples import make_patterns
 
 from deepfsi.devices import DEVICES, Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import dlpc900
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
 from deepfsi.hardware.patterns.folder import (
-    DesignRails,
-    export_patterns,
     read_frames,
     read_patterns,
 )
-from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.progress import Report
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)
@@ -29,15 +27,7 @@ def board(monkeypatch):
 
 
 def patterns(folder, light="free-dwell", format="npy", masks=50, device=SMALL, dwell=1e-3):
-    rng = np.random.default_rng(3)
-    rails = rng.random((1, masks, 32)) * rng.uniform(0.3, 1, (1, masks, 1))
-    rails /= masks if light == "equal-dwell" else rails.max(axis=2).sum()
-    export_patterns(
-        DesignRails(rails, light, (4, 8), summed_reflectance=10.0),
-        FrameSettings(device, dwell, format=format),
-        folder,
-    )
-    return folder
+    return make_patterns(folder, device, masks, light, format, dwell, least=0.3)
 
 
 def show(folder, passes=1, while_it_runs=lambda: None):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from driver_samples import check_refused_before_a_recording
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import picoquant
@@ -210,14 +211,7 @@ def test_records_are_counted_while_nobody_asks(api, tmp_path):
 
 
 def test_nothing_is_counted_before_it_is_recorded(api, tmp_path):
-    with SnapiCounter() as counter:
-        with pytest.raises(InputError, match="start the counter first"):
-            counter.counts_since_marker(0.0)
-        (tmp_path / "photons.ptu").touch()
-        with pytest.raises(InputError, match="is there already"):
-            counter.start(tmp_path / "photons.ptu")
-    with pytest.raises(InputError, match="not open"):
-        counter.start(tmp_path / "new.ptu")
+    check_refused_before_a_recording(SnapiCounter(), tmp_path, "start the counter first")
 
 
 def test_words_where_the_library_is_missing(monkeypatch):

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import ptufile
 import pytest
+from driver_samples import check_refused_before_a_recording
 
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import swabian
@@ -171,14 +172,7 @@ def test_a_device_that_is_gone_ends_the_run(device, tmp_path):
 
 
 def test_nothing_is_counted_before_it_is_recorded(device, tmp_path):
-    with TaggerCounter(trigger=8) as counter:
-        with pytest.raises(InputError, match="start one first"):
-            counter.counts_since_marker(0.0)
-        (tmp_path / "photons.ptu").touch()
-        with pytest.raises(InputError, match="is there already"):
-            counter.start(tmp_path / "photons.ptu")
-    with pytest.raises(InputError, match="not open"):
-        counter.start(tmp_path / "new.ptu")
+    check_refused_before_a_recording(TaggerCounter(trigger=8), tmp_path, "start one first")
 
 
 @pytest.mark.parametrize("trigger", [0, 2, -2])

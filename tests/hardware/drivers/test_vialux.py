@@ -4,18 +4,16 @@ import sys
 
 import numpy as np
 import pytest
+from driver_samples import make_patterns
 from vialux_fake import DEVICE, install
 
 from deepfsi.devices import Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.folder import (
-    DesignRails,
-    export_patterns,
     read_frames,
     read_patterns,
 )
-from deepfsi.hardware.patterns.sequence import FrameSettings
 from deepfsi.progress import Report
 
 
@@ -25,15 +23,7 @@ def library(monkeypatch):
 
 
 def patterns(folder, light="free-dwell", format="npy", masks=70, device=DEVICE, dwell=1e-3):
-    rng = np.random.default_rng(3)
-    rails = rng.random((1, masks, 32)) * rng.uniform(0.1, 1, (1, masks, 1))
-    rails /= masks if light == "equal-dwell" else rails.max(axis=2).sum()
-    export_patterns(
-        DesignRails(rails, light, (4, 8), summed_reflectance=10.0),
-        FrameSettings(device, dwell, format=format),
-        folder,
-    )
-    return folder
+    return make_patterns(folder, device, masks, light, format, dwell)
 
 
 def show(folder, while_it_runs=lambda: None):

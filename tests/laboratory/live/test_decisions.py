@@ -53,6 +53,20 @@ def rates_of(patterns, digits, count=1, share=1.0):
     return share * arrival_rates(patterns, x, CAMERAS["ideal"], FLUX)
 
 
+def check_alike(decided, again, share=1.0):
+    """The same answers, of such a share of the budget."""
+    for one, other in zip(decided, again, strict=True):
+        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
+        assert other.photons == pytest.approx(one.photons * share, rel=1e-6)
+
+
+def check_frames(asked, again):
+    """The same frames, for times that are the same but for what they are measured by."""
+    for one, other in zip(asked, again, strict=True):
+        assert np.array_equal(one.frames, other.frames)
+        np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+
+
 def test_dark_counts_change_no_decision(digits, patterns):
     """Those of each input, which the all-OFF frames tell, or the all-ON ones of the second arm."""
     rates = rates_of(patterns, digits)
@@ -60,12 +74,8 @@ def test_dark_counts_change_no_decision(digits, patterns):
     (clean,), asked = observe(patterns, rates)
     (noisy,), again = observe(patterns, rates + dark)
     assert len(clean) == len(noisy) == LOOKS
-    for one, other in zip(clean, noisy, strict=True):
-        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
-        assert other.photons == pytest.approx(one.photons, rel=1e-6)
-    for one, other in zip(asked, again, strict=True):
-        assert np.array_equal(one.frames, other.frames)
-        np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+    check_alike(clean, noisy)
+    check_frames(asked, again)
 
 
 def test_ambient_light_changes_no_decision_where_it_was_measured(digits, patterns):
@@ -78,12 +88,8 @@ def test_ambient_light_changes_no_decision_where_it_was_measured(digits, pattern
     (clean,), asked = observe(patterns, rates)
     (measured,), again = observe(patterns, rates + stray, background=stray)
     (fooled,), _ = observe(patterns, rates + stray)
-    for one, other in zip(clean, measured, strict=True):
-        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
-        assert other.photons == pytest.approx(one.photons, rel=1e-6)
-    for one, other in zip(asked, again, strict=True):
-        assert np.array_equal(one.frames, other.frames)
-        np.testing.assert_allclose(one.gate_ns, other.gate_ns, rtol=1e-3)
+    check_alike(clean, measured)
+    check_frames(asked, again)
     assert fooled[-1].photons == pytest.approx(2 * clean[-1].photons, rel=1e-3)
     assert abs(fooled[-1].chances - clean[-1].chances).max() > 0.01
 
@@ -104,9 +110,7 @@ def test_dead_time_changes_no_decision_where_it_is_known(digits, patterns, paral
     (clean,), _ = observe(patterns, rates)
     (corrected,), _ = observe(patterns, detector.registered(rates), dead_time=dead)
     (blind,), _ = observe(patterns, detector.registered(rates))
-    for one, other in zip(clean, corrected, strict=True):
-        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
-        assert other.photons == pytest.approx(one.photons, rel=1e-6)
+    check_alike(clean, corrected)
     assert blind[-1].photons < 0.96 * clean[-1].photons
 
 
@@ -114,9 +118,7 @@ def test_light_changes_no_decision(digits, patterns):
     """Features are counts over the budget, which is a flux in counts: of half the light, half."""
     (bright,), _ = observe(patterns, rates_of(patterns, digits))
     (dim,), _ = observe(patterns, rates_of(patterns, digits, share=0.5))
-    for one, other in zip(bright, dim, strict=True):
-        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
-        assert other.photons == pytest.approx(one.photons / 2, rel=1e-6)
+    check_alike(bright, dim, share=0.5)
 
 
 def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):

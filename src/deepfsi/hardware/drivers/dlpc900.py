@@ -18,16 +18,17 @@ Pictures are loaded once, 24 frames each; the table says for how long each frame
 start shows all of it once.
 """
 
-import contextlib
 import importlib
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 from deepfsi.devices import DEVICES, PLANES, Device
 from deepfsi.errors import InputError
 from deepfsi.hardware.drivers.dlpc900_images import encode_picture
+from deepfsi.hardware.drivers.holding import let_go, refusals
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.limits import check_limits
 from deepfsi.hardware.patterns.planes import (
@@ -183,18 +184,13 @@ class Dlpc900Projector:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        """Stop and close the board; what went wrong before goes before what goes wrong here."""
-        quiet = contextlib.suppress(InputError) if kind else contextlib.nullcontext()
-        with quiet, contextlib.ExitStack() as stack:
-            stack.callback(self._close)
-            self.halt()
+        """Stop and close the board."""
+        let_go(kind, self.halt, self._close)
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Send the frames of a folder of any format to the board, in place of earlier ones."""
         link, device, controllers = self._open()
-        manifest = read_patterns(folder).manifest
-        _check(manifest, folder, device)
-        manifest = manifest.model_copy(update={"device": device})
+        manifest = _for_board(read_patterns(folder).manifest, folder, device)
         self.halt()
         self._pass_s = 0.0
         pictures = _encoded(folder, manifest, controllers, report.part(0.0, ENCODING))
@@ -260,20 +256,22 @@ def _healthy(link: _Link) -> int:
     return status
 
 
-def _check(manifest: Manifest, folder: Path, device: Device) -> None:
-    """Refuse what a board cannot show."""
+def _for_board(manifest: Manifest, folder: Path, device: Device) -> Manifest:
+    """Manifest of a folder for the device of a board, or `InputError` for what it cannot show."""
     made = manifest.device
     if (made.columns, made.rows) != (device.columns, device.rows):
         raise InputError(
             f"'{folder}' is made for {made.columns} x {made.rows} mirrors and the board's "
             f"{device.name} has {device.columns} x {device.rows}: export for that device"
         )
-    check_limits(manifest.model_copy(update={"device": device}))
+    manifest = manifest.model_copy(update={"device": device})
+    check_limits(manifest)
     if len(manifest.frames) > MOST_PATTERNS:
         raise InputError(
             f"{len(manifest.frames)} frames do not fit a DLPC900, whose table of patterns has "
             f"{MOST_PATTERNS} entries: export fewer masks"
         )
+    return manifest
 
 
 def _encoded(
@@ -313,16 +311,9 @@ def _wait_for_mode(link: _Link) -> None:
         time.sleep(POLL_S)
 
 
-@contextlib.contextmanager
-def _refusals(doing: str) -> Iterator[None]:
-    """Say in one line what the HID device refused."""
+def _reason(error: Exception) -> str | None:
     # hidapi raises `OSError`, and `ValueError` for a device that was closed
-    try:
-        yield
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"the DLPC900 cannot {doing}: {error}; check that it is on, connected and not used by "
-            "another program"
-        ) from error
+    return str(error) if isinstance(error, OSError | ValueError) else None
+
+
+_refusals = partial(refusals, "the DLPC900", reason=_reason)

@@ -15,8 +15,8 @@ channel 1 becomes input 1. The first tag is at 0. A recording lasts 10 hours at 
 import importlib
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,6 +26,7 @@ from pydantic import FiniteFloat
 from deepfsi.errors import InputError
 from deepfsi.frozen import Settings
 from deepfsi.hardware.drivers.followed import FollowedCounter
+from deepfsi.hardware.drivers.holding import refusals
 from deepfsi.hardware.ptu.writer import Writer
 from deepfsi.hardware.recording.streaming import FrameCounts, FrameGates
 
@@ -89,10 +90,10 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
     def __enter__(self) -> Self:
         """Take hold of the first device that is found."""
         self._module = _find_module()
-        with _in_one_line("be used"):
+        with _refusals("be used"):
             self._tagger = self._module.createTimeTagger()
         try:
-            with _in_one_line("take its settings"):
+            with _refusals("take its settings"):
                 for channel, level in self._levels.items():
                     self._tagger.setTriggerLevel(channel, level)
                 self._tagger.setStreamBlockSize(*BLOCK)
@@ -116,7 +117,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
         if path.exists():
             raise InputError(f"{path} is there already: give a new file")
         with ExitStack() as stack:
-            with _in_one_line("record these channels"):
+            with _refusals("record these channels"):
                 self._sync()  # levels are settled, and what came before is gone
                 stream = self._module.TimeTagStream(self._tagger, MOST_TAGS, list(self._codes))
             stack.callback(stream.stop)
@@ -155,7 +156,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
     def _read(self, tags: "_Tags", ending: threading.Event) -> None:
         """Write all tags until the end; what goes wrong is for the other side."""
         try:
-            with _in_one_line("hand over its tags"):
+            with _refusals("hand over its tags"):
                 while not ending.wait(POLL_S):
                     tags.take()
                 self._sync()
@@ -240,15 +241,9 @@ def _find_module() -> Any:
     )
 
 
-@contextmanager
-def _in_one_line(doing: str) -> Iterator[None]:
-    """Turn what the library raises into one line."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, TypeError, IndexError, OverflowError) as error:
-        raise InputError(
-            f"the Time Tagger cannot {doing}: {str(error).rstrip('.')}; check that it is on, "
-            "connected and not used by another program"
-        ) from None
+def _reason(error: Exception) -> str | None:
+    known = RuntimeError, ValueError, TypeError, IndexError, OverflowError
+    return str(error) if isinstance(error, known) else None
+
+
+_refusals = partial(refusals, "the Time Tagger", reason=_reason)

@@ -23,12 +23,14 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from deepfsi.errors import InputError
+from deepfsi.hardware.drivers.holding import let_go, refusals
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.progress import SILENT, Report
@@ -105,11 +107,8 @@ class _Board(ABC):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        """Halt and free the device; what went wrong before goes before what goes wrong here."""
-        quiet = contextlib.suppress(InputError) if kind else contextlib.nullcontext()
-        with quiet, contextlib.ExitStack() as stack:
-            stack.callback(self._free)
-            self.halt()
+        """Halt and free the device."""
+        let_go(kind, self.halt, self._free)
 
     def load(self, folder: Path, report: Report = SILENT) -> None:
         """Send the frames of a folder of any format to the device, in place of earlier ones."""
@@ -349,22 +348,13 @@ def _repeats(wanted_us: np.ndarray, picture_us: float) -> np.ndarray:
     return np.maximum(np.ceil(np.round(wanted_us / picture_us, 9)), 1).astype(np.int64)
 
 
-@contextlib.contextmanager
-def _refusals(doing: str) -> Iterator[None]:
-    """Say in one line what a device refused."""
+def _reason(error: Exception) -> str | None:
     # ALP4lib raises its own `ALPError`, `KeyError` for codes it does not know, `ValueError` for
     # versions it does not know, and `OSError` where Vialux's library is not there
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        if type(error).__name__ != "ALPError" and not isinstance(
-            error, KeyError | ValueError | OSError
-        ):
-            raise
-        reason = f"code {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(
-            f"the Vialux device cannot {doing}: {reason.rstrip('.')}; check that it is on, "
-            "connected and not used by another program"
-        ) from error
+    if isinstance(error, KeyError):
+        return f"code {error}"
+    ours = type(error).__name__ == "ALPError" or isinstance(error, ValueError | OSError)
+    return str(error) if ours else None
+
+
+_refusals = partial(refusals, "the Vialux device", reason=_reason)

@@ -43,15 +43,13 @@ class Ambient:
         # none of the sentinels' are needed, and dark counts are then part of the light.
         # lengths_s (f,): of the gates of the masks' frames
         exposures, (found, seconds) = len(gates[0]), frames
-        rate, noise = np.zeros((2, manifest.inputs))
+        rate, noise, flux = np.zeros(manifest.inputs), np.zeros(manifest.inputs), 0.0
         on, off = (_rate(found, seconds, ends) for ends in ([0, -2], [1, -1]))
-        arm = slice(0, manifest.detector_count)
         if on is not None and off is not None:
-            (rate, noise), first = (each.copy() for each in off), slice(arm.stop, None)
-            rate[first], noise[first] = on[0][first], on[1][first]  # dark when all mirrors are ON
-            flux = float((on[0] - off[0])[arm].sum())
-        else:
-            flux = 0.0
+            rate, noise = (
+                dark_frames(*each, manifest.detector_count) for each in zip(on, off, strict=True)
+            )
+            flux = float((on[0] - rate)[: manifest.detector_count].sum())
         mean, variance = gates[0].mean(axis=0), gates[1].sum(axis=0) / exposures**2
         lengths = lengths_by_readout(manifest, lengths_s)
         lengths = np.expand_dims(lengths, tuple(range(2, 2 + len(manifest.several))))
@@ -68,6 +66,11 @@ class Ambient:
                 "brighter than those of the dark scene; give the pass with the scene dark"
             )
         return left
+
+
+def dark_frames(on: np.ndarray, off: np.ndarray, detectors: int) -> np.ndarray:
+    """Values (inputs,) of frames in which inputs see no mirror: all OFF, or all ON of arm two."""
+    return np.append(off[:detectors], on[detectors:])
 
 
 def _rate(

@@ -66,7 +66,7 @@ class LiveLight:
         self._periodograms = [Periodogram() for _ in range(self._curves)]
         self._backgrounds: list[Background] = []
         self._said: set[tuple[str, int | None]] = set()
-        self.stray = 0.0  # counts/s with all mirrors ON that are no scene's, beyond the dark ones
+        self.ambient = 0.0  # counts/s with all mirrors ON that are no scene's, beyond the dark ones
         self.flux = 0.0  # counts/s of the scenes' light with all mirrors ON
         self.since = 0  # scene from which on it is that
         self.dark = np.zeros(len(inputs))  # counts/s of each input without light
@@ -87,7 +87,7 @@ class LiveLight:
         self.dark = np.array([each.rate[-1] for each in self._backgrounds[-len(self.dark) :]])
         on, on_s = curves[0].together(curves[0].bright)
         dark = self._backgrounds[0]
-        unlit = dark.photons[-1] + self.stray * dark.seconds[-1]
+        unlit = dark.photons[-1] + self.ambient * dark.seconds[-1]
         chance = excess_chance(on[-1], on_s[-1], unlit, dark.seconds[-1])
         lit = bool(chance <= NO_LIGHT)
         self._lit.append(lit)
@@ -102,7 +102,7 @@ class LiveLight:
             lit_so_far, sound = np.array(self._lit), np.array(self._sound)
             known = Checked(dark, lit_so_far, sound, ())
             flux, levels = find_flux(curves[0], known, self._manifest.brightness, self._chance)
-            self.flux = float(flux[-1]) - self.stray
+            self.flux = float(flux[-1]) - self.ambient
             self.since = int(np.flatnonzero(flux != flux[-1]).max(initial=-1)) + 1
             changes += levels
         new = tuple(each for each in changes if (each.kind, each.scene) not in self._said)
@@ -150,7 +150,7 @@ class LiveLight:
         used = used[used >= self.since]
         on, on_s = (each[used] for each in curve.together(curve.bright))
         found = float(on.sum()), float(on_s.sum())
-        rate = float(self._backgrounds[0].rate[-1]) + self.stray
+        rate = float(self._backgrounds[0].rate[-1]) + self.ambient
         ratio = spread(known)(np.array(len(used)), np.array(np.inf)) * 1.0
         most, least = ((photons_s * each + rate) * found[1] for each in (ratio, 1 / ratio))
         more = gammainc(found[0] / EXCESS, most / EXCESS)

@@ -21,9 +21,9 @@ def virtual_bench(
 ) -> Bench[BenchProjector]:
     """Bench for scenes (S, h, w) with the camera, flux, seed and wiring of an acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
-    # the last one is the darkness before a run
-    every = np.concatenate([scenes, np.zeros_like(scenes[:1])])
-    rates = arrival_rates(patterns, every, camera, acquisition.flux or 0.0, report)
+    if acquisition.live is not None and acquisition.live.background:
+        scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
+    rates = arrival_rates(patterns, scenes, camera, acquisition.flux or 0.0, report)
     laboratory = VirtualSetup(rates, camera, latencies, acquisition.seed or 0)
     return Bench(
         BenchProjector(laboratory),

@@ -27,6 +27,7 @@ from deepfsi.errors import InputError
 from deepfsi.hardware.patterns.sequence import Manifest
 from deepfsi.hardware.patterns.timing import usual_tolerance
 from deepfsi.hardware.recording.acquisition import Acquisition
+from deepfsi.hardware.recording.ambient import dark_frames
 from deepfsi.hardware.recording.faults import Fault
 from deepfsi.hardware.recording.live_light import LiveLight, ShownFrames
 from deepfsi.hardware.recording.live_settings import MARGIN_NS
@@ -92,7 +93,7 @@ class Observer:
             )
         self._sentinels = FrameList(SENTINELS, np.array([ON, OFF]), gates)
         # Counts/s of each input in each frame of the masks that are no scene's, and their variance
-        self._stray = np.zeros((2, len(manifest.shown), manifest.inputs))
+        self._ambient = np.zeros((2, len(manifest.shown), manifest.inputs))
 
     def measure_background(self, count: Count) -> None:
         """Measure what frames count beyond the dark counts while the scenes are dark."""
@@ -101,11 +102,12 @@ class Observer:
         found = self._arrivals(count, FrameList(0, frames, np.full(len(frames), gate)))
         rates = found.photons.sum(axis=1) / (gate * 1e-9)
         noise = found.variance.sum(axis=1) / (gate * 1e-9) ** 2
-        first = slice(0, self._manifest.detector_count)
-        dark, dark_noise = rates[ON].copy(), noise[ON].copy()  # of the arm that then sees no mirror
-        dark[first], dark_noise[first] = rates[OFF][first], noise[OFF][first]
-        self._stray = np.stack([rates - dark, noise + dark_noise])[:, 2:]
-        self._light.stray = float((rates[ON] - dark)[first].sum())
+        count_of_arm = self._manifest.detector_count
+        dark, dark_noise = (
+            dark_frames(each[ON], each[OFF], count_of_arm) for each in (rates, noise)
+        )
+        self._ambient = np.stack([rates - dark, noise + dark_noise])[:, 2:]
+        self._light.ambient = float((rates[ON] - dark)[:count_of_arm].sum())
 
     def observe(self, scene: int, count: Count) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none if there is no light."""
@@ -175,9 +177,9 @@ class Observer:
         rows = np.searchsorted(manifest.shown, shown.frames)
         counts, variance = found.photons.sum(axis=1), found.variance.sum(axis=1)
         seconds = (shown.gate_ns * 1e-9)[:, None]
-        stray, stray_noise = self._stray[:, rows]
-        dark = (self._light.dark + stray) * seconds
-        noise = dark.clip(min=0) + stray_noise * seconds**2 + (variance - counts).clip(min=0)
+        ambient, its_noise = self._ambient[:, rows]
+        dark = (self._light.dark + ambient) * seconds
+        noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
         every[:, rows] = counts - dark, noise
         held = by_readout(manifest, every)
         read, noise = held.reshape(2, header.rails, header.masks, header.detectors)
@@ -191,5 +193,5 @@ class Observer:
             for each in ([one.photons for one in ends], [one.variance for one in ends])
         )
         seconds = sum(float(each.seconds[ON].sum()) for each in ends)
-        dark = (float(self._light.dark[arm].sum()) + self._light.stray) * seconds
+        dark = (float(self._light.dark[arm].sum()) + self._light.ambient) * seconds
         return counts - dark, dark + max(variance - counts, 0.0), seconds

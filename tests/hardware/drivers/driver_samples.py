@@ -1,0 +1,33 @@
+"""What tests of several drivers share: patterns to show, and rules of every counter."""
+
+import numpy as np
+import pytest
+
+from deepfsi.errors import InputError
+from deepfsi.hardware.patterns.folder import DesignRails, export_patterns
+from deepfsi.hardware.patterns.sequence import FrameSettings
+
+
+def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell=1e-3, least=0.1):
+    """Folder of patterns of masks of 4 × 8, whose brightest pixels differ down to `least`."""
+    rng = np.random.default_rng(3)
+    rails = rng.random((1, masks, 32)) * rng.uniform(least, 1, (1, masks, 1))
+    rails /= masks if light == "equal-dwell" else rails.max(axis=2).sum()
+    export_patterns(
+        DesignRails(rails, light, (4, 8), summed_reflectance=10.0),
+        FrameSettings(device, dwell, format=format),
+        folder,
+    )
+    return folder
+
+
+def check_refused_before_a_recording(made, folder, said):
+    """A counter, made and not opened, counts nothing before it records, into a new file alone."""
+    with made as counter:
+        with pytest.raises(InputError, match=said):
+            counter.counts_since_marker(0.0)
+        (folder / "photons.ptu").touch()
+        with pytest.raises(InputError, match="is there already"):
+            counter.start(folder / "photons.ptu")
+    with pytest.raises(InputError, match="not open"):
+        counter.start(folder / "new.ptu")
