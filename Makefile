@@ -2,6 +2,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+unexport PYTHONDONTWRITEBYTECODE # compiled anew, the imports of torch alone take each process 3 s
+
 .PHONY: run test quick docs clean
 
 run: $(VENV)/installed
