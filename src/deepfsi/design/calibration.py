@@ -111,7 +111,7 @@ def _calibrate(
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
     whole = ReadoutModel.fit(rates)
     models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
-    pairs = np.empty((len(couples), len(COUNTS), len(CHANCES)))
+    likeness = [np.empty((len(COUNTS), couple.shape[1])) for couple in couples]
     levels = []
     for place, counts in enumerate(COUNTS):
         expected = np.full(len(rates), counts * rates.shape[1])
@@ -121,21 +121,21 @@ def _calibrate(
             seen = read, expected, np.zeros_like(read), weights
             for fold, model in zip(folds, models, strict=True):
                 values[look, :, fold] = np.transpose(model.statistics(*(k[fold] for k in seen)))
-        for k, couple in enumerate(couples):
-            likeness = whole.likeness(*([each[part] for each in seen[:3]] for part in couple))
-            pairs[k, place] = _tail(np.log(likeness))
+        for found, couple in zip(likeness, couples, strict=True):
+            found[place] = whole.likeness(*([each[part] for each in seen[:3]] for part in couple))
         levels.append(values)
     logs = np.log(np.maximum(np.stack(levels, axis=2), SMALLEST))
     every = _tail(logs)
     worst = np.max([every, *(_tail(logs[..., each]) for each in members)], axis=0)
-    return np.stack([every, worst], axis=1), pairs.max(axis=0)
+    pairs = np.max([_tail(np.log(found)) for found in likeness], axis=0)
+    return np.stack([every, worst], axis=1), pairs
 
 
 def _tail(logs: np.ndarray) -> np.ndarray:
     """Logarithms (..., chances) that values (..., n) exceed with each of `CHANCES`."""
     chances = np.array(CHANCES)
     tail = chances[chances * logs.shape[-1] >= IN_TAIL].min()
-    start = np.quantile(logs, 1 - tail, axis=-1)[..., None]
-    beyond = np.where(logs > start, logs - start, 0).mean(axis=-1, keepdims=True) / tail
     bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
+    start = bulk[..., chances == tail]
+    beyond = np.where(logs > start, logs - start, 0).mean(axis=-1, keepdims=True) / tail
     return np.where(chances >= tail, bulk, start + beyond * np.log(tail / chances))

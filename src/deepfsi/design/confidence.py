@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
-from scipy.special import logsumexp
 from torch import Tensor
 
 from deepfsi.optics.budget import TOO_DIM
@@ -161,10 +160,12 @@ def logits_at_stops(
 def _fit(logits: np.ndarray, labels: np.ndarray) -> float:
     """Log τ that gives logits (E, C) of known classes the least log loss."""
     wide, rows = logits.astype(float), np.arange(len(labels))
-    wide -= wide[rows, labels][:, None]
+    top = wide.max(axis=1, keepdims=True)
+    lost = float((top - wide[rows, labels][:, None]).mean())
+    wide -= top
 
     def log_loss(log: float) -> float:
-        return float(logsumexp(wide / np.exp(log), axis=1).mean())
+        return lost / np.exp(log) + float(np.log(np.exp(wide / np.exp(log)).sum(axis=1)).mean())
 
     found = minimize_scalar(log_loss, bounds=BOUNDS, method="bounded", options={"xatol": 1e-2})
     return float(found.x)

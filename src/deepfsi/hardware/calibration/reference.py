@@ -63,6 +63,9 @@ STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
 TRIED = 2
 """Starts of each orientation that are followed."""
 
+MOST_STEPS = 50
+"""Steps of a fit at most: a right one takes some twenty, and only wrong ones creep on."""
+
 MOST_SCALE, MOST_SHIFT, MOST_ROTATION = 0.05, 0.02, 3.0
 """Departures that are well: a share of 1, a share of the region's side, degrees.
 
@@ -231,7 +234,13 @@ def find_reference(counts: Counts, patterns: Patterns, report: Report = SILENT) 
         for start in starts[:TRIED]:
             limits = [0.2, -0.8, -0.6, -0.6, 0.0], [4.0, 0.8, 0.6, 0.6, 2.0]
             step = optimize.least_squares(
-                misfit, start, bounds=limits, x_scale=[0.1, 0.1, 0.1, 0.1, 0.3], xtol=1e-5
+                misfit,
+                start,
+                bounds=limits,
+                x_scale=[0.1, 0.1, 0.1, 0.1, 0.3],
+                ftol=1e-6,
+                xtol=1e-5,
+                max_nfev=MOST_STEPS,
             )
             found.append((2 * step.cost, layout, step))
     found.sort(key=lambda each: each[0])
