@@ -2,9 +2,18 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, binomtest
 
 from deepfsi.statistics.intervals import balanced, student, wilson, worst_of
+
+
+@pytest.mark.parametrize("images", [1, 2, 7, 500])
+def test_wilsons_interval_is_scipys(images):
+    for right in {0, 1, images // 3, images - 1, images}:
+        wanted = binomtest(right, images).proportion_ci(0.95, method="wilson")
+        assert wilson(right / images, images) == pytest.approx(tuple(wanted), rel=1e-9, abs=1e-12)
+    assert wilson(0.0, images)[0] == 0
+    assert wilson(1.0, images)[1] == 1
 
 
 def test_every_class_counts_alike():
