@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 
 unexport PYTHONDONTWRITEBYTECODE # compiled anew, the imports of torch alone take each process 3 s
 
-.PHONY: run test quick docs clean
+.PHONY: run test quick static pytest-test pytest-quick docs clean
 
 run: $(VENV)/installed
 	$(BIN)/deepfsi compare --camera paper -o runs/paper
@@ -13,18 +13,19 @@ run: $(VENV)/installed
 	  -o runs/dmd/looks.safetensors
 	$(BIN)/deepfsi page runs/dmd/looks.safetensors -o runs/dmd/page.html
 
-test: $(VENV)/installed
+test quick: $(VENV)/installed
+	$(MAKE) --jobs 2 static pytest-$@
+
+static: # one process, which leaves the other cores to pytest
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+pytest-test:
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n logical --dist worksteal
 
-quick: $(VENV)/installed
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
+pytest-quick:
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m core -n logical --dist worksteal tests
 
 docs: $(VENV)/docs

@@ -25,7 +25,7 @@ SLOW = ["report", "report's design"]
 """Readers that draw figures: few inputs."""
 
 FAST = [name for name in READERS if name not in SLOW]
-GROUPS = [*((ROUNDS, FAST[first::4]) for first in range(4)), (min(ROUNDS, 30), SLOW)]
+GROUPS = [*((ROUNDS, FAST[first::2]) for first in range(2)), (min(ROUNDS, 12), SLOW)]
 """Readers that share a process, and their rounds."""
 
 
