@@ -2,13 +2,12 @@
 
 import math
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 import torch
 
-from conftest import every_optics, generator, quick
+from conftest import every_optics, generator, once, quick
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.exposure.conditioned import ConditionedExposure
@@ -28,15 +27,9 @@ TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}
 LONGER = {"epochs": 40, "hidden": (64, 64), "lr": 1e-2, "mask_lr": 0.1, "scale": "common"}
 
 
-@pytest.fixture(scope="module")
-def trained(digits):
-    """Give a nested design for a range; the same one each time: do not change it."""
-    return cache(lambda **optics: quick(digits, **optics, **TRAINED))
-
-
 @every_optics
-def test_the_first_masks_at_the_whole_constraint_obey_it(trained, light, rails):
-    design = trained(light=light, rails=rails)
+def test_the_first_masks_at_the_whole_constraint_obey_it(digits, light, rails):
+    design = once(digits, light=light, rails=rails, **TRAINED)
     whole = constraints.used(design.rails.stacked, light)[-1]
     for masks in range(3, 9):
         part = design.first(masks)
@@ -50,9 +43,9 @@ def test_the_first_masks_at_the_whole_constraint_obey_it(trained, light, rails):
 
 @every_optics
 def test_an_exposure_that_stops_is_one_of_the_first_masks_at_the_budget_so_far(
-    digits, trained, light, rails
+    digits, light, rails
 ):
-    design = trained(light=light, rails=rails)
+    design = once(digits, light=light, rails=rails, **TRAINED)
     scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.summed_reflectance)
     counts = design.scanner().counts(scenes, generator(1))
     for masks in (3, 5, 8):
@@ -133,8 +126,8 @@ def test_what_fewer_masks_gain_in_light_has_its_gradient():
 
 
 @every_optics
-def test_nested_masks_take_the_whole_of_their_constraint(trained, light, rails):
-    design = trained(light=light, rails=rails)
+def test_nested_masks_take_the_whole_of_their_constraint(digits, light, rails):
+    design = once(digits, light=light, rails=rails, **TRAINED)
     assert float(constraints.used(design.rails.stacked, light)[-1]) == pytest.approx(1, rel=1e-5)
 
 
@@ -186,8 +179,8 @@ def test_fixed_masks_can_be_conditioned_too(digits, design):
     assert evaluate(made, digits, [1e4, 1e6])[1].accuracy > 0.1
 
 
-def test_the_file_keeps_the_conditioning(trained, tmp_path):
-    design = trained().first(5)
+def test_the_file_keeps_the_conditioning(digits, tmp_path):
+    design = once(digits, **TRAINED).first(5)
     again = Design.load(design.save(tmp_path / "d.safetensors"))
     assert again.exposure == design.exposure
     assert 0 < again.exposure.used < 1
@@ -199,8 +192,8 @@ def test_the_file_keeps_the_conditioning(trained, tmp_path):
     "damage",
     [{"masks": 4}, {"masks": 9}, {"photons": 0.0}, {"span": 0.5}, {"used": -1.0}, {"nested": 2.5}],
 )
-def test_damaged_conditioning_is_refused(trained, tmp_path, damage):
-    path = trained().save(tmp_path / "d.safetensors")
+def test_damaged_conditioning_is_refused(digits, tmp_path, damage):
+    path = once(digits, **TRAINED).save(tmp_path / "d.safetensors")
     rewrite(path, lambda header, _: header["exposure"].update(damage))
     refused(path)
 
@@ -228,9 +221,9 @@ def test_what_cannot_be_is_refused(digits, settings, words):
         quick(digits, **settings)
 
 
-def test_a_plain_design_has_no_first_masks(digits, trained):
+def test_a_plain_design_has_no_first_masks(digits):
     with pytest.raises(InputError, match="`nested`"):
         quick(digits, masks=6).first(3)
     with pytest.raises(InputError, match="3 to 8"):
-        trained().first(2)
+        once(digits, **TRAINED).first(2)
     assert quick(digits, masks=6).first(6).masks == 6

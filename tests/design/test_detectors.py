@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import RECIPE, generator, quick
+from conftest import RECIPE, generator, once
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import evaluate
 from deepfsi.design.onnx_graph import to_onnx
@@ -35,7 +35,7 @@ OPTICS = [
 def trained(digits, kind="fixed", light="free-dwell", rails="single", readout=None, **settings):
     words = {"masks": 5, "detectors": "2x2", **KINDS[kind], **settings}
     words |= {} if readout is None else {"readout": readout}
-    return quick(digits, light=light, rails=rails, **words)
+    return once(digits, light=light, rails=rails, **words)
 
 
 def possible(kind, light, rails, readout) -> bool:
@@ -123,7 +123,7 @@ def test_more_detectors_read_more_of_the_same_light(digits):
 def test_a_map_of_detectors_trains_as_its_tiles(digits):
     tiles = Detection.of("2x2", digits.image_shape).labels.numpy()
     one = trained(digits)
-    other = trained(digits, detectors=tiles)
+    other = trained(digits, detectors=tuple(tiles.tolist()))
     assert torch.equal(one.rails.stacked, other.rails.stacked)
     assert one.info["job"]["camera"]["detectors"] == "2x2"
     assert other.info["job"]["camera"]["detectors"] == tiles.tolist()

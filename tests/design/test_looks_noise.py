@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from conftest import generator, quick
+from conftest import generator, once, quick
 from deepfsi.datasets import from_arrays
 from deepfsi.design.classifiers import Replicas
 from deepfsi.design.evaluation import evaluate
@@ -55,7 +55,7 @@ def assert_law(off: Tensor, variance: Tensor) -> None:
 def test_sums_of_looks_have_the_mean_and_variance_of_light_dark_counts_and_read_noise(
     digits, optics, dark, sigma
 ):
-    design = quick(digits, masks=5, looks=LOOKS, **optics)
+    design = once(digits, masks=5, looks=LOOKS, **optics)
     scanner, few = design.scanner("camera", sigma, dark), torch.from_numpy(digits.x_test[:4])
     with torch.no_grad():
         rates = design.rates(scanner, few.repeat_interleave(5000, dim=0))
