@@ -250,11 +250,11 @@ def test_least_squares_pictures(opened, designs, digits, kind):
         "return [[...p], [...a.counts], [...a.scale]]",
     )
     rails = design.rails.stacked.double().numpy()
-    every = rails.reshape(-1, design.pixels)
+    every = rails.reshape(-1, rails.shape[-1])
     labels = design.detection.labels
-    wanted = np.zeros(design.pixels)
+    wanted = np.zeros(rails.shape[-1])
     for detector in range(design.detection.count):
-        own = np.full(design.pixels, True) if labels is None else labels.numpy() == detector
+        own = np.full(rails.shape[-1], True) if labels is None else labels.numpy() == detector
         step = slice(detector, None, design.detection.count)
         rows = every[:, own] * np.array(scale)[step, None]
         unit = np.array(counts)[step] * design.summed_reflectance / 1e5

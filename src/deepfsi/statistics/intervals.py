@@ -11,7 +11,7 @@ Z = NormalDist().inv_cdf(0.975)
 
 def wilson(accuracy: float, images: int) -> tuple[float, float]:
     """95 % interval of a mean over images, each of which counts as one trial."""
-    # scipy's binomtest gives it too, and first tests a hypothesis, which takes a hundred times longer
+    # in closed form: scipy's binomtest, which gives it too, tests a hypothesis first
     rate, part = round(accuracy * images) / images, Z**2 / images
     half = math.sqrt(part * (rate * (1 - rate) + part / 4))
     low, high = ((rate + part / 2 + off) / (1 + part) for off in (-half, half))
