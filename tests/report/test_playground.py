@@ -175,8 +175,7 @@ def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
     assert browser.find_element(By.ID, "verdict").text.startswith("No answer: this scene is darker")
     answer = browser.find_element(By.ID, "answer")
     assert "%" not in answer.text
-    assert not answer.find_elements(By.CSS_SELECTOR, ".top, .fill")
-    assert not browser.find_elements(By.CSS_SELECTOR, "#history .class-line")
+    assert not browser.find_elements(By.CSS_SELECTOR, "#answer .top, #answer .fill, .class-line")
     assert "No probabilities" in browser.find_element(By.ID, "answer-words").text
 
 
