@@ -157,7 +157,7 @@ def test_each_detector_has_the_brightest_mask_of_its_pixels():
     areas = torch.nn.functional.one_hot(QUARTERS).T.double()
     whole = brightest(torch.from_numpy(differ), torch.from_numpy(scene), areas)
     for d in range(4):
-        own = QUARTERS == d
+        own = d == QUARTERS
         part = [torch.from_numpy(each[:, own]) for each in (differ, scene)]
         assert torch.equal(brightest(*part, torch.ones(1, 2).double()), whole[:, own])
 

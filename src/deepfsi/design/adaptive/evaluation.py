@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -144,9 +145,9 @@ def adaptive_masks(
     draws: int = 1,
     seed: int = 0,
     report: Report | None = None,
-    **settings: float,
-) -> list[AdaptiveResult]:
-    """Accuracy of adaptive masks on test scenes under photon noise, a result for each budget.
+    **settings: Any,
+) -> list[Result]:
+    """Accuracy of adaptive masks on test scenes under photon noise: `AdaptiveResult`, one a budget.
 
     One mirror device: each look shows one binary mask, made from the counts of all looks before.
     Training scenes are the prior; test scenes are exposed.
