@@ -15,7 +15,8 @@ import deepfsi
 from deepfsi.datasets import Dataset
 from deepfsi.design.artifact import Design
 from deepfsi.design.evaluation import Result
-from deepfsi.training.confidence import find_temperatures
+from deepfsi.training.characterisation import find_temperatures
+from deepfsi.training.job import Job
 
 KINDS: dict[str, dict[str, Any]] = {
     "fixed, 10⁴": {"masks": 16, "photons": 1e4, "camera": "paper"},
@@ -58,7 +59,7 @@ def main() -> None:
         low = settings["photons"]
         high = low * settings.get("exposure", {}).get("span", 1)
         began = time.process_time()
-        find_temperatures(design, design.scanner(), (low, high), kept, 0)
+        find_temperatures(design, Job.model_validate(design.info["job"]), kept)
         times.append(f"{name}: {(time.process_time() - began) / trained:.1%}")
         plain = replace(design, temperatures=None)
         pairs = zip(*(tests(each, data, low, high) for each in (design, plain)), strict=True)

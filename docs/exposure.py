@@ -292,9 +292,10 @@ def draw_light(film: Film, run: Run) -> None:
     )
     answer, sure = run.chances[-1].argmax(), run.chances[-1].max()
     lines = (
-        f"{sure:.0%} sure after {len(run.masks)} masks",
-        f"and {used:.0%} of the light.",
-        f"Raster scan: {len(run.raster)} photons.",
+        f"{sure:.0%} sure after",
+        f"{len(run.masks)} masks and {used:.0%}",
+        "of the light.",
+        f"Raster: {len(run.raster)} photons.",
     )
     x = 220 + 504 * len(run.masks) / run.tested.rule.after[-1]
     words = "".join(

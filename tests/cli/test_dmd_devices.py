@@ -82,5 +82,5 @@ def test_devices_are_listed_with_their_sources(done):
     out = done("dmd", "devices")
     assert all(name in out for name in ("dlp7000", "dlp500yx", "dlp4500", "2716 x 1600", "diamond"))
     every = {one["name"]: one for one in json.loads(done("dmd", "devices", "--json"))["devices"]}
-    assert every["dlp9000"]["patterns"] == 480
-    assert every["dlp9000"]["sources"]["patterns"].startswith("DLPC900 data sheet DLPS037H")
+    assert every["dlp9000"]["patterns"] == 400
+    assert every["dlp9000"]["sources"]["patterns"].startswith("DLPC900 programmer's guide DLPU018J")

@@ -50,6 +50,30 @@ def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, tmp_path)
     assert line == f"data: {facts['name']}. {facts['preprocessing']}"
 
 
+@pytest.mark.parametrize("command", ["design", "compare", "plan"])
+def test_pictures_that_cannot_be_read_are_left_out_and_named(
+    done, refuse, pictures, tmp_path, command
+):
+    (pictures / "ash" / "bad.png").write_text("no picture")
+    out = tmp_path / "out.safetensors"
+    words = [command, "--data", pictures, "--masks", 3, "--epochs", 1]
+    words += {
+        "design": ["--design", "pca", "--photons", "1e4"],
+        "compare": ["--designs", "pca", "--workers", 1, "--photons", "1e4"],
+        "plan": ["--designs", "pca", "--workers", 1, "--trials", 1, "--target", 0.4],
+    }[command]
+    said = refuse(*words, "-o", out)
+    assert "bad.png" in said
+    assert "--skip-bad" in said
+    [line] = [
+        line
+        for line in done(*words, "--skip-bad", "-o", out).splitlines()
+        if line.startswith("data:")
+    ]
+    assert "bad.png" in line
+    assert "90 images" in line
+
+
 def test_a_design_remembers_its_data_size_and_camera(done, pictures, tmp_path, monkeypatch):
     file = tmp_path / "leaves.safetensors"
     monkeypatch.chdir(pictures.parent)  # told by a relative path

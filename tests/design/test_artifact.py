@@ -380,7 +380,7 @@ def test_classify_refuses_budgets_of_another_shape(camera):
 
 def test_the_matrix_is_signed_by_rail(made):
     design = made("deepfsi", "column", "dual")
-    assert design.matrix.shape == (design.masks, design.pixels) == (7, 64)
+    assert design.matrix.shape == (design.masks, 64) == (7, 64)
     assert (design.matrix == (design.rails.plus - design.rails.minus).numpy()).all()
 
 

@@ -11,15 +11,16 @@ from conftest import quick
 from deepfsi.design.artifact import Design
 from deepfsi.design.confidence import (
     BINS,
-    Temperatures,
     calibration_error,
     confidence_groups,
     fit_temperatures,
     logits_at_stops,
 )
 from deepfsi.design.evaluation import evaluate
+from deepfsi.design.temperatures import Temperatures
 from deepfsi.errors import InputError
-from deepfsi.training.confidence import find_temperatures
+from deepfsi.training.characterisation import find_temperatures
+from deepfsi.training.job import Job
 
 PHOTONS = 1e4
 HELD_OUT = 437
@@ -146,18 +147,15 @@ def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     kept = digits.hold_out(HELD_OUT)
     shuffled = replace(kept, y_test=rng.permutation(kept.y_test))
     others = replace(kept, y_train=rng.permutation(kept.y_train))
-    budgets = PHOTONS, PHOTONS
+    job = Job.model_validate(fixed.info["job"])
     known, wrong, same = (
-        find_temperatures(fixed, fixed.scanner(), budgets, data, 0).logs
-        for data in (kept, shuffled, others)
+        find_temperatures(fixed, job, data).logs for data in (kept, shuffled, others)
     )
     assert np.array_equal(known, fixed.temperatures.logs)
     assert np.array_equal(known, same)
     assert (wrong > known + 0.5).all()
     test = replace(digits, y_test=rng.permutation(digits.y_test))  # of none held out: no test scene
-    own, its = (
-        find_temperatures(fixed, fixed.scanner(), budgets, each, 0).logs for each in (digits, test)
-    )
+    own, its = (find_temperatures(fixed, job, each).logs for each in (digits, test))
     assert np.array_equal(own, its)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -31,6 +32,13 @@ def test_what_a_page_cannot_play_is_refused(made):
     with pytest.raises(InputError, match="of image patches"):
         check_playable(replace(good, exposure=PatchExposure(4)))
     assert check_playable(good) is good.classifier
+
+
+def test_the_flattest_training_scene_is_the_one_of_the_least_spread(made, digits):
+    """The page says where what is drawn is flatter than that."""
+    held = playable(made("deepfsi", "column", "dual"), digits)["scenes"]
+    spreads = [np.sqrt(((scene - scene.mean()) ** 2).mean()) for scene in digits.x_train]
+    assert held["flattest"] == pytest.approx(min(spreads), rel=1e-5)
 
 
 def test_a_design_that_does_not_say_what_it_was_learned_for(made, digits):

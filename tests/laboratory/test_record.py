@@ -232,7 +232,7 @@ def test_real_devices_are_asked_by_the_same_options(refuse, lab, tmp_path, monke
     levels = tmp_path / "levels.toml"
     levels.write_text("[trigger_levels]\n1 = 'high'\n")
     config = (*swabian, "--marker-channel", "8", "--counter-config", levels)
-    assert "trigger_levels.1" in refuse(*words, *config)
+    assert f"{levels} cannot be used at trigger_levels.1" in refuse(*words, *config)
     levels.write_text("[trigger_levels]\n1 = 0.1\n8 = 1.2\n")
     assert "ALP4lib" in refuse(*words, *config)
     assert "is for --counter swabian" in refuse(

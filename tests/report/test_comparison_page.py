@@ -197,6 +197,27 @@ def test_one_detector_is_said_of_the_optics_that_have_one(tmp_path, light, said)
     assert "impulse imaging" not in summary(single, "poisson")
 
 
+@pytest.mark.parametrize("rails", ["single", "dual"])
+def test_the_sketch_and_the_words_are_of_the_rails_that_the_masks_have(tmp_path, rails):
+    """Masks of a single rail have no negative entries, and nothing counts them."""
+    results = with_all(make_results(tmp_path, lights=("free-dwell",)), rails=rails)
+    write_results(tmp_path / "results.json", results)
+    page, two = page_of(tmp_path), rails == "dual"
+    [sketch] = re.findall('<figure class="camera">.*?</figure>', page, re.DOTALL)
+    assert ("rails + and −" in sketch) == two
+    assert ("negative part" in sketch) == two
+    assert ("var(--pca)" in sketch) == two
+    assert ("negative ones, where it has any" in sketch) == two
+    assert ("No entry of a mask is negative" in sketch) == (not two)
+    assert ("negative ones by the other" in words_of(page)) == two
+    assert "Impulse imaging has no masks" in sketch
+    write_results(
+        tmp_path / "results.json",
+        results.with_points(p for p in results.points if p.design != "impulse"),
+    )
+    assert "Impulse imaging" not in page_of(tmp_path).partition("</figure>")[0]
+
+
 def test_each_noise_has_a_panel_and_each_light_a_series(tmp_path):
     results = make_results(
         tmp_path,

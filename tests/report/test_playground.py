@@ -156,7 +156,7 @@ def test_too_little_light_is_said_and_no_stop_is_offered_far_from_its_rule(opene
         assert ("could have stopped" in words) == (3.5 <= exponent <= 4.5)
 
 
-def test_a_scene_unlike_all_of_the_training_is_said_and_never_stopped(opened):
+def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
     strange, usual, stopped = ask(
         opened("looks"),
         "const flat = v => page.scene.map(() => v); const { low, high } = model.scenes;"
@@ -172,7 +172,11 @@ def test_a_scene_unlike_all_of_the_training_is_said_and_never_stopped(opened):
     browser = opened("looks")
     browser.find_element(By.ID, "clear").click()
     time.sleep(0.2)
-    assert "the probability does not hold" in browser.find_element(By.ID, "verdict").text
+    assert browser.find_element(By.ID, "verdict").text.startswith("No answer: this scene is darker")
+    answer = browser.find_element(By.ID, "answer")
+    assert "%" not in answer.text
+    assert not browser.find_elements(By.CSS_SELECTOR, "#answer .top, #answer .fill, .class-line")
+    assert "No probabilities" in browser.find_element(By.ID, "answer-words").text
 
 
 @pytest.mark.parametrize("kind", ["column", "equal", "looks", "nested"])
@@ -250,11 +254,11 @@ def test_least_squares_pictures(opened, designs, digits, kind):
         "return [[...p], [...a.counts], [...a.scale]]",
     )
     rails = design.rails.stacked.double().numpy()
-    every = rails.reshape(-1, design.pixels)
+    every = rails.reshape(-1, rails.shape[-1])
     labels = design.detection.labels
-    wanted = np.zeros(design.pixels)
+    wanted = np.zeros(rails.shape[-1])
     for detector in range(design.detection.count):
-        own = np.full(design.pixels, True) if labels is None else labels.numpy() == detector
+        own = np.full(rails.shape[-1], True) if labels is None else labels.numpy() == detector
         step = slice(detector, None, design.detection.count)
         rows = every[:, own] * np.array(scale)[step, None]
         unit = np.array(counts)[step] * design.summed_reflectance / 1e5

@@ -1,5 +1,8 @@
 """Tables of numbers: the same table from every kind of file, and one line for what is none."""
 
+import os
+from pathlib import Path
+
 import h5py
 import numpy as np
 import polars as pl
@@ -132,7 +135,7 @@ def test_files_that_are_no_table_are_one_line(tmp_path):
     assert np.array_equal(read_table(f"{tmp_path}/two.mat:b").values, VALUES)
 
 
-def test_damage_that_a_library_does_not_expect_is_one_line(tmp_path, monkeypatch):
+def test_damage_that_a_library_does_not_expect_is_one_line(tmp_path, monkeypatch, capfd):
     """Found by random damage: numpy tokenises a header, polars panics outside of `Exception`."""
     header = b"\x93NUMPY\x01\x00" + (118).to_bytes(2, "little") + b"{'descr'5[r".ljust(118)
     (tmp_path / "a.npy").write_bytes(header)
@@ -140,12 +143,31 @@ def test_damage_that_a_library_does_not_expect_is_one_line(tmp_path, monkeypatch
         read_table(tmp_path / "a.npy")
 
     def panic(path):
+        os.write(2, b"thread 'async-executor-1' panicked at unpack.rs\nstack backtrace:\n")
         raise pl.exceptions.PanicException("assertion failed\n  left: 0")
 
     source = write(tmp_path, "parquet")
     monkeypatch.setattr(pl, "read_parquet", panic)
     with pytest.raises(InputError, match=r"as a table \(assertion failed\)"):
         read_table(source)
+    os.write(2, b"later")
+    assert capfd.readouterr().err == "later"
+
+
+def test_no_damage_of_a_parquet_file_prints_more_than_a_line(tmp_path, capfd):
+    """polars panics where a data page gives a width of 191 bits."""
+    path = Path(write(tmp_path, "parquet"))
+    sound = path.read_bytes()
+    refused = []
+    for place in range(len(sound)):
+        path.write_bytes(sound[:place] + b"\xbf" + sound[place + 1 :])
+        try:
+            read_table(path)
+        except InputError as error:
+            refused.append(str(error))
+    assert refused
+    assert not any("\n" in said for said in refused)
+    assert capfd.readouterr().err == ""
 
 
 def test_hdf5_without_its_package_says_what_to_install(tmp_path, monkeypatch):

@@ -64,6 +64,7 @@ def plan(
     out: options.Folder = Path("runs/plan"),
     data: options.Data = "digits",
     size: options.Size = None,
+    skip_bad: options.SkipBad = False,
     designs: options.Designs = None,
     ratios: options.Ratios = None,
     trials: options.Trials = None,
@@ -89,7 +90,7 @@ def plan(
     from deepfsi.sweeps.workers import Workers
 
     accuracy = options.number("target", target)
-    fields = options.recipe_fields(data, size, designs, ratios, trials)
+    fields = options.recipe_fields(data, size, skip_bad, designs, ratios, trials)
     recipe, scenes = check_recipe(options.recipe_settings(settings, fields, PLANNED))
     options.check_sigma(settings, recipe.noises)
     check_plan(recipe, scenes, accuracy)
@@ -111,6 +112,7 @@ def plan(
     if as_json:
         common.print_json("plan", found)
         return
+    common.print_data(scenes)
     axes = ("light", "rails", "detectors", "readout")
     several = [axis for axis in axes if len({need[axis] for need in found["needs"]}) > 1]
     _print_needs(found, several)

@@ -204,7 +204,10 @@ def _tagger(
 
     if channel is None:
         raise InputError("--counter swabian needs --marker-channel, the trigger's: such as 8")
-    settings = None if config is None else TaggerSettings(**read_toml(config))
+    settings = None
+    if config is not None:
+        with as_input_error(str(config)):
+            settings = TaggerSettings.model_validate(read_toml(config))
     return TaggerCounter(inputs, marker_bit, trigger=channel, settings=settings)
 
 

@@ -335,12 +335,18 @@ def _fixed_count(job: Mapping[str, Any], data: "Dataset") -> int:
 
 
 def recipe_fields(
-    data: str | None, size: str | None, designs: str | None, ratios: str | None, trials: int | None
+    data: str | None,
+    size: str | None,
+    skip_bad: bool,
+    designs: str | None,
+    ratios: str | None,
+    trials: int | None,
 ) -> dict[str, Any]:
     """Fields of a recipe that are no settings of a job, None where one is not given."""
     return {
         "data": data,
         "size": size_of(size),
+        "skip_bad": skip_bad or None,
         "designs": words(designs),
         "ratios": numbers("ratios", ratios),
         "trials": trials,

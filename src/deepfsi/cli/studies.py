@@ -65,8 +65,8 @@ def compare(
         if data == "digits" and not (ratios or trials or "masks" in settings):
             base |= QUICK
     fields = options.recipe_fields(
-        data if data != "digits" else None, size, designs, ratios, trials
-    ) | ({"skip_bad": True} if skip_bad else {})
+        data if data != "digits" else None, size, skip_bad, designs, ratios, trials
+    )
     chosen = check_recipe(options.recipe_settings(settings, fields, base), own)
     options.check_sigma(settings, (*chosen[0].noises, *chosen[0].test_noise))
     if not force:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from math import prod
+from html import escape
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,15 +13,15 @@ from torch import Tensor, nn
 
 from deepfsi.design import artifact_file
 from deepfsi.design.classifiers import Mlp, Vit
-from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import Consistency, ReadoutDistribution
-from deepfsi.design.display import design_html, design_text
 from deepfsi.design.exposure.looks import Dwells, LooksExposure
 from deepfsi.design.exposure.trained import FixedExposure, Observation, TrainedExposure
 from deepfsi.design.own import Given, OwnClassifier, make, restored
 from deepfsi.design.readings import check_look, check_readouts
+from deepfsi.design.temperatures import Temperatures
 from deepfsi.errors import InputError, as_input_error
 from deepfsi.files import DESIGNS, check_ending, write_atomically
+from deepfsi.inline import mask_picture
 from deepfsi.laws import Light
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import check_budget
@@ -95,10 +95,17 @@ class Design:
     temperatures: Temperatures | None = None
 
     def __repr__(self) -> str:
-        return design_text(self)
+        budget = self.info.get("job", {}).get("photons")
+        trained = f", learned at {budget:g} photons" if budget else ""
+        network = getattr(self.classifier, "title", type(self.classifier).__name__)
+        return (
+            f"<Design {self.name}: {self.masks} masks of {'x'.join(map(str, self.mask_shape))}, "
+            f"{self.light}, {self.rails.kind} rails, {network}, {len(self.classes)} classes"
+            f"{trained}>"
+        )
 
     def _repr_html_(self) -> str:
-        return design_html(self)
+        return f"<p>{escape(repr(self))}</p>{mask_picture(self.matrix, self.mask_shape)}"
 
     @property
     def matrix(self) -> np.ndarray:
@@ -109,11 +116,6 @@ class Design:
     def masks(self) -> int:
         """m, number of masks."""
         return self.rails.masks
-
-    @property
-    def pixels(self) -> int:
-        """Number of pixels of an image."""
-        return prod(self.image_shape)
 
     @property
     def mask_shape(self) -> tuple[int, ...]:

@@ -13,13 +13,13 @@ from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
 from deepfsi.design.classifiers import Mlp, Vit, restored
-from deepfsi.design.confidence import Temperatures
 from deepfsi.design.consistency import ReadoutDistribution
 from deepfsi.design.exposure.conditioned import ConditionedExposure
 from deepfsi.design.exposure.looks import LooksShape
 from deepfsi.design.exposure.trained import STRICT, FixedExposure, PatchExposure
 from deepfsi.design.file_content import SCHEMA, Info, damaged, read_content
 from deepfsi.design.own import OwnClassifier
+from deepfsi.design.temperatures import Temperatures
 from deepfsi.imports import PATTERN
 from deepfsi.laws import MOST_LAYERS, Light, Readout, SummedReflectance, Widths
 from deepfsi.optics import constraints

@@ -1,18 +1,12 @@
 """Calibration of the test of counts: simulated exposures of scenes that a model has not seen."""
 
 from collections.abc import Callable, Sequence
-from math import prod
-from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from deepfsi.design.consistency import CHANCES, COUNTS, ReadoutDistribution
 from deepfsi.design.readout_model import SMALLEST, ReadoutModel
-
-if TYPE_CHECKING:  # a design holds a distribution
-    from deepfsi.design.artifact import Design
 
 FEWEST_SCENES = 100
 """Scenes from which on a tail is calibrated."""
@@ -43,15 +37,6 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
     """Places of the training scenes, of `count`, that are looked at."""
     most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
-
-
-def distribution_of(design: "Design", scenes: Tensor, labels: Tensor) -> ReadoutDistribution | None:
-    """Distribution of a design's readouts of scenes (n, N) of classes (n,)."""
-    rows = sample_scenes(len(scenes), prod(design.counts_shape))
-    x, several = scenes[rows], (labels[rows].cpu().numpy(), len(design.classes), design.detection)
-    with torch.no_grad():
-        rates, lit = design.rates(design.scanner(), x), x.sum(dim=-1) / design.summed_reflectance
-        return design.exposure.distribution(rates, lit, *several, design.mean, design.std)
 
 
 def find_distribution(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
+from math import prod
 from typing import Any, get_args
 
 import numpy as np
@@ -247,9 +248,10 @@ def test_scenes(
 
 def check_data(design: Design, data: Dataset) -> None:
     """Raise `InputError` unless a design can classify the scenes of a data set."""
-    if data.pixels != design.pixels:
+    pixels = prod(design.image_shape)
+    if data.pixels != pixels:
         raise InputError(
-            f"{data.name} has {data.pixels} pixels and the design {design.pixels}: use the data "
+            f"{data.name} has {data.pixels} pixels and the design {pixels}: use the data "
             "(and `size`) that it was made for"
         )
     if data.classes != design.classes:

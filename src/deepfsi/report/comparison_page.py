@@ -72,6 +72,7 @@ def page_text(results: Results, designs: Path) -> str:
         results=results,
         opened=opened(results),
         camera=camera_text(points),
+        two_rails=any(p.rails == "dual" for p in points if not p.every_pixel),
         impulse=any(p.every_pixel for p in points),
         summary=[summary(results, noise) for noise in accuracy.noises(results)],
         variants=len(accuracy.series(points, axes)) > len({p.design for p in points}),

@@ -1,6 +1,8 @@
 """Tables of numbers in ``.csv``, ``.parquet``, ``.npy``, ``.mat`` and HDF5 files."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,7 +78,8 @@ def _of_columns(path: Path, words: Sequence[str]) -> Table:
 
     try:
         text = path.suffix.lower() in TEXTS
-        frame, names = _read_text(path) if text else _read_parquet(path)
+        with _without_reports():
+            frame, names = _read_text(path) if text else _read_parquet(path)
     except InputError:
         raise
     except (Exception, pl.exceptions.PanicException) as error:  # what polars cannot parse
@@ -96,6 +99,27 @@ def _of_columns(path: Path, words: Sequence[str]) -> Table:
         return Table(np.empty((0, 0)), heads, said_words)
     numbers = [columns[place] for place in kept]
     return Table(_numbers(numbers, heads, path), heads, said_words)
+
+
+@contextmanager
+def _without_reports() -> Iterator[None]:
+    """Drop what is written to file descriptor 2.
+
+    A thread of polars that panics prints so, and its exception says the same.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # a program without a terminal may have closed it
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _read_parquet(path: Path) -> tuple["pl.DataFrame", list[str]]:

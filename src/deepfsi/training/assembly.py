@@ -7,7 +7,6 @@ from torch import Tensor, nn
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.calibration import distribution_of
 from deepfsi.design.own import OwnClassifier, make
 from deepfsi.errors import InputError
 from deepfsi.laws import Light
@@ -18,9 +17,10 @@ from deepfsi.optics.detection import Detection
 from deepfsi.optics.masks import LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.optics.scanner import Scanner
-from deepfsi.training.confidence import find_temperatures
+from deepfsi.training.characterisation import characterise
 from deepfsi.training.job import Job
 from deepfsi.training.learning import provenance
+from deepfsi.training.training_set import TrainingSet
 
 
 def design_of(
@@ -33,9 +33,8 @@ def design_of(
 ) -> Design:
     """Design of a scanner and a network that were trained together, elsewhere.
 
-    The classifier goes on to see what it was trained on: counts of a budget Φ. Those of another
-    budget are brought to it by their ratio. Raises `InputError` if scanner, classifier and data do
-    not fit together, or the masks break their constraint.
+    Its counts at another budget are scaled to that of the training. Raises `InputError` if scanner,
+    classifier and data do not fit together, or the masks break their constraint.
 
     Parameters
     ----------
@@ -82,16 +81,7 @@ def design_of(
         info=provenance(job, scenes, rails.device, 0.0),
     )
     del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
-    return _calibrated(design, scanner, scenes, job)
-
-
-def _calibrated(design: Design, scanner: Scanner, data: Dataset, job: Job) -> Design:
-    """The design with the distribution of its readouts, and its temperatures."""
-    scenes = torch.from_numpy(data.x_train).to(design.rails.difference)
-    design.distribution = distribution_of(design, scenes, torch.from_numpy(data.y_train))
-    exact = design.scanner() if scanner.noise == "ml_gauss" else scanner
-    budgets = (job.photons, job.photons)
-    design.temperatures = find_temperatures(design, exact, budgets, data, job.seed)
+    characterise(TrainingSet(scenes, rails.device.type), [job], [design])
     return design
 
 

@@ -2,30 +2,26 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 import torch
 from pydantic import BaseModel
-from torch import Tensor
 
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design.artifact import Design
-from deepfsi.design.calibration import distribution_of
-from deepfsi.design.evaluation import scanner_for
 from deepfsi.design.exposure.trained import TrainedExposure
 from deepfsi.design.memory import Memory
 from deepfsi.errors import InputError
 from deepfsi.optics import constraints
 from deepfsi.optics.budget import brightness, check_budget, detector_shares
-from deepfsi.optics.features import CHUNK, FeatureNoise, feature_statistics
+from deepfsi.optics.features import FeatureNoise, feature_statistics
 from deepfsi.optics.masks import FixedMasks, LearnedMasks
 from deepfsi.optics.rails import Rails
 from deepfsi.progress import SILENT, Report, shown
 from deepfsi.training.batches import check_fits
-from deepfsi.training.confidence import find_temperatures
+from deepfsi.training.characterisation import characterise
 from deepfsi.training.counts import train_for_counts
 from deepfsi.training.job import Job, find_job
 from deepfsi.training.loop import Classifier, optimise
@@ -108,12 +104,7 @@ def train(
     began = time.perf_counter()
     _check(training_set, jobs, matrix)
     designs = _designs(training_set, jobs, *_optimised(training_set, jobs, matrix, report))
-    for job, design in zip(jobs, designs, strict=True):
-        budgets = job.photons, job.exposure.highest(job.photons)
-        scanner = scanner_for(design, job.camera)
-        design.temperatures = find_temperatures(
-            design, scanner, budgets, training_set.data, job.seed
-        )
+    characterise(training_set, jobs, designs)
     seconds = (time.perf_counter() - began) / len(jobs)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device, seconds)
@@ -225,7 +216,7 @@ def _designs(
             detection,
             exposures[0].drawn(rails, light),
         )
-    designs = [
+    return [
         Design(
             name=each.design,
             rails=Rails.of(constraints.check(rails[r % len(rails)].clone(), light)),
@@ -242,29 +233,6 @@ def _designs(
         )
         for r, each in enumerate(jobs)
     ]
-    if exposures[0].chooses:
-        for each, design in zip(jobs, designs, strict=True):
-            design.shares = _shares(design, training_set.full, each.photons, each.seed)
-    if not exposures[0].comparable:
-        return designs
-    # Those of fixed dwells depend on the masks alone, which designs may share
-    apart = designs if exposures[0].chooses else designs[: len(rails)]
-    known = [distribution_of(each, training_set.full, training_set.labels) for each in apart]
-    return [replace(each, distribution=known[r % len(known)]) for r, each in enumerate(designs)]
-
-
-def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:
-    """Share of the budget (k,) that each feature counts, in the mean over scenes (n, N)."""
-    scanner = design.scanner()
-    generator = torch.Generator(scenes.device).manual_seed(seed)
-    shares = torch.zeros_like(design.mean)
-    with torch.no_grad():
-        for x in scenes.split(CHUNK):
-            rates = design.rates(scanner, x)
-            *_, seen = design.expose(scanner, rates, generator, photons)
-            shown = design.exposure.shown(rates, seen)
-            shares += design.detection.totals(shown).sum(dim=0)
-    return shares / len(scenes)
 
 
 def provenance(

@@ -16,8 +16,11 @@ DIAGONAL_INCHES = {
 }  # fmt: skip
 """As the names say, rounded."""
 
-PATTERNS = {"dlp6500": 400, "dlp9000": 480, "dlp670s": 400, "dlp500yx": 800}
-"""1-bit patterns that a DLPC900 holds, from its data sheet DLPS037H."""
+TABLE = 400
+"""Patterns of a sequence of a DLPC900 at most, from its guide DLPU018J, 0x1A31.
+
+The memory holds more of some devices (DLPS037H: 480 of the DLP9000, 800 of the DLP500YX).
+"""
 
 SHORTEST_US = {"dlp6500": 105, "dlp9000": 105, "dlp670s": 105, "dlp500yx": 62}
 """Of 1-bit patterns, from table 7-3 of DLPS037F."""
@@ -44,9 +47,9 @@ def test_each_number_has_a_source_or_is_said_to_be_assumed(name):
     assert all(re.search(document, source) for source in SOURCES[name].values())
 
 
-def test_limits_of_the_dlpc900_are_those_of_its_data_sheet():
+def test_limits_of_the_dlpc900_are_those_of_its_documents():
     family = {name: one for name, one in DEVICES.items() if one.controller == "dlpc900"}
-    assert {name: one.patterns for name, one in family.items()} == PATTERNS
+    assert {one.patterns for one in family.values()} == {TABLE}
     assert {name: one.shortest_us for name, one in family.items()} == SHORTEST_US
 
 

@@ -141,7 +141,7 @@ def test_only_controllers_that_take_pictures_get_them(tmp_path):
         export(tmp_path / "p", format="planes")
 
 
-@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp9000", 480), ("dlp4500", 48)])
+@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp500yx", 400), ("dlp4500", 48)])
 def test_more_frames_than_a_controller_holds_are_refused(tmp_path, name, holds):
     """With four sentinels; nothing is written, and what to do is said."""
     device = family(name)

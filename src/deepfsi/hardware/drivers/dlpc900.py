@@ -45,9 +45,6 @@ VENDOR, PRODUCT = 0x0451, 0xC900
 DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
 """Devices by the hardware type that a board reports."""
 
-MOST_PATTERNS = 400
-"""Entries of the pattern table; data sheets allow more for some devices, the guide does not."""
-
 # Commands
 ERROR_CODE, HARDWARE, HARDWARE_STATUS, MAIN_STATUS = 0x0100, 0x0206, 0x1A0A, 0x1A0C
 START_STOP, STOP, START = 0x1A24, b"\0", b"\2"
@@ -266,11 +263,6 @@ def _for_board(manifest: Manifest, folder: Path, device: Device) -> Manifest:
         )
     manifest = manifest.model_copy(update={"device": device})
     check_limits(manifest)
-    if len(manifest.frames) > MOST_PATTERNS:
-        raise InputError(
-            f"{len(manifest.frames)} frames do not fit a DLPC900, whose table of patterns has "
-            f"{MOST_PATTERNS} entries: export fewer masks"
-        )
     return manifest
 
 

@@ -199,8 +199,9 @@ class Page {
 
   drawAnswer(count) {
     const { exposure, model } = this;
-    if (!this.playing) exposure.answerAll(count);
-    const { chances, sound } = exposure.answer(count);
+    const { unlike } = exposure;
+    if (!this.playing && !unlike) exposure.answerAll(count);
+    const { chances, sound } = unlike ? { chances: null, sound: true } : exposure.answer(count);
     const top = drawAnswer($("answer"), model, chances, sound);
     drawHistory($("history"), exposure, count, top);
     $("answer-words").textContent = this.about(chances);
@@ -210,6 +211,7 @@ class Page {
   about(chances) {
     const { exposure, model } = this;
     const { rule } = exposure;
+    if (exposure.unlike) return "No probabilities are given for this scene.";
     const judged = rule && rule.threshold < 1
       ? ` The dashed line is the confidence above which an exposure may stop, chosen at ${photonsText(rule.photons)} photons.`
       : "";
@@ -229,11 +231,11 @@ class Page {
       if (!stop || count < stop.count) return "The exposure goes on.";
       return `The exposure goes on. It could have stopped ${this.stopWords(stop)}`;
     }
+    if (exposure.unlike) return "No answer: this scene is darker, brighter or flatter than all that the design was learned from.";
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
-    const strange = exposure.unlike ? "This scene is darker, brighter or flatter than all that the design was learned from: the probability does not hold for it. " : "";
-    const answer = `${strange}${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
+    const answer = `${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
     const { stop, rule } = exposure;
     if (stop) return `${answer} It could have stopped ${this.stopWords(stop)}`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;
