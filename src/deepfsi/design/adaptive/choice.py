@@ -3,8 +3,7 @@
 A candidate separates the likeliest classes in two groups: its mirrors are ON where the mean scenes
 of the groups differ most for the photon noise that they bring. Of the candidates that one is shown
 whose counts tell most, as told by scenes drawn of the posterior: on the scale of 2 √counts, where
-photon noise is the same for all, their distribution within a class is taken for normal. Mirrors of
-it are then flipped as long as that tells more.
+photon noise is the same for all, their distribution within a class is taken for normal.
 
 The choice is greedy, a look at a time. Sources: sequential design by expected information (Lindley
 1956); 2 √counts is Anscombe's (1948).
@@ -25,12 +24,6 @@ LIKELIEST = 4
 SAMPLES = 128
 """Scenes drawn of the posterior by which masks are compared; all where there are no more."""
 
-ASCENTS = 3
-"""Steps by which the best candidate is improved, each of mirrors that flip together."""
-
-FLIPPED = (0.0, 0.25, 0.6)
-"""Mirrors are flipped whose gain is above these shares of the largest."""
-
 HALVINGS = 4
 """Steps by which the best threshold of a mask is found."""
 
@@ -40,57 +33,21 @@ DARKEST = 1e-3
 
 def next_masks(state: "AdaptivePosterior", share: float, generator: torch.Generator) -> Tensor:
     """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
-    told = _Drawn(state, share, generator)
-    best, score = _best(*told.scored(candidates(state)))
-    for _ in range(ASCENTS):
-        flips = told.slopes(best) * (1 - 2 * best)  # (b, N): gain of each mirror that flips
-        most = flips.amax(dim=1, keepdim=True).clamp(min=1e-30)
-        flipped = (flips[:, None] > most[:, None] * torch.tensor(FLIPPED)[:, None]).to(best)
-        tried, found = _best(*told.scored((best[:, None] - flipped).abs()))
-        better = found > score
-        best, score = torch.where(better[:, None], tried, best), torch.maximum(found, score)
-    return best
-
-
-def _best(masks: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
-    """Masks (b, N) with the highest scores (b, P), and these."""
-    score, place = scores.max(dim=1)
-    return masks[torch.arange(len(masks)), place], score
-
-
-class _Drawn:
-    """Scenes drawn of the posterior, by which masks for a share of the exposure are compared."""
-
-    def __init__(
-        self, state: "AdaptivePosterior", share: float, generator: torch.Generator
-    ) -> None:
-        places, drawn = _sample(state.weights, generator)
-        classes = functional.one_hot(state.prior.labels[places], state.prior.classes)
-        self._state, self._share = state, share
-        self._drawn = drawn[:, None, :, None]  # (b, 1, S, 1)
-        self._members = classes.float() * drawn[..., None]  # (b, S, C)
-        self._scenes = state.prior.coefficients[places][:, None].transpose(2, 3)  # (b, 1, d, S)
-
-    def scored(self, masks: Tensor) -> tuple[Tensor, Tensor]:
-        """Masks (b, P, N), and what their counts are expected to tell (b, P)."""
-        state = self._state
-        mean, parts = state.prior.light(state.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
-        left = state.unknown(parts)
-        light = (mean + state.seen(parts))[..., None] + left @ self._scenes
-        gain = state.gain * self._share
-        counts = light.clamp(min=0) * gain + state.optics.dark * self._share
-        if not state.prior.spread:
-            return masks, information(counts, self._members)
-        usual = (counts @ self._drawn).clamp(min=1e-6).rsqrt() * gain
-        unknown = (left @ parts.transpose(2, 3)) * usual * usual.transpose(2, 3)
-        return masks, information(counts, self._members, unknown)
-
-    def slopes(self, masks: Tensor) -> Tensor:
-        """Derivatives (b, N) of what masks (b, N) are expected to tell."""
-        with torch.enable_grad():
-            open_ = masks.clone().requires_grad_()
-            told = self.scored(open_[:, None])[1].sum()
-            return torch.autograd.grad(told, open_)[0]
+    masks, prior = candidates(state), state.prior
+    places, drawn = _sample(state.weights, generator)
+    mean, parts = prior.light(state.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
+    left = state.unknown(parts)
+    scenes = prior.coefficients[places][:, None].transpose(2, 3)  # (b, 1, d, S)
+    light = (mean + state.seen(parts))[..., None] + left @ scenes
+    gain, dark = state.gain * share, state.optics.dark * share
+    counts = light.clamp(min=0) * gain + dark
+    unknown = left @ parts.transpose(2, 3) if prior.spread else None
+    if unknown is not None:
+        usual = (counts @ drawn[:, None, :, None]).clamp(min=1e-6).rsqrt() * gain
+        unknown = unknown * usual * usual.transpose(2, 3)
+    members = functional.one_hot(prior.labels[places], prior.classes).float() * drawn[..., None]
+    best = information(counts, members, unknown).argmax(dim=1)
+    return masks[torch.arange(len(masks)), best]
 
 
 def candidates(state: "AdaptivePosterior") -> Tensor:
