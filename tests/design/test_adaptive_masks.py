@@ -340,3 +340,9 @@ def test_four_detectors_tell_more_than_one_and_two_arms_more_than_one(digits):
 def test_what_cannot_be_is_one_line(digits, settings, said):
     with pytest.raises(InputError, match=said):
         adaptive_masks(digits, 1e4, **settings)
+
+
+def test_a_prior_that_the_memory_does_not_hold_is_one_line(digits, monkeypatch):
+    monkeypatch.setattr("deepfsi.design.adaptive.evaluation.free_memory", lambda: 1e6)
+    with pytest.raises(InputError, match="give a smaller `prior`"):
+        adaptive_masks(digits, 1e4)

@@ -88,7 +88,7 @@ class AdaptiveResult(Result):
 
 @dataclass(frozen=True, eq=False)
 class Exposed:
-    """What exposures gave.
+    """Answers of exposures, and what was counted.
 
     Attributes
     ----------
@@ -149,8 +149,7 @@ def adaptive_masks(
 ) -> list[Result]:
     """Accuracy of adaptive masks on test scenes under photon noise: `AdaptiveResult`, one a budget.
 
-    One mirror device: each look shows one binary mask, made from the counts of all looks before.
-    Training scenes are the prior; test scenes are exposed.
+    Each look shows one binary mask, made from the counts of all before. Test scenes are exposed.
 
     Parameters
     ----------
@@ -170,7 +169,7 @@ def adaptive_masks(
     seed : int
         Of the noise, and of the scenes by which masks are compared.
     report : Report, optional
-        Where to say how far it is; a bar where a terminal is attached unless given.
+        Where to say how far it is.
     settings
         Fields of `AdaptiveMasks`, such as ``looks=32``.
 
@@ -182,7 +181,6 @@ def adaptive_masks(
     Examples
     --------
     >>> from deepfsi import load_dataset
-    >>> from deepfsi.design.adaptive import adaptive_masks
     >>> [result] = adaptive_masks(load_dataset("digits"), 1e4, looks=8)
     >>> result.accuracy > 0.85
     True
@@ -193,36 +191,53 @@ def adaptive_masks(
     optics = {each: LookOptics.of(seen, scenes.image_shape, each) for each in budgets}
     with torch.no_grad(), shown(report, "adaptive masks") as bar:
         held = prior if isinstance(prior, ScenePrior) else prior_of(scenes, chosen, prior)
-        shares = dict.fromkeys(budgets, 0.0)
-        counts = {each: torch.zeros(chosen.looks, dtype=torch.double) for each in budgets}
-
-        def guess_of(x: Tensor) -> Guess:
-            def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
-                chances, counted = [], 0.0
-                for some in x.split(max(1, AT_ONCE // len(held))):
-                    state = AdaptivePosterior(held, len(some), optics[budget])
-                    found = expose(state, some, chosen, generator, reading)
-                    chances.append(found.chances)
-                    shares[budget] += float(found.shares.sum())
-                    counts[budget] += found.counts
-                    counted += float(found.counts.sum())
-                sure, classes = torch.cat(chances).max(dim=-1)
-                return classes, sure, counted
-
-            return guess
-
+        trial = _Trial(held, optics, chosen, reading)
         unknown = torch.zeros(chosen.looks)  # each scene has its own masks
-        found = test_scenes(scenes, guess_of, budgets, draws, seed, "poisson", unknown, bar)
-    exposures = draws * len(scenes.x_test)
-    return ResultList(
-        _adaptive(each, counts[each.photons] / exposures, shares[each.photons] / exposures)
-        for each in found
-    )
+        found = test_scenes(scenes, trial.guesses, budgets, draws, seed, "poisson", unknown, bar)
+    return ResultList(trial.result(each) for each in found)
 
 
-def _adaptive(result: Result, counts: Tensor, share: float) -> AdaptiveResult:
-    known = vars(result) | {"throughput": float(counts.sum()) / result.photons}
-    return AdaptiveResult(**known | {"photons_per_mask": counts.tolist(), "share": share})
+class _Trial:
+    """Exposures of scenes, of which it keeps what was counted at each budget."""
+
+    def __init__(
+        self,
+        prior: ScenePrior,
+        optics: dict[float, LookOptics],
+        settings: AdaptiveMasks,
+        reading: Reading | None,
+    ) -> None:
+        self._prior, self._optics, self._settings = prior, optics, settings
+        self._reading = reading
+        self._shares = dict.fromkeys(optics, 0.0)
+        self._counts = {each: torch.zeros(settings.looks, dtype=torch.double) for each in optics}
+
+    def guesses(self, x: Tensor) -> Guess:
+        """Answers to exposures of scenes (n, N)."""
+
+        def guess(generator: torch.Generator, budget: float) -> tuple[Tensor, Tensor, float]:
+            chances, counted = [], 0.0
+            for some in x.split(max(1, AT_ONCE // len(self._prior))):
+                state = AdaptivePosterior(self._prior, len(some), self._optics[budget])
+                found = expose(state, some, self._settings, generator, self._reading)
+                chances.append(found.chances)
+                self._shares[budget] += float(found.shares.sum())
+                self._counts[budget] += found.counts
+                counted += float(found.counts.sum())
+            sure, classes = torch.cat(chances).max(dim=-1)
+            return classes, sure, counted
+
+        return guess
+
+    def result(self, result: Result) -> AdaptiveResult:
+        """A result with what was counted."""
+        exposures = result.draws * result.images
+        counts = self._counts[result.photons] / exposures
+        known = vars(result) | {"throughput": float(counts.sum()) / result.photons}
+        return AdaptiveResult(
+            **known | {"photons_per_mask": counts.tolist()},
+            share=self._shares[result.photons] / exposures,
+        )
 
 
 def prior_of(data: Dataset, settings: AdaptiveMasks, scenes: int | None = None) -> ScenePrior:

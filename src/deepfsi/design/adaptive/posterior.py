@@ -30,7 +30,7 @@ LARGEST_SIZE = 1e9
 
 @dataclass(frozen=True, eq=False)
 class LookOptics:
-    """What a look counts: one mirror device, one or several detectors, one arm or both.
+    """Optics of a look: one mirror device, one or several detectors, one arm or both.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class LookOptics:
         return functional.one_hot(self.detectors, count).T.to(masks.dtype)
 
     def readouts(self, masks: Tensor) -> Tensor:
-        """What of the device each readout sees (..., arms · D, N), of masks (..., N)."""
+        """Pixels that each readout sees (..., arms · D, N), of masks (..., N)."""
         rails = torch.stack([masks, 1 - masks] if self.arms == 2 else [masks], dim=-2)
         if self.detectors is None:
             return rails
