@@ -87,9 +87,14 @@ class IdealObserver:
         if self._impossible is not None:
             faults = read @ self._impossible.T
             logs.masked_fill_(faults > faults.amin(dim=1, keepdim=True), -torch.inf)
-        weights = logs.sub_(logs.amax(dim=1, keepdim=True)).exp_()
-        sums = torch.stack([part.sum(dim=1) for part in weights.split(self._sizes, dim=1)], dim=1)
-        return sums / sums.sum(dim=1, keepdim=True)
+        return class_chances(logs, self._sizes)
+
+
+def class_chances(logs: Tensor, sizes: Sequence[int]) -> Tensor:
+    """Class probabilities (b, C) of log-likelihoods (b, n) of scenes that are sorted by class."""
+    weights = logs.softmax(dim=1)
+    sums = torch.stack([part.sum(dim=1) for part in weights.split(list(sizes), dim=1)], dim=1)
+    return sums / sums.sum(dim=1, keepdim=True)
 
 
 def ideal_observer(
